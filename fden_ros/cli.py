@@ -1,0 +1,52 @@
+"""The command ``fden``: one subcommand a module of :mod:`fden_ros.commands`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from fden_ros import __version__
+from fden_ros.errors import InputError
+
+COMMANDS = ("bag", "replay", "play", "demo")
+
+DESCRIPTION = """\
+Identify soft tissue from force and displacement with the FDEN model.
+
+  fden bag ramp -o /tmp/ramp          make a synthetic palpation bag
+  fden replay /tmp/ramp               estimate G and Gn from a bag
+  fden play /tmp/ramp                 publish a bag on live topics
+  fden demo -o demo                   all of it, live, with a picture at the end
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of ``fden`` with every subcommand."""
+    parser = argparse.ArgumentParser(
+        prog="fden", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--version", action="version", version=f"fden {__version__}")
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name in COMMANDS:
+        importlib.import_module(f"fden_ros.commands.{name}").add_parser(subparsers)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``fden``; return 0 when done, 1 when an input cannot be used, 2 on wrong usage."""
+    args = build_parser().parse_args(arguments)
+    try:
+        return int(args.run(args))
+    except InputError as error:
+        print(f"fden {args.command}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

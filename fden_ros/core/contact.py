@@ -1,0 +1,368 @@
+"""Contact: when the probe touches, where the tissue's surface is, and when the probe leaves.
+
+In the air the force's bias and noise are measured. A rise above the noise is a contact; its true onset is then
+looked for backwards, by fitting the model's own response to the samples kept from before the detection, because a threshold
+alone places the strain origin too late. The pipeline replays those samples, so nothing of the contact is lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gamma
+
+from fden_ros.core.synchronize import NANOSECONDS, Pair, Position
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """When a contact begins and ends, and when it is at a new site.
+
+    Parameters
+    ----------
+    force_threshold : float
+        Force above its bias that is a contact [N]; 0: four standard deviations of the measured noise.
+    measure_bias : bool
+        Take the force's bias from each approach. False: the force is trusted as it is (after any tare).
+    force_noise : float
+        Standard deviation of the force per sample [N]; 0: measured in the air.
+    noise_floor : float
+        Least force noise that is believed [N], so that a quantised or noise-free signal does not look perfect.
+    lookback : float
+        How far before its detection the onset is looked for [s].
+    site_distance : float
+        Lateral distance beyond which a contact is at a new site [m]; needs positions.
+    site_timeout : float
+        Time in the air after which a contact is at a new site, where there are no positions [s].
+    approach_axis : tuple of float
+        Unit vector into the tissue, in the frame of the positions.
+    series_compliance : float
+        Compliance of tool and robot in series with the tissue [m/N].
+    """
+
+    force_threshold: float = 0.0
+    measure_bias: bool = True
+    force_noise: float = 0.0
+    noise_floor: float = 1e-5
+    lookback: float = 5.0
+    site_distance: float = 0.005
+    site_timeout: float = 2.0
+    approach_axis: Position = (0.0, 0.0, 1.0)
+    series_compliance: float = 0.0
+
+
+class Onset(NamedTuple):
+    """The beginning of a contact."""
+
+    samples: tuple[Pair, ...]  #: from just before the onset to the detection
+    bias: float  #: of the force, already subtracted from the samples [N]
+    bias_sd: float  #: its standard deviation [N]
+    noise_sd: float  #: of the force, per sample [N]
+    displacement: float  #: at the onset, compliance removed [m]
+    displacement_sd: float  #: its standard deviation [m]
+    seen: bool  #: False: the force was there when the data began, so the origin is not known
+
+
+class Release(NamedTuple):
+    """The end of a contact."""
+
+    stamp_ns: int
+
+
+class _Chunk(NamedTuple):
+    """Some 20 ms of force: enough to average, short enough to react."""
+
+    count: int
+    start_ns: int
+    mean: float
+    square_sum: float  #: of deviations from the mean
+
+
+_CHUNK_NS = 20_000_000
+_CHUNK_SAMPLES = 3
+_MAX_CHUNKS = 64
+_MIN_CHUNKS = 5
+#: The newest chunks are left out of the baseline: they may hold the beginning of a contact.
+_LAG_CHUNKS = 12
+_RELEASE_CHUNKS = 2
+_BELOW_BASELINE_CHUNKS = 10
+_THRESHOLD_DEVIATIONS = 4.0
+#: The probe is off the tissue when it has retreated behind the surface by this share of its deepest penetration.
+_RETREAT = 0.2
+#: The samples in the air are kept within this bound, whatever the sampling rate.
+_MAX_LOOKBACK_SAMPLES = 40_000
+
+
+class ContactDetector:
+    """Tell contact from air, sample by sample.
+
+    Parameters
+    ----------
+    config : ContactConfig
+    fractional_order : float
+        Rough alpha [1], for the shape of the onset only.
+    """
+
+    def __init__(self, config: ContactConfig, fractional_order: float) -> None:
+        self._config = config
+        self._order = fractional_order
+        self._lookback_ns = round(config.lookback * NANOSECONDS)
+        self.in_contact = False
+        self.below_baseline = 0  #: times that the force fell clearly below its baseline
+        self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
+        self.noise_sd = config.force_noise  #: of the force per sample [N]
+        self.release_threshold = 0.0  #: force below which the probe is no longer pressing [N]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but what the configuration says."""
+        self.in_contact = False
+        self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
+        self._chunks: deque[_Chunk] = deque(maxlen=_MAX_CHUNKS)
+        self._open: list[float] = []
+        self._open_start_ns = 0
+        self._low_chunks = 0
+        self._low_start_ns = 0
+        self._surface = self._deepest = 0.0
+
+    def compliance_free(self, pair: Pair, force: float) -> float:
+        """Return the displacement of the tissue's surface [m]: the measured one less the tool's own give."""
+        return pair.displacement - self._config.series_compliance * force
+
+    def mean_air_force(self) -> float | None:
+        """Return the mean force of the last second in the air [N], None if in contact or not known yet."""
+        if self.in_contact or len(self._chunks) < _MIN_CHUNKS:
+            return None
+        return _mean_and_noise(tuple(self._chunks))[0]
+
+    def add(self, pair: Pair) -> Onset | Release | None:
+        """Take one pair; return an event if the contact begins or ends with it."""
+        if not self.in_contact:
+            self._remember(pair)
+        chunk = self._close_chunk(pair)
+        if chunk is None:
+            return None
+        return self._in_contact(chunk, pair) if self.in_contact else self._in_air(chunk)
+
+    def _remember(self, pair: Pair) -> None:
+        samples = self._samples
+        samples.append(pair)
+        oldest_allowed = pair.stamp_ns - self._lookback_ns
+        while samples[0].stamp_ns < oldest_allowed:
+            samples.popleft()
+
+    def _close_chunk(self, pair: Pair) -> _Chunk | None:
+        values = self._open
+        if not values:
+            self._open_start_ns = pair.stamp_ns
+        values.append(pair.force)
+        if len(values) < _CHUNK_SAMPLES or pair.stamp_ns - self._open_start_ns < _CHUNK_NS:
+            return None
+        mean = math.fsum(values) / len(values)
+        chunk = _Chunk(
+            len(values), self._open_start_ns, mean, math.fsum((v - mean) ** 2 for v in values)
+        )
+        values.clear()
+        return chunk
+
+    def _in_air(self, chunk: _Chunk) -> Onset | None:
+        chunks = self._chunks
+        if self._config.measure_bias and len(chunks) < _MIN_CHUNKS:
+            chunks.append(chunk)
+            return None
+        lag = min(_LAG_CHUNKS, len(chunks) // 2)
+        baseline = tuple(chunks)[: len(chunks) - lag]
+        bias, bias_sd, noise = self._baseline(baseline)
+        threshold = max(self._config.force_threshold, _THRESHOLD_DEVIATIONS * noise)
+        rise = chunk.mean - bias
+        if rise > threshold:
+            for _ in range(lag):
+                chunks.pop()
+            return self._begin(bias, bias_sd, noise, threshold)
+        chunks.append(chunk)
+        self._watch_below_baseline(rise < -threshold)
+        return None
+
+    def _watch_below_baseline(self, below: bool) -> None:
+        self._low_chunks = self._low_chunks + 1 if below and self._config.measure_bias else 0
+        if self._low_chunks < _BELOW_BASELINE_CHUNKS:
+            return
+        # What was taken for air was a contact, or the force has the wrong sign: measure the baseline anew.
+        self.below_baseline += 1
+        self._low_chunks = 0
+        recent = tuple(self._chunks)[-_MIN_CHUNKS:]
+        self._chunks.clear()
+        self._chunks.extend(recent)
+        self._samples.clear()
+
+    def _baseline(self, chunks: tuple[_Chunk, ...]) -> tuple[float, float, float]:
+        """Return bias, its standard deviation and the noise per sample [N] from chunks in the air."""
+        mean, measured, count = _mean_and_noise(chunks)
+        noise = self._config.force_noise or max(measured, self._config.noise_floor)
+        if not self._config.measure_bias:
+            return 0.0, 0.0, noise
+        return mean, noise / math.sqrt(count), noise
+
+    def _begin(self, bias: float, bias_sd: float, noise: float, threshold: float) -> Onset:
+        pairs = self._samples
+        start_ns = pairs[0].stamp_ns
+        time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
+        force = np.array([pair.force for pair in pairs]) - bias
+        displacement = np.array([pair.displacement for pair in pairs])
+        displacement -= self._config.series_compliance * force
+        surface = find_surface(time, force, displacement, self._order)
+        # A little before the onset, so that the memory begins with the air.
+        first = max(surface.index - 2, 0)
+        onset = Onset(
+            samples=tuple(pairs)[first:],
+            bias=bias,
+            bias_sd=bias_sd,
+            noise_sd=noise,
+            displacement=surface.displacement,
+            displacement_sd=surface.displacement_sd,
+            seen=surface.index > 0 and float(force[0]) < threshold,
+        )
+        self.in_contact = True
+        self.force_bias = bias
+        self.noise_sd = noise
+        self.release_threshold = 0.5 * threshold
+        self._samples.clear()
+        self._low_chunks = 0
+        self._surface = self._deepest = surface.displacement
+        return onset
+
+    def _in_contact(self, chunk: _Chunk, pair: Pair) -> Release | None:
+        self._deepest = max(self._deepest, pair.displacement)
+        retreat = self._surface - pair.displacement
+        if retreat > _RETREAT * (self._deepest - self._surface):
+            # Behind the surface there is no tissue: what force is left is drift of the sensor.
+            self._chunks.clear()
+            return self._release(chunk.start_ns)
+        if chunk.mean - self.force_bias >= self.release_threshold:
+            self._low_chunks = 0
+            return None
+        if self._low_chunks == 0:
+            self._low_start_ns = chunk.start_ns
+        self._low_chunks += 1
+        if self._low_chunks < _RELEASE_CHUNKS:
+            return None
+        return self._release(self._low_start_ns)
+
+    def _release(self, stamp_ns: int) -> Release:
+        self.in_contact = False
+        self._low_chunks = 0
+        return Release(stamp_ns)
+
+
+def _mean_and_noise(chunks: tuple[_Chunk, ...]) -> tuple[float, float, int]:
+    """Return mean and standard deviation of the samples [N], and their number."""
+    count = sum(chunk.count for chunk in chunks)
+    if count == 0:
+        return 0.0, 0.0, 0
+    mean = math.fsum(chunk.count * chunk.mean for chunk in chunks) / count
+    squares = math.fsum(c.square_sum + c.count * (c.mean - mean) ** 2 for c in chunks)
+    return mean, math.sqrt(squares / max(count - 1, 1)), count
+
+
+class Surface(NamedTuple):
+    """Where an approach met the tissue."""
+
+    index: int  #: of the first sample in contact
+    displacement: float  #: [m]
+    displacement_sd: float  #: [m]
+
+
+_MAX_BINS = 96
+_CANDIDATES = 40
+_MAX_ZOOMS = 6
+
+
+def find_surface(time: Array, force: Array, displacement: Array, fractional_order: float) -> Surface:
+    r"""Find where the force begins to follow the displacement.
+
+    Least squares of the model's small-strain response :math:`k\,D^\alpha \max(d - d_0, 0)` over the surface :math:`d_0`, the
+    stiffness k eliminated; exact for any approach, since the fractional derivative is that of the measured motion. The
+    window is narrowed until the contact fills a good part of it.
+
+    Parameters
+    ----------
+    time, force, displacement : ndarray, shape (n,)
+        Samples [s], [N] less bias, [m]; the last ones in contact.
+    fractional_order : float
+        Rough alpha [1].
+    """
+    start = 0
+    for _ in range(_MAX_ZOOMS):
+        bins = _Bins.of(time, force, displacement, start, fractional_order)
+        onset_time = bins.best(np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False))
+        contact_share = (bins.time[-1] - onset_time) / (bins.time[-1] - bins.time[0])
+        if contact_share > 0.3 or time.size - start < 2 * _CANDIDATES:
+            break
+        start = int(np.searchsorted(time, onset_time - (bins.time[-1] - onset_time)))
+    spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
+    around = np.linspace(-spacing, spacing, _CANDIDATES)
+    onset_time = bins.best(onset_time + around)
+    surface = float(np.interp(onset_time, bins.time, bins.displacement))
+    index = int(np.searchsorted(time, onset_time))
+    return Surface(index, surface, bins.deviation(onset_time, spacing))
+
+
+@dataclass(frozen=True)
+class _Bins:
+    """Samples averaged into few bins, with the fractional derivative as a matrix on increments."""
+
+    time: Array
+    force: Array
+    displacement: Array
+    derivative: Array
+
+    @classmethod
+    def of(
+        cls, time: Array, force: Array, displacement: Array, start: int, fractional_order: float
+    ) -> _Bins:
+        size = time.size - start
+        per_bin = max(1, -(-size // _MAX_BINS))
+        count = size // per_bin
+        kept = slice(time.size - count * per_bin, None)
+
+        def mean(values: Array) -> Array:
+            averaged: Array = values[kept].reshape(count, per_bin).mean(axis=1)
+            return averaged
+
+        bin_time = mean(time)
+        exponent = 1.0 - fractional_order
+        lag = np.maximum(bin_time[:, None] - bin_time[None, :], 0.0) ** exponent
+        matrix = (lag[:, :-1] - lag[:, 1:]) / (np.diff(bin_time) * gamma(exponent + 1.0))
+        return cls(bin_time, mean(force), mean(displacement), matrix)
+
+    def misfit(self, onset_times: Array) -> Array:
+        """Sum of squared residuals [N^2] for each candidate onset, shape (candidates,)."""
+        surface = np.interp(onset_times, self.time, self.displacement)
+        depth = np.maximum(self.displacement[:, None] - surface, 0.0)
+        depth *= self.time[:, None] >= onset_times
+        response = self.derivative @ np.diff(depth, axis=0)
+        power = np.sum(response**2, axis=0)
+        gain = np.maximum(self.force @ response, 0.0)
+        explained = np.divide(gain**2, power, out=np.zeros_like(power), where=power > 0.0)
+        misfit: Array = self.force @ self.force - explained
+        return misfit
+
+    def best(self, onset_times: Array) -> float:
+        return float(onset_times[np.argmin(self.misfit(onset_times))])
+
+    def deviation(self, onset_time: float, spacing: float) -> float:
+        """Standard deviation of the surface [m] from the curvature of the misfit."""
+        near = onset_time + np.array([-spacing, 0.0, spacing])
+        low, middle, high = self.misfit(near)
+        noise = max(middle, 0.0) / max(self.time.size - 2, 1)
+        steps = np.interp(near, self.time, self.displacement)
+        step = max(0.5 * abs(float(steps[2] - steps[0])), np.finfo(float).tiny)
+        curvature = max(low + high - 2.0 * middle, np.finfo(float).tiny)
+        return min(step * math.sqrt(2.0 * noise / curvature), float(np.ptp(self.displacement)))

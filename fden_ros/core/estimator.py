@@ -1,0 +1,301 @@
+r"""Recursive estimation of the FDEN parameters: a Gaussian sum of extended Kalman filters on the fractional stress.
+
+The observation is the fractional stress :math:`f'_k = D^{-\alpha} f = \varphi(x_k; G, G_n) + v_k` (paper, Appendix F). A single filter
+commits itself before the strain passes :math:`1/G_n`, where :math:`G_n` is not observable, and never recovers; a sum of filters, each
+started at its own :math:`\ln G_n`, does not (Alspach and Sorenson, IEEE Trans. Autom. Control 17 (1972) 439).
+
+State of each member: :math:`(\ln G, \ln G_n, o, b)`, with o the strain origin and b the bias of the stress, nuisances that are
+known at best as well as the touch was seen and the sensor was tared:
+
+.. math::
+    f'_k = \varphi\bigl(x(u_k - o); G, G_n\bigr) + b\,\frac{t_k^\alpha}{\Gamma(1+\alpha)} + v_k, \qquad
+    R_k = 0.9\,\sigma^2 \frac{t_k^{2\alpha}}{(1+2\alpha)\,\Gamma(1+\alpha)^2}
+
+u is the compression, :math:`t_k` the time since the memory began. :math:`R_k` stands for the coloured noise that white force noise
+:math:`\sigma` per sample becomes; a mean over m samples has :math:`R_k/m`.
+
+alpha is not estimated here (choosing it by the residual of f' is a trap: the noise shrinks with alpha). Its uncertainty
+counts all the same: the sensitivity :math:`s = d\hat\theta/d\alpha` of the estimate is carried along,
+:math:`s \leftarrow (I - KH)s + K\,\partial f'/\partial\alpha`, and adds :math:`s s^T \sigma_\alpha^2` to the covariance (consider
+analysis: Tapley, Schutz and Born, Statistical Orbit Determination, 2004, ch. 6).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from fden_ros.core.geometry import Geometry
+from fden_ros.core.model import elastic_response
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the tissue before it is touched; the defaults are the liver of the paper's Table II.
+
+    Parameters
+    ----------
+    linear_stiffness, nonlinear_stiffness : float
+        Medians of G [Pa s^alpha] and Gn [1], both log-normal.
+    linear_stiffness_log_sd, nonlinear_stiffness_log_sd : float
+        Standard deviations of ln G and ln Gn [1].
+    fractional_order, fractional_order_sd : float
+        alpha [1] and its standard deviation [1].
+    """
+
+    linear_stiffness: float = 520.0
+    linear_stiffness_log_sd: float = 0.3
+    nonlinear_stiffness: float = 8.4
+    nonlinear_stiffness_log_sd: float = 0.2
+    fractional_order: float = 0.131
+    fractional_order_sd: float = 0.011
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """Prior, and what counts as converged.
+
+    Parameters
+    ----------
+    prior : Prior
+    converged_log_sd : float
+        Converged only while the standard deviation of ln Gn is below this [1].
+    converged_probability : float
+        Converged only while P(largest strain > 1/Gn) is at least this [1].
+    """
+
+    prior: Prior = Prior()
+    converged_log_sd: float = 0.05
+    converged_probability: float = 0.99
+
+
+class Block(NamedTuple):
+    """Means over a block of samples: what an estimator is given."""
+
+    compression: float  #: u, from the nominal strain origin [1]
+    stress: float  #: f [Pa]
+    fractional_stress: float  #: f' [Pa s^alpha]
+    fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
+    memory_time: float  #: t since the memory began [s]
+    count: int  #: samples in the block
+
+
+class Innovation(NamedTuple):
+    """How one block compared with its prediction."""
+
+    predicted: float  #: [Pa s^alpha]
+    innovation: float  #: observed less predicted [Pa s^alpha]
+    variance: float  #: of the innovation [(Pa s^alpha)^2]
+
+    @property
+    def normalized_squared(self) -> float:
+        """Normalised innovation squared (NIS) [1]."""
+        return self.innovation**2 / self.variance
+
+
+class Estimate(NamedTuple):
+    """The parameters and how well they are known."""
+
+    log_linear_stiffness: float  #: ln G, G in Pa s^alpha
+    log_nonlinear_stiffness: float  #: ln Gn
+    fractional_order: float  #: alpha [1]
+    covariance: Array  #: of (ln G, ln Gn, alpha) [1], shape (3, 3)
+    strain_origin: float  #: o [1]
+    strain_origin_sd: float  #: [1]
+    probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
+    converged: bool
+    sample_count: int
+
+
+class Estimator(Protocol):
+    """An observation model with its filter; the pipeline asks for nothing else."""
+
+    def update(self, block: Block) -> Innovation:
+        """Take one block; return how it compared with the prediction."""
+
+    def estimate(self) -> Estimate:
+        """Return the present estimate."""
+
+
+class _Member:
+    """One extended Kalman filter with its weight and its sensitivity to alpha."""
+
+    def __init__(self, start: Array, covariance: Array, log_weight: float) -> None:
+        self.filter = ExtendedKalmanFilter(dim_x=start.size, dim_z=1)
+        self.filter.x = start.copy()
+        self.filter.P = covariance.copy()
+        self.log_weight = log_weight
+        self.sensitivity = np.zeros(start.size)
+        self.log_weight_sensitivity = 0.0
+
+
+_LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)
+#: Members stand at most this far apart in ln Gn, each with this standard deviation.
+_MEMBER_SPACING = 0.1125
+_MEMBER_SD = 0.06
+_GRID_HALF_WIDTH = 2.25
+#: Share of the white-noise variance that remains in f' where the information is, measured on simulated ramps.
+_NOISE_SHARE = 0.9
+
+
+class FractionalStressEstimator:
+    """The Gaussian sum on the fractional stress.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    geometry : Geometry
+        For the strain at a compression.
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    bias_sd : float
+        Standard deviation of the stress's bias [Pa]; 0: known.
+    origin_sd : float
+        Standard deviation of the strain origin [1]; 0: known.
+    """
+
+    def __init__(
+        self,
+        config: EstimatorConfig,
+        geometry: Geometry,
+        noise_sd: float,
+        bias_sd: float = 0.0,
+        origin_sd: float = 0.0,
+    ) -> None:
+        self._config = config
+        self._geometry = geometry
+        prior = config.prior
+        self._order = prior.fractional_order
+        self._gamma = math.gamma(1.0 + self._order)
+        self._noise_variance = (
+            _NOISE_SHARE * noise_sd**2 / ((1.0 + 2.0 * self._order) * self._gamma**2)
+        )
+        spread = prior.nonlinear_stiffness_log_sd
+        half_width = _GRID_HALF_WIDTH * spread
+        count = 2 * math.ceil(half_width / _MEMBER_SPACING) + 1
+        variance = np.diag(
+            [prior.linear_stiffness_log_sd**2, _MEMBER_SD**2, origin_sd**2, bias_sd**2]
+        )
+        centre = math.log(prior.nonlinear_stiffness)
+        self._members = [
+            _Member(
+                np.array([math.log(prior.linear_stiffness), centre + offset, 0.0, 0.0]),
+                variance,
+                -0.5 * (offset / spread) ** 2 if spread > 0.0 else 0.0,
+            )
+            for offset in np.linspace(-half_width, half_width, count)
+        ]
+        self._max_compression = 0.0
+        self._sample_count = 0
+
+    def update(self, block: Block) -> Innovation:
+        """Take one block; return how it compared with the mixture's prediction."""
+        growth = block.memory_time**self._order
+        noise = self._noise_variance * growth**2 / block.count
+        bias_gain = growth / self._gamma
+        weights = self._weights()
+        members = [self._update_member(m, block, bias_gain, noise) for m in self._members]
+        self._max_compression = max(self._max_compression, block.compression)
+        self._sample_count += block.count
+        predicted = float(sum(w * m.predicted for w, m in zip(weights, members)))
+        variance = float(
+            sum(w * (m.variance + (m.predicted - predicted) ** 2) for w, m in zip(weights, members))
+        )
+        return Innovation(predicted, block.fractional_stress - predicted, variance)
+
+    def _update_member(
+        self, member: _Member, block: Block, bias_gain: float, noise: float
+    ) -> Innovation:
+        log_g, log_gn, origin, bias = member.filter.x
+        compression = block.compression - origin
+        response = elastic_response(
+            self._geometry.strain(compression), math.exp(log_g), math.exp(log_gn)
+        )
+        predicted = response.value + bias * bias_gain
+        jacobian = np.array(
+            [
+                [
+                    response.value,
+                    response.by_log_nonlinear_stiffness,
+                    -response.by_strain * self._geometry.strain_slope(compression),
+                    bias_gain,
+                ]
+            ]
+        )
+        member.filter.update(
+            np.array([block.fractional_stress]),
+            lambda _: jacobian,
+            lambda _: np.array([predicted]),
+            R=noise,
+        )
+        innovation = float(member.filter.y[0])
+        variance = float(member.filter.S[0, 0])
+        member.log_weight -= 0.5 * (innovation**2 / variance + math.log(variance))
+        by_order = block.fractional_stress_by_order - float(jacobian[0] @ member.sensitivity)
+        member.sensitivity = member.sensitivity + member.filter.K[:, 0] * by_order
+        member.log_weight_sensitivity -= innovation / variance * by_order
+        return Innovation(predicted, innovation, variance)
+
+    def _weights(self) -> Array:
+        log_weights = np.array([member.log_weight for member in self._members])
+        weights: Array = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
+        return weights
+
+    def estimate(self) -> Estimate:
+        """Return the mixture's mean and covariance, alpha's own uncertainty included."""
+        prior = self._config.prior
+        weights = self._weights()
+        means = np.array([member.filter.x for member in self._members])
+        covariances = np.array([member.filter.P for member in self._members])
+        mean = weights @ means
+        centred = means - mean
+        covariance = np.einsum("i,ijk->jk", weights, covariances)
+        covariance += np.einsum("i,ij,ik->jk", weights, centred, centred)
+        sensitivity = self._sensitivity(weights, centred)
+        order_variance = prior.fractional_order_sd**2
+        covariance += np.outer(sensitivity, sensitivity) * order_variance
+        joint = np.empty((3, 3))
+        joint[:2, :2] = covariance[:2, :2]
+        joint[:2, 2] = joint[2, :2] = sensitivity[:2] * order_variance
+        joint[2, 2] = order_variance
+        beyond = self._probability_beyond_boundary(weights, means, covariances)
+        config = self._config
+        return Estimate(
+            log_linear_stiffness=float(mean[_LOG_G]),
+            log_nonlinear_stiffness=float(mean[_LOG_GN]),
+            fractional_order=prior.fractional_order,
+            covariance=joint,
+            strain_origin=float(mean[_ORIGIN]),
+            strain_origin_sd=math.sqrt(covariance[_ORIGIN, _ORIGIN]),
+            probability_beyond_boundary=beyond,
+            converged=beyond >= config.converged_probability
+            and math.sqrt(joint[1, 1]) <= config.converged_log_sd,
+            sample_count=self._sample_count,
+        )
+
+    def _sensitivity(self, weights: Array, centred: Array) -> Array:
+        """Derivative of the mixture's mean by alpha: that of the members, and that of their weights."""
+        own = np.array([member.sensitivity for member in self._members])
+        by_weight = np.array([member.log_weight_sensitivity for member in self._members])
+        result: Array = weights @ own + (weights * (by_weight - weights @ by_weight)) @ centred
+        return result
+
+    def _probability_beyond_boundary(
+        self, weights: Array, means: Array, covariances: Array
+    ) -> float:
+        total = 0.0
+        for weight, mean, covariance in zip(weights, means, covariances):
+            strain = self._geometry.strain(self._max_compression - mean[_ORIGIN])
+            if strain > 0.0:
+                deviation = math.sqrt(covariance[_LOG_GN, _LOG_GN])
+                total += weight * float(ndtr((math.log(strain) + mean[_LOG_GN]) / deviation))
+        return min(total, 1.0)

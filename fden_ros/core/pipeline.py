@@ -1,0 +1,744 @@
+"""The whole chain from samples to classified tissue: one object, the same for live, replay and batch.
+
+Samples of force and displacement go in, each stream in its own order; :class:`TissueState`, :class:`Classification` and
+:class:`ContactSummary` come out through a callback. Time is taken from the stamps alone.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma
+
+from fden_ros.core.classifier import UNKNOWN, ClassProbabilities, TissueLibrary, classify
+from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.estimator import (
+    Block,
+    Estimate,
+    Estimator,
+    EstimatorConfig,
+    FractionalStressEstimator,
+    Innovation,
+)
+from fden_ros.core.fractional_integral import SHORTEST_STEP, FractionalIntegral
+from fden_ros.core.geometry import FlatPunch, Geometry
+from fden_ros.core.model import apparent_stiffness_factor, elastic_response
+from fden_ros.core.synchronize import (
+    NANOSECONDS,
+    Pair,
+    Position,
+    SynchronizeConfig,
+    Synchronizer,
+)
+
+Array = NDArray[np.float64]
+
+
+class Status(enum.IntEnum):
+    """What a consumer may make of a :class:`TissueState`."""
+
+    UNKNOWN = 0
+    NO_CONTACT = 1
+    CONVERGING = 2
+    CONVERGED = 3
+    STALE = 4
+
+
+class Phase(enum.IntEnum):
+    """What the probe is doing."""
+
+    NONE = 0
+    APPROACH = 1
+    LOADING = 2
+    HOLDING = 3
+    UNLOADING = 4
+
+
+class Flag(enum.IntFlag):
+    """What to know beside the status."""
+
+    NONE = 0
+    INPUT_REJECTED = 1
+    GAP = 2
+    MODEL_MISMATCH = 4
+    ORIGIN_UNCERTAIN = 8
+    TISSUE_CHANGED = 16
+    SATURATED = 32
+
+
+class OrderSource(enum.IntEnum):
+    """Where alpha comes from."""
+
+    NONE = 0
+    GIVEN = 1
+    PRIOR = 2
+    LEARNED = 3
+
+
+class Decision(enum.IntEnum):
+    """What a :class:`Classification` has decided."""
+
+    NONE = 0
+    UNDETERMINED = 1
+    CLASS = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True)
+class PipelineConfig:
+    """Everything the pipeline can be told; times in seconds, SI units throughout.
+
+    Parameters
+    ----------
+    library : TissueLibrary
+        Tissues to classify into.
+    geometry : Geometry
+        From force and displacement to stress and strain.
+    synchronize, contact, estimator
+        Configuration of those steps.
+    order_source : OrderSource
+        GIVEN or PRIOR: where the estimator's alpha comes from.
+    strain_origin : float or None
+        Displacement at which the tissue is free of load [m]; None: found from the force.
+    block_duration : float
+        One estimate per this time [s].
+    block_compression : float
+        A block is cut short when the compression changes by more than this [1].
+    apparent_stiffness_time_scale : float
+        tau of the apparent stiffness [s].
+    """
+
+    library: TissueLibrary
+    geometry: Geometry = FlatPunch(area=1e-4, thickness=0.02)
+    synchronize: SynchronizeConfig = SynchronizeConfig()
+    contact: ContactConfig = ContactConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    order_source: OrderSource = OrderSource.PRIOR
+    strain_origin: float | None = None
+    block_duration: float = 0.01
+    block_compression: float = 0.005
+    apparent_stiffness_time_scale: float = 0.1
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Means over a block."""
+
+    strain: float  #: x from the strain origin [1]
+    stress: float  #: f [Pa]
+    fractional_stress: float  #: f' [Pa s^alpha]
+
+
+@dataclass(frozen=True)
+class ApparentStiffness:
+    """dF/dd for a small motion that lasts `time_scale`."""
+
+    value: float  #: [N/m]
+    sd: float  #: [N/m]
+    time_scale: float  #: tau [s]
+
+
+@dataclass(frozen=True)
+class TissueState:
+    """What is known after a block of samples."""
+
+    stamp_ns: int
+    status: Status
+    flags: Flag
+    site_id: int
+    contact_id: int
+    phase: Phase
+    order_source: OrderSource = OrderSource.NONE
+    estimate: Estimate | None = None
+    signals: Signals | None = None
+    innovation: Innovation | None = None
+    apparent_stiffness: ApparentStiffness | None = None
+
+
+@dataclass(frozen=True)
+class Classification:
+    """Which tissue it is, as far as can be said."""
+
+    stamp_ns: int
+    decision: Decision
+    site_id: int
+    contact_id: int
+    flags: Flag
+    classes: ClassProbabilities | None
+    library: TissueLibrary
+
+
+@dataclass(frozen=True)
+class ContactSummary:
+    """One contact, from onset to release."""
+
+    stamp_ns: int
+    start_ns: int
+    end_ns: int
+    site_id: int
+    contact_id: int
+    flags: Flag
+    converged: bool
+    complete: bool
+    position: Position | None
+    order_source: OrderSource
+    estimate: Estimate | None
+    max_strain: float
+    max_stress: float
+    max_force: float
+    sample_count: int
+    rejected_count: int
+    classes: ClassProbabilities | None
+    library: TissueLibrary
+
+
+Output = TissueState | Classification | ContactSummary
+
+#: A hold is a compression that changes by less than this per second [1/s].
+_HOLDING_RATE = 0.005
+_RATE_BLOCKS = 10
+#: A block is complete within this share of its duration, so that jitter does not add a sample.
+_BLOCK_SHARE = 0.95
+#: A step this many times the usual one, and this long [s], is reported as a gap.
+_GAP_STEPS = 10.0
+_GAP_TIME = 0.02
+_CLASSIFY_EVERY = 10
+_PROBABILITY_CHANGE = 0.01
+#: Half the distance between the orders whose difference is df'/dalpha.
+_ORDER_STEP = 0.005
+#: The surface found at the touch starts the filter; its deviation is widened, since the filter sees those samples again.
+_ORIGIN_WIDENING = 3.0
+
+
+@dataclass
+class _Site:
+    """One place on the tissue: its memory and what has been learned of it."""
+
+    site_id: int
+    origin: float  #: nominal displacement at zero strain [m]
+    origin_sd: float  #: [1], as compression
+    integral: FractionalIntegral
+    start_ns: int
+    last_ns: int
+    usable: bool  #: its history has been seen from the first touch, without a gap
+    flags: Flag
+    position: Position | None
+    estimator: Estimator | None = None
+
+
+@dataclass
+class _Contact:
+    """One press, from onset to release."""
+
+    contact_id: int
+    start_ns: int
+    bias: float
+    release_force: float
+    rejected_before: int
+    position: Position | None
+    flags: Flag = Flag.NONE
+    max_strain: float = 0.0
+    max_stress: float = 0.0
+    max_force: float = 0.0
+    sample_count: int = 0
+    ended: bool = False  #: reported already, after a gap; the probe has not left yet
+    estimate: Estimate | None = None
+    classes: ClassProbabilities | None = None
+    decision: Decision = Decision.NONE
+
+
+@dataclass
+class _Sums:
+    """Running sums of a block."""
+
+    count: int = 0
+    start_ns: int = 0
+    start_compression: float = 0.0
+    compression: float = 0.0
+    stress: float = 0.0
+    force: float = 0.0
+    fractional: Array = field(default_factory=lambda: np.zeros(3))
+
+    def clear(self) -> None:
+        self.count = 0
+        self.compression = self.stress = self.force = 0.0
+        self.fractional[:] = 0.0
+
+
+class Pipeline:
+    """From samples to :class:`TissueState`, :class:`Classification` and :class:`ContactSummary`.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+    emit : callable
+        Called with every output, in order of stamps.
+    """
+
+    def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
+        self.config = config
+        self.rejected: Counter[str] = Counter()
+        self.warnings: Counter[str] = Counter()
+        self.pair_count = 0
+        self.contact_count = 0
+        self.site_count = 0
+        self.newest_ns = 0
+        self._emit_output = emit
+        self._muted = False
+        self._tare_offset = 0.0
+        self._block_ns = round(_BLOCK_SHARE * config.block_duration * NANOSECONDS)
+        self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
+        self._timeout_ns = round(config.contact.site_timeout * NANOSECONDS)
+        order = config.estimator.prior.fractional_order
+        self._orders = (order, order + _ORDER_STEP, max(order - _ORDER_STEP, 1e-6))
+        self._detector = ContactDetector(config.contact, order)
+        self._sums = _Sums()
+        self._epoch = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        """Forget all streams, memory, contact and site; counts and ids go on."""
+        self._synchronizer = Synchronizer(self.config.synchronize, self._on_pair, self.rejected)
+        self._forget_site()
+        self._epoch = 0
+
+    def _forget_site(self) -> None:
+        self._site: _Site | None = None
+        self._contact: _Contact | None = None
+        self._previous_ns: int | None = None
+        self._usual_step_ns = 0.0
+        self._sums.clear()
+        self._block_end_ns = 0
+        self._recent: deque[tuple[int, float]] = deque(maxlen=_RATE_BLOCKS)
+        self._rejected_reported = self.rejected.total()
+        self._blocks = 0
+
+    # Inputs
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        """Take a force sample [N], positive when pressing; with torsion a torque [N m]."""
+        self._synchronizer.add_force(stamp_ns, force - self._tare_offset)
+
+    def add_displacement(
+        self, stamp_ns: int, displacement: float, position: Position | None = None
+    ) -> None:
+        """Take a displacement sample [m], positive into the tissue, and the probe's position where known."""
+        self._synchronizer.add_displacement(stamp_ns, displacement, position)
+
+    def reject(self, stream: str, reason: str) -> None:
+        """Count a sample that could not even be read."""
+        self.rejected[f"{stream}.{reason}"] += 1
+
+    def tare(self) -> str | None:
+        """Take the present force as zero; return None, or why that cannot be done now."""
+        mean = self._detector.mean_air_force()
+        if mean is None:
+            if self._detector.in_contact:
+                return "the probe is in contact: lift it, then tare"
+            return "no force has been measured in the air yet: wait for samples, then tare"
+        self._tare_offset += mean
+        self._detector.reset()
+        return None
+
+    def reset(self) -> None:
+        """End the contact, if any, as incomplete, and forget everything that was learned."""
+        self._end_contact(self._previous_ns, complete=False)
+        self._detector.reset()
+        self._clear()
+
+    def finish(self) -> None:
+        """No more samples come: report the contact that is still open."""
+        self._end_contact(self._previous_ns, complete=False)
+
+    # Pairs
+
+    def _on_pair(self, pair: Pair) -> None:
+        if pair.epoch != self._epoch:
+            self._clock_jumped(pair.epoch)
+        self._check_gap(pair.stamp_ns)
+        self.pair_count += 1
+        self.newest_ns = pair.stamp_ns
+        event = self._detector.add(pair)
+        if isinstance(event, Onset):
+            self._touch(event)
+        elif self._contact is not None:
+            self._press(pair)
+        else:
+            self._hover(pair)
+        if isinstance(event, Release):
+            self._end_contact(event.stamp_ns, complete=True)
+
+    def _clock_jumped(self, epoch: int) -> None:
+        self.warnings["the clock jumped back: everything learned was reset"] += 1
+        self._end_contact(self._previous_ns, complete=False)
+        in_contact = self._detector.in_contact
+        if not in_contact:
+            # In contact the detector still knows the air's force, and waits for it.
+            self._detector.reset()
+        self._forget_site()
+        self._epoch = epoch
+
+    def _check_gap(self, stamp_ns: int) -> None:
+        previous_ns, self._previous_ns = self._previous_ns, stamp_ns
+        if previous_ns is None:
+            return
+        step_ns = stamp_ns - previous_ns
+        usual_ns = self._usual_step_ns
+        self._usual_step_ns = usual_ns + 0.05 * (step_ns - usual_ns) if usual_ns else float(step_ns)
+        if step_ns <= _GAP_STEPS * usual_ns or step_ns <= _GAP_TIME * NANOSECONDS or not usual_ns:
+            return
+        self._usual_step_ns = usual_ns
+        contact, site = self._contact, self._site
+        if contact is None or site is None:
+            return
+        contact.flags |= Flag.GAP
+        site.flags |= Flag.GAP
+        if step_ns > self._max_gap_ns:
+            # The memory of this site is lost; the present contact says nothing more.
+            self._end_contact(previous_ns, complete=False)
+            site.usable = False
+
+    def _touch(self, onset: Onset) -> None:
+        first = onset.samples[0]
+        site = self._site
+        if site is None or self._is_new_site(site, first):
+            site = self._site = self._new_site(onset)
+        self.contact_count += 1
+        contact = self._contact = _Contact(
+            contact_id=self.contact_count,
+            start_ns=first.stamp_ns,
+            bias=onset.bias,
+            release_force=self._detector.release_threshold,
+            rejected_before=self.rejected.total(),
+            position=first.position,
+            flags=site.flags,
+        )
+        if not onset.seen:
+            site.usable = False
+            site.flags |= Flag.ORIGIN_UNCERTAIN
+            contact.flags |= Flag.ORIGIN_UNCERTAIN
+        if site.usable and site.estimator is None:
+            scale = self.config.geometry.stress_per_force
+            site.estimator = FractionalStressEstimator(
+                self.config.estimator,
+                self.config.geometry,
+                noise_sd=onset.noise_sd * scale,
+                bias_sd=onset.bias_sd * scale,
+                origin_sd=site.origin_sd,
+            )
+        self._rest_until(site, first.stamp_ns)
+        self._sums.clear()
+        self._block_end_ns = first.stamp_ns
+        self._recent.clear()
+        # These samples were in the air as far as anyone was told: only the last state is news.
+        self._muted = True
+        for pair in onset.samples[:-1]:
+            self._press(pair)
+        self._muted = False
+        self._press(onset.samples[-1])
+
+    def _new_site(self, onset: Onset) -> _Site:
+        self.site_count += 1
+        first = onset.samples[0]
+        origin, origin_sd = self.config.strain_origin, 0.0
+        if origin is None:
+            origin = onset.displacement
+            origin_sd = _ORIGIN_WIDENING * onset.displacement_sd / self.config.geometry.length
+        site = _Site(
+            site_id=self.site_count,
+            origin=origin,
+            origin_sd=origin_sd,
+            integral=FractionalIntegral(self._orders),
+            start_ns=first.stamp_ns,
+            last_ns=first.stamp_ns,
+            usable=True,
+            flags=Flag.NONE,
+            position=first.position,
+        )
+        site.integral.start(0.0)
+        return site
+
+    def _is_new_site(self, site: _Site, pair: Pair) -> bool:
+        if site.position is None or pair.position is None:
+            return pair.stamp_ns - site.last_ns > self._timeout_ns
+        return self._lateral_distance(site.position, pair.position) > self.config.contact.site_distance
+
+    def _lateral_distance(self, a: Position, b: Position) -> float:
+        axis = self.config.contact.approach_axis
+        offset = [q - p for p, q in zip(a, b)]
+        along = sum(o * n for o, n in zip(offset, axis))
+        return math.dist(offset, [along * n for n in axis])
+
+    def _rest_until(self, site: _Site, stamp_ns: int) -> None:
+        """Let the tissue relax free of stress since the last sample in contact."""
+        step = (stamp_ns - site.last_ns) / NANOSECONDS
+        if step < 4.0 * SHORTEST_STEP:
+            return
+        site.integral.advance(SHORTEST_STEP, 0.0)
+        site.integral.advance(step - 2.0 * SHORTEST_STEP, 0.0)
+        site.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
+
+    def _press(self, pair: Pair) -> None:
+        contact, site = self._contact, self._site
+        assert contact is not None and site is not None
+        geometry = self.config.geometry
+        force = pair.force - contact.bias
+        stress = force * geometry.stress_per_force
+        displacement = self._detector.compliance_free(pair, force)
+        compression = (displacement - site.origin) / geometry.length
+        sums = self._sums
+        step_ns = pair.stamp_ns - site.last_ns
+        if step_ns > 0:
+            sums.fractional += site.integral.advance(step_ns / NANOSECONDS, stress)
+        site.last_ns = pair.stamp_ns
+        if sums.count == 0:
+            sums.start_ns, sums.start_compression = pair.stamp_ns, compression
+        sums.count += 1
+        sums.compression += compression
+        sums.stress += stress
+        sums.force += force
+        contact.sample_count += 1
+        if force > contact.max_force:
+            contact.max_force, contact.max_stress = force, stress
+        if (
+            pair.stamp_ns - self._block_end_ns >= self._block_ns
+            or abs(compression - sums.start_compression) > self.config.block_compression
+        ):
+            self._close_block(pair.stamp_ns, contact, site)
+
+    def _hover(self, pair: Pair) -> None:
+        if pair.stamp_ns - self._block_end_ns < self._block_ns:
+            return
+        self._block_end_ns = pair.stamp_ns
+        site = self._site
+        estimate = site.estimator.estimate() if site is not None and site.estimator is not None else None
+        self._emit(
+            TissueState(
+                stamp_ns=pair.stamp_ns,
+                # After a jump of the clock the probe may press on a tissue that nothing is known of.
+                status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
+                flags=self._input_flags(),
+                site_id=site.site_id if site is not None else 0,
+                contact_id=self.contact_count if site is not None else 0,
+                phase=Phase.APPROACH,
+                estimate=estimate,
+                order_source=self.config.order_source if estimate is not None else OrderSource.NONE,
+            )
+        )
+
+    # Blocks
+
+    def _close_block(self, stamp_ns: int, contact: _Contact, site: _Site) -> None:
+        sums = self._sums
+        count = sums.count
+        compression = sums.compression / count
+        stress, force = sums.stress / count, sums.force / count
+        fractional = sums.fractional / count
+        block = Block(
+            compression=compression,
+            stress=stress,
+            fractional_stress=float(fractional[0]),
+            fractional_stress_by_order=float(fractional[1] - fractional[2])
+            / (self._orders[1] - self._orders[2]),
+            memory_time=0.5 * (sums.start_ns + stamp_ns - 2 * site.start_ns) / NANOSECONDS,
+            count=count,
+        )
+        sums.clear()
+        self._block_end_ns = stamp_ns
+        self._blocks += 1
+        innovation = None
+        if site.estimator is not None and site.usable and not contact.ended:
+            # Without contact the law does not hold; near the surface the origin's error is not small.
+            if force > contact.release_force and compression > site.origin_sd:
+                innovation = site.estimator.update(block)
+            contact.estimate = site.estimator.estimate()
+        self._report(stamp_ns, contact, site, block, innovation)
+
+    def _report(
+        self,
+        stamp_ns: int,
+        contact: _Contact,
+        site: _Site,
+        block: Block,
+        innovation: Innovation | None,
+    ) -> None:
+        estimate = contact.estimate if site.usable and not contact.ended else None
+        origin = estimate.strain_origin if estimate is not None else 0.0
+        compression = block.compression - origin
+        strain = self.config.geometry.strain(compression)
+        contact.max_strain = max(contact.max_strain, strain)
+        phase = self._phase(stamp_ns, block.compression)
+        if self._muted:
+            return
+        status = Status.CONVERGING
+        if estimate is not None and estimate.converged:
+            status = Status.CONVERGED
+        flags = contact.flags | self._input_flags()
+        self._emit(
+            TissueState(
+                stamp_ns=stamp_ns,
+                status=status,
+                flags=flags,
+                site_id=site.site_id,
+                contact_id=contact.contact_id,
+                phase=phase,
+                order_source=self.config.order_source if estimate is not None else OrderSource.NONE,
+                estimate=estimate,
+                signals=Signals(strain, block.stress, block.fractional_stress),
+                innovation=innovation,
+                apparent_stiffness=(
+                    self._apparent_stiffness(estimate, compression) if estimate is not None else None
+                ),
+            )
+        )
+        self._classify(stamp_ns, contact, site, estimate)
+
+    def _phase(self, stamp_ns: int, compression: float) -> Phase:
+        recent = self._recent
+        recent.append((stamp_ns, compression))
+        elapsed_ns = stamp_ns - recent[0][0]
+        if elapsed_ns == 0:
+            return Phase.LOADING
+        rate = (compression - recent[0][1]) * NANOSECONDS / elapsed_ns
+        if abs(rate) < _HOLDING_RATE:
+            return Phase.HOLDING
+        return Phase.LOADING if rate > 0.0 else Phase.UNLOADING
+
+    def _apparent_stiffness(self, estimate: Estimate, compression: float) -> ApparentStiffness:
+        geometry = self.config.geometry
+        order = estimate.fractional_order
+        tau = self.config.apparent_stiffness_time_scale
+        nonlinear_stiffness = math.exp(estimate.log_nonlinear_stiffness)
+        strain = geometry.strain(compression)
+        response = elastic_response(
+            strain, math.exp(estimate.log_linear_stiffness), nonlinear_stiffness
+        )
+        value = (
+            response.by_strain
+            * geometry.strain_slope(compression)
+            * apparent_stiffness_factor(order, tau)
+            / (geometry.stress_per_force * geometry.length)
+        )
+        beyond = max(nonlinear_stiffness * abs(strain), 1.0)
+        gradient = np.array(
+            [1.0, beyond if beyond > 1.0 else 0.0, -math.log(tau) + float(digamma(1.0 - order))]
+        )
+        sd = value * math.sqrt(max(float(gradient @ estimate.covariance @ gradient), 0.0))
+        return ApparentStiffness(value, sd, tau)
+
+    # Classification and summary
+
+    def _classify(
+        self, stamp_ns: int, contact: _Contact, site: _Site, estimate: Estimate | None
+    ) -> None:
+        if estimate is None or not estimate.converged:
+            if contact.decision is Decision.NONE:
+                self._decide(stamp_ns, contact, site, Decision.UNDETERMINED, None)
+            return
+        if self._blocks % _CLASSIFY_EVERY and contact.classes is not None:
+            return
+        library = self.config.library
+        learned = self.config.order_source is OrderSource.LEARNED
+        classes = classify(library, estimate, learned)
+        previous = contact.classes
+        changed = previous is None or any(
+            abs(new - old) > _PROBABILITY_CHANGE
+            for new, old in zip(classes.probabilities, previous.probabilities)
+        )
+        if changed or (previous is not None and previous.label != classes.label):
+            decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
+            self._decide(stamp_ns, contact, site, decision, classes)
+
+    def _decide(
+        self,
+        stamp_ns: int,
+        contact: _Contact,
+        site: _Site,
+        decision: Decision,
+        classes: ClassProbabilities | None,
+    ) -> None:
+        contact.decision, contact.classes = decision, classes
+        self._emit(
+            Classification(
+                stamp_ns=stamp_ns,
+                decision=decision,
+                site_id=site.site_id,
+                contact_id=contact.contact_id,
+                flags=contact.flags,
+                classes=classes,
+                library=self.config.library,
+            )
+        )
+
+    def _end_contact(self, end_ns: int | None, *, complete: bool) -> None:
+        contact, site = self._contact, self._site
+        if contact is None or site is None or end_ns is None:
+            return
+        left = complete
+        if not contact.ended:
+            contact.ended = True
+            self._emit(self._summary(contact, site, end_ns, complete))
+        if left:
+            self._contact = None
+            self._sums.clear()
+
+    def _summary(
+        self, contact: _Contact, site: _Site, end_ns: int, complete: bool
+    ) -> ContactSummary:
+        estimate = contact.estimate
+        converged = estimate is not None and estimate.converged
+        classes = None
+        if estimate is not None and converged:
+            learned = self.config.order_source is OrderSource.LEARNED
+            classes = classify(self.config.library, estimate, learned)
+        return ContactSummary(
+            stamp_ns=end_ns,
+            start_ns=contact.start_ns,
+            end_ns=end_ns,
+            site_id=site.site_id,
+            contact_id=contact.contact_id,
+            flags=contact.flags,
+            converged=converged,
+            complete=complete,
+            position=contact.position,
+            order_source=self.config.order_source,
+            estimate=estimate,
+            max_strain=contact.max_strain,
+            max_stress=contact.max_stress,
+            max_force=contact.max_force,
+            sample_count=contact.sample_count,
+            rejected_count=self.rejected.total() - contact.rejected_before,
+            classes=classes,
+            library=self.config.library,
+        )
+
+    def _input_flags(self) -> Flag:
+        total = self.rejected.total()
+        if total == self._rejected_reported:
+            return Flag.NONE
+        self._rejected_reported = total
+        return Flag.INPUT_REJECTED
+
+    def _emit(self, output: Output) -> None:
+        if not self._muted:
+            self._emit_output(output)
+
+
+def stale(state: TissueState) -> TissueState:
+    """Return `state` marked as no longer current, with nothing in it that a controller could act on."""
+    return replace(
+        state,
+        status=Status.STALE,
+        phase=Phase.NONE,
+        estimate=None,
+        signals=None,
+        innovation=None,
+        apparent_stiffness=None,
+        order_source=OrderSource.NONE,
+    )

@@ -1,0 +1,289 @@
+"""Two streams of stamped samples into pairs: displacement interpolated to the stamps of the force.
+
+Every decision rests on stamps and on the order of samples within their own stream, never on when samples of the two
+streams arrive relative to each other. So live, replayed and batched data give the same pairs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+NANOSECONDS = 1_000_000_000
+
+Position = tuple[float, float, float]
+
+
+class Reason:
+    """Why a sample was rejected: the keys of the counts, one per reason and stream."""
+
+    NON_FINITE = "non_finite"
+    OUT_OF_RANGE = "out_of_range"
+    ZERO_STAMP = "zero_stamp"
+    DUPLICATE_STAMP = "duplicate_stamp"
+    LATE_STAMP = "late_stamp"
+    FUTURE_STAMP = "future_stamp"
+    UNPAIRED = "unpaired"
+    DISPLACEMENT_GAP = "displacement_gap"
+    WRONG_FRAME = "wrong_frame"
+    MISSING_FIELD = "missing_field"
+
+
+@dataclass(frozen=True)
+class SynchronizeConfig:
+    """How streams are checked and paired; times in seconds.
+
+    Parameters
+    ----------
+    displacement_delay : float
+        The displacement's stamps lag the force's by this much [s]; may be negative.
+    max_gap : float
+        Displacement samples further apart than this are not interpolated between [s].
+    pairing_window : float
+        A sample waits at most this long, in stamps, for its partner [s].
+    force_limit, displacement_limit : float
+        Larger magnitudes are rejected as out of range [N, m].
+    """
+
+    displacement_delay: float = 0.0
+    max_gap: float = 0.25
+    pairing_window: float = 5.0
+    force_limit: float = 1e3
+    displacement_limit: float = 10.0
+
+
+#: Stamps closer than this are one sample [ns]: the fractional integral's shortest step.
+_MIN_STEP_NS = 10_000
+#: A stamp this far back, confirmed by the next sample, is a jump of the clock; less is a late sample [ns].
+_BACKWARD_JUMP_NS = NANOSECONDS // 2
+#: A stamp this far ahead waits for the next sample to confirm it [ns].
+_FORWARD_JUMP_NS = NANOSECONDS
+#: This many late samples in a row, in order among themselves, are a jump of the clock too.
+_LATE_RUN = 20
+
+
+class Sample(NamedTuple):
+    """One accepted sample. `epoch` counts the backward jumps of the stream's clock."""
+
+    epoch: int
+    stamp_ns: int
+    value: float
+    position: Position | None = None
+
+
+class Pair(NamedTuple):
+    """Force and displacement at one instant."""
+
+    epoch: int
+    stamp_ns: int
+    force: float  #: [N]
+    displacement: float  #: [m]
+    position: Position | None  #: of the probe [m]
+
+
+class StreamGuard:
+    """Accept a stream's samples in order of their stamps; reject and count the others.
+
+    A stamp far from its predecessor is held back until the next sample tells a jump of the clock from a stray stamp.
+    """
+
+    def __init__(self, limit: float, rejected: Counter[str], name: str) -> None:
+        self._limit = limit
+        self._rejected = rejected
+        self._name = name
+        self.epoch = 0
+        self.epoch_start_ns = 0
+        self._newest_ns: int | None = None
+        self._held: Sample | None = None
+        self._late_run = 0
+        self._late_newest_ns = 0
+
+    def reject(self, reason: str) -> None:
+        """Count one rejected sample."""
+        self._rejected[f"{self._name}.{reason}"] += 1
+
+    def accept(
+        self, stamp_ns: int, value: float, position: Position | None = None
+    ) -> tuple[Sample, ...]:
+        """Check one sample; return those that are now accepted: none, this one, or a held one and this one."""
+        if not math.isfinite(value) or (position is not None and not all(map(math.isfinite, position))):
+            self.reject(Reason.NON_FINITE)
+            return ()
+        if abs(value) > self._limit:
+            self.reject(Reason.OUT_OF_RANGE)
+            return ()
+        if stamp_ns <= 0:
+            self.reject(Reason.ZERO_STAMP)
+            return ()
+        sample = Sample(self.epoch, stamp_ns, value, position)
+        if self._newest_ns is None:
+            return self._take(sample)
+        if self._held is not None:
+            return self._after_held(self._held, sample)
+        return self._in_order(sample)
+
+    def _take(self, *samples: Sample) -> tuple[Sample, ...]:
+        self._newest_ns = samples[-1].stamp_ns
+        self._late_run = 0
+        return samples
+
+    def _in_order(self, sample: Sample) -> tuple[Sample, ...]:
+        assert self._newest_ns is not None
+        step = sample.stamp_ns - self._newest_ns
+        if _MIN_STEP_NS <= step <= _FORWARD_JUMP_NS:
+            return self._take(sample)
+        if step > _FORWARD_JUMP_NS or step < -_BACKWARD_JUMP_NS:
+            self._held = sample
+            return ()
+        if step > -_MIN_STEP_NS:
+            self.reject(Reason.DUPLICATE_STAMP)
+            return ()
+        return self._late(sample)
+
+    def _late(self, sample: Sample) -> tuple[Sample, ...]:
+        in_order = sample.stamp_ns > self._late_newest_ns
+        self._late_run = self._late_run + 1 if in_order or self._late_run == 0 else 1
+        self._late_newest_ns = sample.stamp_ns
+        if self._late_run < _LATE_RUN:
+            self.reject(Reason.LATE_STAMP)
+            return ()
+        return self._take(self._next_epoch(sample))
+
+    def _after_held(self, held: Sample, sample: Sample) -> tuple[Sample, ...]:
+        assert self._newest_ns is not None
+        self._held = None
+        if _MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= _FORWARD_JUMP_NS:
+            if held.stamp_ns > self._newest_ns:
+                return self._take(held, sample)
+            first = self._next_epoch(held)
+            return self._take(first, sample._replace(epoch=self.epoch))
+        future = held.stamp_ns > self._newest_ns
+        self.reject(Reason.FUTURE_STAMP if future else Reason.LATE_STAMP)
+        return self._in_order(sample)
+
+    def _next_epoch(self, sample: Sample) -> Sample:
+        self.join_epoch(self.epoch + 1, sample.stamp_ns)
+        return sample._replace(epoch=self.epoch)
+
+    def join_epoch(self, epoch: int, start_ns: int) -> None:
+        """Number the following samples as belonging to `epoch`, which starts at `start_ns`."""
+        self.epoch = epoch
+        self.epoch_start_ns = start_ns
+
+
+class Synchronizer:
+    """Pair force with displacement by stamp.
+
+    Parameters
+    ----------
+    config : SynchronizeConfig
+    on_pair : callable
+        Called with each :class:`Pair`, in order.
+    rejected : collections.Counter
+        Counts of rejected samples, keyed ``"force.<reason>"`` or ``"displacement.<reason>"``; added to.
+    """
+
+    def __init__(
+        self, config: SynchronizeConfig, on_pair: Callable[[Pair], None], rejected: Counter[str]
+    ) -> None:
+        self._config = config
+        self._on_pair = on_pair
+        self._delay_ns = round(config.displacement_delay * NANOSECONDS)
+        self._max_gap_ns = round(config.max_gap * NANOSECONDS)
+        self._window_ns = round(config.pairing_window * NANOSECONDS)
+        self.force_guard = StreamGuard(config.force_limit, rejected, "force")
+        self.displacement_guard = StreamGuard(config.displacement_limit, rejected, "displacement")
+        self._forces: deque[Sample] = deque()
+        self._displacements: deque[Sample] = deque()
+        self._behind_since_ns: int | None = None
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        """Add a force sample [N]."""
+        for sample in self.force_guard.accept(stamp_ns, force):
+            self._forces.append(sample)
+            self._bound_memory(self._forces, self.force_guard)
+            self._pair()
+
+    def add_displacement(
+        self, stamp_ns: int, displacement: float, position: Position | None = None
+    ) -> None:
+        """Add a displacement sample [m], and the probe's position [m] where it is known."""
+        for sample in self.displacement_guard.accept(stamp_ns, displacement, position):
+            if self._delay_ns:
+                sample = sample._replace(stamp_ns=sample.stamp_ns - self._delay_ns)
+            self._displacements.append(sample)
+            self._pair()
+            self._bound_memory(self._displacements, self.displacement_guard)
+
+    def _pair(self) -> None:
+        forces, displacements = self._forces, self._displacements
+        while forces and displacements:
+            force = forces[0]
+            key = (force.epoch, force.stamp_ns)
+            while len(displacements) > 1 and displacements[1][:2] <= key:
+                displacements.popleft()
+            before = displacements[0]
+            if before[:2] > key:
+                self._reject_oldest_force(Reason.UNPAIRED)
+                self._follow_displacement(force, before)
+            elif before[:2] == key:
+                forces.popleft()
+                self._on_pair(Pair(*key, force.value, before.value, before.position))
+            elif len(displacements) == 1:
+                return
+            else:
+                self._interpolate(force, before, displacements[1])
+
+    def _interpolate(self, force: Sample, before: Sample, after: Sample) -> None:
+        if before.epoch != force.epoch or after.epoch != force.epoch:
+            self._reject_oldest_force(Reason.UNPAIRED)
+            return
+        gap_ns = after.stamp_ns - before.stamp_ns
+        if gap_ns > self._max_gap_ns:
+            self._reject_oldest_force(Reason.DISPLACEMENT_GAP)
+            return
+        share = (force.stamp_ns - before.stamp_ns) / gap_ns
+        displacement = before.value + share * (after.value - before.value)
+        position = None
+        if before.position is not None and after.position is not None:
+            (x0, y0, z0), (x1, y1, z1) = before.position, after.position
+            position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
+        self._forces.popleft()
+        self._on_pair(Pair(force.epoch, force.stamp_ns, force.value, displacement, position))
+
+    def _follow_displacement(self, force: Sample, displacement: Sample) -> None:
+        """Let the force join an epoch that only the displacement's clock has entered, after a window's wait."""
+        if displacement.epoch <= self.force_guard.epoch:
+            self._behind_since_ns = None
+        elif self._behind_since_ns is None:
+            self._behind_since_ns = force.stamp_ns
+        elif force.stamp_ns - self._behind_since_ns > self._window_ns:
+            self.force_guard.join_epoch(displacement.epoch, force.stamp_ns)
+            self._behind_since_ns = None
+
+    def _reject_oldest_force(self, reason: str) -> None:
+        self._forces.popleft()
+        self.force_guard.reject(reason)
+
+    def _bound_memory(self, samples: deque[Sample], guard: StreamGuard) -> None:
+        """Drop what has waited for longer than the window.
+
+        A force that waited in vain although its clock jumped back tells that the other stream's clock did not: that
+        stream is then taken to be in the same epoch.
+        """
+        newest = samples[-1]
+        while self._waited_ns(samples[0], newest, guard) > self._window_ns:
+            samples.popleft()
+            if guard is self.force_guard:
+                guard.reject(Reason.UNPAIRED)
+                if self.displacement_guard.epoch < newest.epoch:
+                    self.displacement_guard.join_epoch(newest.epoch, newest.stamp_ns)
+
+    @staticmethod
+    def _waited_ns(oldest: Sample, newest: Sample, guard: StreamGuard) -> int:
+        if oldest.epoch == newest.epoch:
+            return newest.stamp_ns - oldest.stamp_ns
+        return newest.stamp_ns - guard.epoch_start_ns
