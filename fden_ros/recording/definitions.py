@@ -1,0 +1,116 @@
+"""Message types: their classes, their full definition texts and their hashes."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from fden_ros.errors import InputError
+
+_TYPE_NAME = re.compile(r"(?P<package>\w+)/(?:msg/)?(?P<name>\w+)")
+# The two patterns and the order of the dependencies are those of rosbag2's
+# local_message_definition_source.cpp, so that the schemas come out the same, byte for byte.
+_FIELD_TYPE = re.compile(r"(?:^|\n)\s*([a-zA-Z0-9_/]+)(?:\[[^\]]*\])?\s+")
+_PRIMITIVES = frozenset(
+    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 "
+    "string wstring".split()
+)
+_SEPARATOR = "=" * 80
+
+
+def full_type_name(type_name: str) -> str:
+    """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``.
+
+    Raises
+    ------
+    InputError
+        When `type_name` is neither.
+    """
+    match = _TYPE_NAME.fullmatch(type_name)
+    if match is None:
+        raise InputError(f"{type_name!r} is no message type: expected package/msg/Name")
+    return f"{match['package']}/msg/{match['name']}"
+
+
+@functools.cache
+def message_class(type_name: str) -> Any:
+    """Return the Python class of a message type such as ``geometry_msgs/msg/WrenchStamped``.
+
+    Raises
+    ------
+    InputError
+        When the type is not installed.
+    """
+    package, _, name = full_type_name(type_name).split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise InputError(
+            f"message type {type_name} is not installed: install the package {package} "
+            "or source the workspace that builds it"
+        ) from None
+
+
+@functools.cache
+def message_definition(type_name: str) -> str:
+    """Return the ``ros2msg`` schema text: the definition and those of all types it contains.
+
+    Raises
+    ------
+    InputError
+        When the definition of the type, or of one that it contains, is not installed.
+    """
+    seen: set[str] = set()
+
+    def expand(name: str) -> str:
+        text = _interface_file(name, ".msg").read_text(encoding="utf-8")
+        parts = [text]
+        for dependency in _dependencies(text, name.split("/")[0]):
+            if dependency in seen:
+                continue
+            seen.add(dependency)
+            parts.append(f"{_SEPARATOR}\nMSG: {dependency}\n{expand(dependency)}")
+        return "\n".join(parts)
+
+    return expand(type_name)
+
+
+@functools.cache
+def type_hash(type_name: str) -> str:
+    """Return the hash of the type (``RIHS01_...``), or an empty text where it is not installed."""
+    full_name = full_type_name(type_name)
+    try:
+        description = json.loads(_interface_file(full_name, ".json").read_text(encoding="utf-8"))
+    except (InputError, ValueError):
+        return ""
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
+    return hashes.get(full_name, "")
+
+
+def _dependencies(text: str, package: str) -> list[str]:
+    names = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
+    return sorted(name if "/" in name else f"{package}/{name}" for name in names)
+
+
+def _interface_file(type_name: str, suffix: str) -> Path:
+    package, _, name = full_type_name(type_name).split("/")
+    for prefix in _prefixes():
+        path = Path(prefix, "share", package, "msg", name + suffix)
+        if path.is_file():
+            return path
+    raise InputError(
+        f"the definition of {type_name} is not installed: install the package {package} "
+        "or source the workspace that builds it"
+    )
+
+
+def _prefixes() -> list[str]:
+    # The wheels install their share folders below the environment, which no index need name.
+    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [*filter(None, ament), sys.prefix]

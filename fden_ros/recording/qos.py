@@ -1,0 +1,124 @@
+"""Quality of service as bags store it, in the number form of Humble and the word form of Jazzy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
+
+# rmw/types.h: the numbers that bags up to ROS 2 Iron hold, in their order.
+_HISTORIES = ("system_default", "keep_last", "keep_all", "unknown")
+_RELIABILITIES = ("system_default", "reliable", "best_effort", "unknown", "best_available")
+_DURABILITIES = ("system_default", "transient_local", "volatile", "unknown", "best_available")
+# RMW_DURATION_INFINITE.
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class Qos:
+    """What a publisher offers.
+
+    Parameters
+    ----------
+    reliability
+        ``reliable`` or ``best_effort``; also what bags may say: ``unknown``, ``system_default``.
+    durability
+        ``volatile`` or ``transient_local`` (latched).
+    depth
+        Length of the queue; 0 when a bag does not know it.
+    history
+        ``keep_last`` or ``keep_all``; ``unknown`` in most recorded bags.
+    """
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    depth: int = 10
+    history: str = "keep_last"
+
+    @property
+    def reliable(self) -> bool:
+        """Whether delivery is guaranteed."""
+        return self.reliability != "best_effort"
+
+    @property
+    def latched(self) -> bool:
+        """Whether late subscribers receive the last messages."""
+        return self.durability == "transient_local"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the mapping that rosbag2 writes from metadata version 9 (Jazzy) on."""
+        return {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": dict(_INFINITE),
+            "lifespan": dict(_INFINITE),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_INFINITE),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+    def to_profile(self, minimum_depth: int = 1) -> QoSProfile:
+        """Return the ``rclpy`` profile, with a queue of at least `minimum_depth` messages."""
+        from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+        reliability = ReliabilityPolicy.RELIABLE
+        if not self.reliable:
+            reliability = ReliabilityPolicy.BEST_EFFORT
+        durability = DurabilityPolicy.VOLATILE
+        if self.latched:
+            durability = DurabilityPolicy.TRANSIENT_LOCAL
+        if self.history == "keep_all":
+            return QoSProfile(
+                history=HistoryPolicy.KEEP_ALL, reliability=reliability, durability=durability
+            )
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=max(self.depth, minimum_depth),
+            reliability=reliability,
+            durability=durability,
+        )
+
+
+RELIABLE = Qos()
+SENSOR_DATA = Qos(reliability="best_effort", depth=5)
+LATCHED = Qos(durability="transient_local", depth=1)
+
+
+def dump_profiles(profiles: Sequence[Qos]) -> str:
+    """Return the YAML text that an MCAP channel of rosbag2 holds as ``offered_qos_profiles``."""
+    return yaml.safe_dump([qos.to_dict() for qos in profiles], sort_keys=False).strip()
+
+
+def parse_profiles(profiles: str | Sequence[Any] | None) -> tuple[Qos, ...]:
+    """Return the profiles of a bag, from YAML text or a list; what cannot be read is left out."""
+    if isinstance(profiles, str):
+        try:
+            profiles = yaml.safe_load(profiles)
+        except yaml.YAMLError:
+            return ()
+    if not isinstance(profiles, list):
+        return ()
+    return tuple(_parse(profile) for profile in profiles if isinstance(profile, dict))
+
+
+def _parse(profile: dict[str, Any]) -> Qos:
+    depth = profile.get("depth", 0)
+    return Qos(
+        reliability=_word(profile.get("reliability"), _RELIABILITIES),
+        durability=_word(profile.get("durability"), _DURABILITIES),
+        depth=depth if isinstance(depth, int) and depth >= 0 else 0,
+        history=_word(profile.get("history"), _HISTORIES),
+    )
+
+
+def _word(value: Any, words: tuple[str, ...]) -> str:
+    if isinstance(value, int):
+        return words[value] if 0 <= value < len(words) else "unknown"
+    return value if value in words else "unknown"
