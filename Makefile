@@ -1,0 +1,30 @@
+# Every target sets up what it needs first; PYTHON=python3.12 make ... chooses the interpreter.
+ENV := scripts/ros_env
+PYTEST_ARGS ?= -n 2
+
+.PHONY: help setup demo test lint clean
+
+help:
+	@echo "make demo    identify a synthetic palpation live over DDS; picture and JSON in demo/"
+	@echo "make test    lint, then every test"
+	@echo "make lint    ruff and mypy"
+	@echo "make setup   make or mend the environment (PYTHON=... chooses the interpreter)"
+	@echo "make clean   remove the environment and everything built"
+
+setup:
+	@scripts/setup
+
+demo:
+	@$(ENV) fden demo -o demo
+
+lint:
+	@$(ENV) ruff check
+	@$(ENV) mypy
+
+test: lint
+	@$(ENV) python -m pytest $(PYTEST_ARGS)
+
+clean:
+	rm -rf .venv .venv-jazzy build install log demo *.egg-info
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

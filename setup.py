@@ -1,0 +1,56 @@
+"""Package description for pip and for colcon (ament_python)."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+setup(
+    name="fden_ros",
+    version="0.1.0",
+    description="Online identification of soft-tissue stiffness with the FDEN model, for ROS 2",
+    license="Apache-2.0",
+    maintainer="fden_ros maintainers",
+    maintainer_email="maintainers@fden.example",
+    python_requires=">=3.10",
+    packages=find_packages(include=["fden_ros", "fden_ros.*"]),
+    package_data={"fden_ros": ["py.typed", "*.yaml", "*/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fden_ros"]),
+        ("share/fden_ros", ["package.xml"]),
+        ("share/fden_ros/launch", sorted(glob("launch/*.launch.py"))),
+        ("share/fden_ros/config", sorted(glob("config/*.yaml"))),
+        ("share/fden_ros/bags", sorted(glob("bags/*.yaml"))),
+    ],
+    zip_safe=False,
+    # The lower bounds are what Ubuntu 24.04, the platform of ROS 2 Jazzy, has.
+    install_requires=[
+        "PyYAML>=6.0",
+        "filterpy>=1.4.5",
+        "lz4>=4.0",
+        "matplotlib>=3.6",
+        "mcap>=1.1",
+        "numpy>=1.26",
+        "rich>=13.7",
+        "scipy>=1.11",
+        "setuptools",
+        "zstandard>=0.22",
+    ],
+    extras_require={
+        # ROS 2 itself, where no distribution of it is installed. Never a plain requirement: on a robot pip
+        # would put a second ROS beside the first.
+        "wheels": [
+            "ros-jazzy-ament-index-python",
+            "ros-jazzy-common-interfaces",
+            "ros-jazzy-rclpy",
+            "ros-jazzy-rmw-fastrtps-cpp",
+        ],
+        "test": ["hypothesis", "mpmath", "pytest", "pytest-xdist", "ros-jazzy-domain-coordinator", "rosbags"],
+        "lint": ["mypy", "ruff"],
+    },
+    entry_points={
+        "console_scripts": [
+            "fden = fden_ros.cli:main",
+            "identifier = fden_ros.nodes.identifier:main",
+        ]
+    },
+)
