@@ -55,20 +55,18 @@ def serialize(message: Any) -> bytes:
         When the message has a wide string, or a field holds a value that does not fit its type.
     """
     buffer = bytearray()
+    cls: Any = type(message)
     try:
-        _encoder_of_class(type(message))(buffer, message)
+        _encoder_of_class(cls)(buffer, message)
     except (struct.error, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{type(message).__name__} cannot be serialised: {error}") from error
     return _HEADER + buffer
 
 
 @functools.cache
-def _encoder_of_class(cls: type) -> _Encoder:
-    names = list(cls.get_fields_and_field_types())  # type: ignore[attr-defined]
-    fields = [
-        (name, _encoder(slot))
-        for name, slot in zip(names, cls.SLOT_TYPES, strict=True)  # type: ignore[attr-defined]
-    ]
+def _encoder_of_class(cls: Any) -> _Encoder:
+    names = cls.get_fields_and_field_types()
+    fields = [(name, _encoder(slot)) for name, slot in zip(names, cls.SLOT_TYPES, strict=True)]
 
     def encode(buffer: bytearray, message: Any) -> None:
         for name, encode_field in fields:

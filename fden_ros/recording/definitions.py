@@ -17,10 +17,9 @@ _TYPE_NAME = re.compile(r"(?P<package>\w+)/(?:msg/)?(?P<name>\w+)")
 # The two patterns and the order of the dependencies are those of rosbag2's
 # local_message_definition_source.cpp, so that the schemas come out the same, byte for byte.
 _FIELD_TYPE = re.compile(r"(?:^|\n)\s*([a-zA-Z0-9_/]+)(?:\[[^\]]*\])?\s+")
-_PRIMITIVES = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 "
-    "string wstring".split()
-)
+_PRIMITIVES = {"bool", "byte", "char", "float32", "float64", "string", "wstring"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 _SEPARATOR = "=" * 80
 
 

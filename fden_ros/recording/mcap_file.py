@@ -1,7 +1,7 @@
 """One MCAP file: its topics and its messages, with or without an index, whole or cut off.
 
-The ``mcap`` package reads the summary and parses the rare records. The messages, of which there are
-millions, are taken from the chunks here: 0.6 µs each instead of 13 µs.
+The ``mcap`` package reads the summary and parses the rare records. The messages, of which there
+are millions, are taken from the chunks here: under 2 µs each instead of 13 µs.
 """
 
 from __future__ import annotations
@@ -169,7 +169,9 @@ def _is_complete(summary: Summary, size: int) -> bool:
     return (
         sum(counts.values()) == statistics.message_count
         and counts.keys() <= summary.channels.keys()
-        and all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
+        and all(
+            c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values()
+        )
         and len(summary.chunk_indexes) == statistics.chunk_count
         and bool(summary.chunk_indexes) == bool(statistics.message_count)
         and all(i.chunk_start_offset + i.chunk_length <= size for i in summary.chunk_indexes)

@@ -20,7 +20,15 @@ from mcap.well_known import MessageEncoding
 
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import full_type_name, message_class
-from fden_ros.recording.mcap_file import MAGIC, ChunkError, McapFile, Row, Span, log_time, read_mcap
+from fden_ros.recording.mcap_file import (
+    MAGIC,
+    ChunkError,
+    McapFile,
+    Row,
+    Span,
+    log_time,
+    read_mcap,
+)
 from fden_ros.recording.qos import Qos, parse_profiles
 
 _METADATA_FILE = "metadata.yaml"
@@ -188,7 +196,7 @@ class BagReader:
                 return
             _, order, index, rows, route = heapq.heappop(active)
             # All that comes before the others' next message can go without asking the heap again.
-            others = [entry[0] for entry in (*active[:1], *waiting[-1:])]
+            others = [entry[0] for entry in active[:1]] + [entry[0] for entry in waiting[-1:]]
             limit_ns = min(others, default=rows[-1].log_time_ns + 1)
             end = max(index + 1, bisect.bisect_left(rows, limit_ns, index, key=log_time))
             for log_time_ns, channel_id, data in rows[index:end]:
@@ -354,7 +362,9 @@ class BagReader:
 
     def _refuse_foreign_messages(self) -> None:
         if any(file.channels for file in self._files):
-            raise InputError(f"{self.path} holds no ROS 2 messages: expected topics encoded in CDR")
+            raise InputError(
+                f"{self.path} holds no ROS 2 messages: expected topics encoded in CDR"
+            )
 
 
 def decode(message: RawMessage) -> Any:
@@ -396,7 +406,8 @@ def _glob(folder: Path, patterns: tuple[str, ...]) -> list[Path]:
 
 def _natural_order(path: Path) -> list[tuple[int, str]]:
     """Order ``x_2`` before ``x_10``."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path.name)]
+    parts = re.split(r"(\d+)", path.name)
+    return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
 
 
 def _convert_command(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Writing rosbag2 folders: one MCAP file and ``metadata.yaml``, as ``ros2 bag record`` makes them."""
+"""Writing rosbag2 folders: an MCAP file and ``metadata.yaml``, as ``ros2 bag record`` does."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class BagWriter:
         if self.target.is_dir() and not any(self.target.iterdir()):
             return
         if not self._overwrite:
-            raise InputError(f"{self.target} exists: choose another folder or replace it (--force)")
+            raise InputError(f"{self.target} exists: choose another or replace it (--force)")
         if not (self.target / _METADATA_FILE).is_file():
             raise InputError(f"{self.target} is not a bag, so it is not replaced: choose another")
 
