@@ -1,0 +1,4 @@
+"""Synthetic tissue and scenarios, the truth for tests and demonstrations.
+
+Shares no numerics with :mod:`fden_ros.core`.
+"""

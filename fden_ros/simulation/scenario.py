@@ -1,0 +1,543 @@
+"""Scenarios: what is pressed, how, and what the sensors make of it; YAML to frozen dataclasses.
+
+The files in ``bags/`` show the format. Every key is a field of one of the dataclasses below, in SI
+units; a key that is missing takes the field's default. Values are checked when a dataclass is
+made, so `dataclasses.replace` is checked too.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+import sys
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import yaml
+
+from fden_ros.errors import InputError
+from fden_ros.simulation.closed_form import FdenModel, FloatArray
+from fden_ros.simulation.trajectory import (
+    TRAJECTORIES,
+    Approach,
+    Palpation,
+    Ramp,
+    RampHold,
+    Sinusoid,
+    require_not_negative,
+    require_positive,
+)
+
+Press = Ramp | RampHold | Palpation | Sinusoid
+Axis = tuple[float, float, float]
+
+FORCE_MESSAGES = ("wrench", "joint_state")
+DISPLACEMENT_MESSAGES = ("joint_state", "pose", "transform", "point")
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A truncated distribution of one tissue parameter, from the paper's Table II."""
+
+    mean: float
+    standard_deviation: float
+    low: float
+    high: float
+    logarithmic: bool
+
+    def draw(self, generator: np.random.Generator) -> float:
+        """Return one value: normal, or log-normal of these two moments, within the range."""
+        mean, spread = self.mean, self.standard_deviation
+        if self.logarithmic:
+            spread = math.sqrt(math.log1p((spread / mean) ** 2))
+            mean = math.log(mean) - 0.5 * spread**2
+        while True:
+            value = float(generator.normal(mean, spread))
+            value = math.exp(value) if self.logarithmic else value
+            if self.low <= value <= self.high:
+                return value
+
+
+# Paper, Table II: G and Gn of the nonlinearity measurement (64 samples), alpha of the dynamic test
+# (11 samples).
+TISSUES: dict[str, dict[str, Distribution]] = {
+    "liver": {
+        "linear_stiffness": Distribution(544.8, 155.3, 341.8, 1294.0, logarithmic=True),
+        "nonlinear_stiffness": Distribution(8.547, 1.604, 5.26, 13.18, logarithmic=True),
+        "fractional_order": Distribution(0.131, 0.011, 0.118, 0.146, logarithmic=False),
+    }
+}
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """The tissue of one site: three parameters, or a random draw that single parameters override.
+
+    Attributes
+    ----------
+    linear_stiffness
+        G in Pa·s^alpha.
+    nonlinear_stiffness
+        Gn.
+    fractional_order
+        alpha.
+    draw
+        Name of the tissue whose distribution gives what is not given: ``liver`` (Table II).
+    """
+
+    linear_stiffness: float | None = None
+    nonlinear_stiffness: float | None = None
+    fractional_order: float | None = None
+    draw: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.draw is not None:
+            require_choice("tissue: draw", self.draw, TISSUES)
+        elif missing := [name for name in TISSUES["liver"] if getattr(self, name) is None]:
+            raise InputError(f"tissue: {missing[0]} is missing; give it, or `draw: liver`")
+        require_positive(self, "linear_stiffness", "nonlinear_stiffness", "fractional_order")
+
+    def model(self, generator: np.random.Generator) -> FdenModel:
+        """Return the parameters, drawing those that are not given."""
+        # All are drawn, used or not: giving one must not change the others.
+        source = TISSUES[self.draw or "liver"]
+        drawn = {name: distribution.draw(generator) for name, distribution in source.items()}
+        given = {name: getattr(self, name) for name in drawn if getattr(self, name) is not None}
+        return FdenModel(**(drawn | given))
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """How force and displacement follow from stress and strain.
+
+    Attributes
+    ----------
+    kind
+        ``flat_punch``: force = stress · area, depth = strain · thickness. ``sphere``: force =
+        stress · 4 R²/3, depth = R · strain^(2/3), which is Hertz' law where the tissue is linear.
+        ``pass_through``: the force stream carries the stress in Pa, the displacement stream the
+        strain.
+    area_m2, radius_m
+        Face of the punch, one of the two; radius of the sphere.
+    thickness_m
+        Thickness of the tissue under a flat punch.
+    """
+
+    kind: str = "flat_punch"
+    area_m2: float | None = None
+    radius_m: float | None = None
+    thickness_m: float | None = None
+
+    def __post_init__(self) -> None:
+        require_choice("geometry: kind", self.kind, ("flat_punch", "sphere", "pass_through"))
+        require_positive(self, "area_m2", "radius_m", "thickness_m")
+        given = {
+            name
+            for name in ("area_m2", "radius_m", "thickness_m")
+            if getattr(self, name) is not None
+        }
+        allowed = {
+            "flat_punch": ({"area_m2", "thickness_m"}, {"radius_m", "thickness_m"}),
+            "sphere": ({"radius_m"},),
+            "pass_through": (set[str](),),
+        }[self.kind]
+        if given not in allowed:
+            right = " or ".join(" and ".join(sorted(names)) or "no dimension" for names in allowed)
+            raise InputError(f"geometry: {self.kind} needs {right}, not {_listed(sorted(given))}")
+
+    @property
+    def face_area_m2(self) -> float:
+        """Area of the flat punch in m²."""
+        return math.pi * (self.radius_m or 0.0) ** 2 if self.area_m2 is None else self.area_m2
+
+    @property
+    def force_per_stress(self) -> float:
+        """Force over stress in m²; 1 for pass-through."""
+        if self.kind == "pass_through":
+            return 1.0
+        if self.kind == "sphere":
+            return 4.0 / 3.0 * (self.radius_m or 0.0) ** 2
+        return self.face_area_m2
+
+    @property
+    def length_m(self) -> float:
+        """Height above the surface that counts as strain -1, in m."""
+        lengths = {"flat_punch": self.thickness_m, "sphere": self.radius_m, "pass_through": 1.0}
+        return lengths[self.kind] or 1.0
+
+    def depth_of_strain(self, strain: FloatArray) -> FloatArray:
+        """Return the displacement into the tissue in m; negative above the undisturbed surface."""
+        if self.kind != "sphere":
+            return strain * self.length_m
+        return self.length_m * np.where(
+            strain > 0.0, np.cbrt(np.maximum(strain, 0.0)) ** 2, strain
+        )
+
+
+@dataclass(frozen=True)
+class ForceSensor:
+    """What the force stream looks like.
+
+    Attributes
+    ----------
+    rate_hz
+        Sampling rate.
+    noise_stress_pa, noise_n
+        Standard deviation of white noise per sample, as a stress or as a force: one of the two, or
+        none.
+    jitter_s
+        Standard deviation of the sampling times around an even clock, cut off at 0.45 periods. The
+        stamps are true.
+    bias_n, drift_n_per_s
+        Constant and growing error of the force.
+    topic, message, axis, frame_id
+        Where and as what it is published: ``wrench`` (force along `axis`, which pressing makes
+        positive) or ``joint_state`` (effort).
+    """
+
+    rate_hz: float = 1000.0
+    noise_stress_pa: float | None = None
+    noise_n: float | None = None
+    jitter_s: float = 0.0
+    bias_n: float = 0.0
+    drift_n_per_s: float = 0.0
+    topic: str = "/force"
+    message: str = "wrench"
+    axis: Axis = (0.0, 0.0, 1.0)
+    frame_id: str = "force_sensor"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "rate_hz")
+        require_not_negative(self, "noise_stress_pa", "noise_n", "jitter_s")
+        require_choice("force: message", self.message, FORCE_MESSAGES)
+        _require_unit_axis("force", self.axis)
+        if self.noise_n is not None and self.noise_stress_pa is not None:
+            raise InputError("force: noise_n and noise_stress_pa are both given; give one of them")
+
+
+@dataclass(frozen=True)
+class DisplacementSensor:
+    """What the displacement stream looks like.
+
+    Attributes
+    ----------
+    rate_hz, jitter_s
+        As for the force.
+    noise_m
+        Standard deviation of white noise per sample and coordinate.
+    delay_s
+        How much later than the truth the samples are stamped.
+    surface_m
+        Reading at the undisturbed surface, where the strain is 0.
+    topic, message, axis, frame_id
+        Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform`` or
+        ``point`` (tip of the probe; `axis` points into the tissue).
+    """
+
+    rate_hz: float = 1000.0
+    noise_m: float = 0.0
+    jitter_s: float = 0.0
+    delay_s: float = 0.0
+    surface_m: float = 0.0
+    topic: str = "/displacement"
+    message: str = "joint_state"
+    axis: Axis = (0.0, 0.0, 1.0)
+    frame_id: str = "tissue"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "rate_hz")
+        require_not_negative(self, "noise_m", "jitter_s")
+        require_choice("displacement: message", self.message, DISPLACEMENT_MESSAGES)
+        _require_unit_axis("displacement", self.axis)
+
+
+@dataclass(frozen=True)
+class Dropout:
+    """A stretch of time in which a stream has no samples.
+
+    Attributes
+    ----------
+    stream
+        ``force``, ``displacement`` or ``both``.
+    start_s, duration_s
+        On the stamps, from the beginning of the recording.
+    """
+
+    stream: str
+    start_s: float
+    duration_s: float
+
+    def __post_init__(self) -> None:
+        require_choice("dropout: stream", self.stream, ("force", "displacement", "both"))
+        require_not_negative(self, "start_s")
+        require_positive(self, "duration_s")
+
+
+@dataclass(frozen=True)
+class Site:
+    """One place on the tissue and what is done there.
+
+    Attributes
+    ----------
+    tissue
+        Its parameters.
+    presses
+        One or more presses, one after the other; the tissue remembers.
+    position_m
+        Where it lies, across the approach axis.
+    """
+
+    tissue: Tissue
+    presses: tuple[Press, ...]
+    position_m: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not self.presses:
+            raise InputError("site: presses is empty; name at least one press")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A whole recording: see the fields' own classes."""
+
+    geometry: Geometry
+    sites: tuple[Site, ...]
+    name: str = "scenario"
+    description: str = ""
+    seed: int = 0
+    approach: Approach = field(default_factory=Approach)
+    force: ForceSensor = field(default_factory=ForceSensor)
+    displacement: DisplacementSensor = field(default_factory=DisplacementSensor)
+    dropouts: tuple[Dropout, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.sites:
+            raise InputError("scenario: sites is empty; name at least one site")
+        if self.seed < 0:
+            raise InputError(f"scenario: seed is {self.seed}; it must be 0 or positive")
+
+    @property
+    def force_noise_n(self) -> float:
+        """Standard deviation of the force noise in N."""
+        if self.force.noise_stress_pa is not None:
+            return self.force.noise_stress_pa * self.geometry.force_per_stress
+        return self.force.noise_n or 0.0
+
+
+def ramp_scenario(
+    *,
+    strain_rate: float = 0.1,
+    max_strain: float = 0.3,
+    hold_s: float = 0.0,
+    tissue: Tissue | None = None,
+    sites: int = 1,
+    rate_hz: float = 1000.0,
+    noise_stress_pa: float = 3.0,
+    seed: int = 0,
+) -> Scenario:
+    """Return a scenario of ramps, or of ramps and holds, without a file: for Monte-Carlo studies.
+
+    Parameters
+    ----------
+    strain_rate, max_strain, hold_s
+        The press, in 1/s, 1 and s.
+    tissue
+        By default drawn from liver, with the fractional order 0.131.
+    sites
+        How many sites are touched, each once.
+    rate_hz, noise_stress_pa, seed
+        As in the scenario files.
+    """
+    press = RampHold(strain_rate, max_strain, hold_s) if hold_s else Ramp(strain_rate, max_strain)
+    tissue = tissue or Tissue(draw="liver", fractional_order=0.131)
+    return Scenario(
+        name="ramp_hold" if hold_s else "ramp",
+        seed=seed,
+        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
+        sites=tuple(Site(tissue, (press,), (0.02 * index, 0.0)) for index in range(sites)),
+        force=ForceSensor(rate_hz=rate_hz, noise_stress_pa=noise_stress_pa),
+        displacement=DisplacementSensor(rate_hz=rate_hz),
+    )
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Read a scenario.
+
+    Parameters
+    ----------
+    name_or_path
+        The name of a scenario that comes with the package (see :func:`scenario_names`), or the
+        path of a YAML file.
+
+    Raises
+    ------
+    InputError
+        If there is no such scenario, or it cannot be used.
+    """
+    path = _scenario_path(name_or_path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text; a scenario is a YAML file") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f", line {mark.line + 1}" if mark else ""
+        what = getattr(error, "problem", None) or "cannot be parsed"
+        raise InputError(f"{path}{where}: is not valid YAML: {what}") from error
+    try:
+        return scenario_of_mapping({"name": path.stem} | _mapping(data, "scenario"))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def scenario_of_mapping(data: Mapping[str, Any]) -> Scenario:
+    """Return the scenario that a mapping (as read from YAML) describes."""
+    return _build(Scenario, data, "scenario")
+
+
+def scenario_names() -> list[str]:
+    """Return the names of the scenarios that come with the package, sorted."""
+    return sorted({path.stem for folder in _scenario_folders() for path in folder.glob("*.yaml")})
+
+
+def _scenario_folders() -> Iterable[Path]:
+    """Return the folders of scenarios: source tree, installation, sourced workspaces."""
+    prefixes = [
+        sys.prefix,
+        *filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)),
+    ]
+    source = Path(__file__).resolve().parents[2] / "bags"
+    installed = [Path(prefix) / "share" / "fden_ros" / "bags" for prefix in prefixes]
+    return [folder for folder in (source, *installed) if folder.is_dir()]
+
+
+def _scenario_path(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    text = str(name_or_path)
+    if path.is_file():
+        return path
+    if path.suffix in (".yaml", ".yml") or os.sep in text:
+        raise InputError(
+            f"{text}: no such file; give the path of a scenario or a name from `fden bag --list`"
+        )
+    for folder in _scenario_folders():
+        if (folder / f"{text}.yaml").is_file():
+            return folder / f"{text}.yaml"
+    raise InputError(_no_such("scenario", text, scenario_names()))
+
+
+def require_choice(what: str, value: str, choices: Iterable[str]) -> None:
+    """Raise InputError unless `value` is one of `choices`."""
+    if value not in choices:
+        raise InputError(_no_such(what, value, choices))
+
+
+def _no_such(what: str, value: object, choices: Iterable[str]) -> str:
+    options = sorted(choices)
+    near = difflib.get_close_matches(str(value), options, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known: {_listed(options)}"
+    return f"{what} {value!r} is unknown; {hint}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names) or "nothing"
+
+
+def _require_unit_axis(owner: str, axis: Axis) -> None:
+    if abs(math.hypot(*axis) - 1.0) > 1e-6:
+        raise InputError(
+            f"{owner}: axis is {list(axis)}; it must be a unit vector such as [0, 0, -1]"
+        )
+
+
+T = TypeVar("T")
+
+
+def _build(cls: type[T], data: object, where: str) -> T:
+    """Make a dataclass of a mapping, refusing what it does not know and naming what it lacks."""
+    mapping = _mapping(data, where)
+    hints = typing.get_type_hints(cls)
+    known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+    for key in mapping:
+        if key not in known:
+            raise InputError(_no_such(f"{where}: key", key, known))
+    for name, item in known.items():
+        if name not in mapping and item.default is MISSING and item.default_factory is MISSING:
+            raise InputError(f"{where}: {name} is missing")
+    return cls(
+        **{key: _convert(value, hints[key], f"{where}: {key}") for key, value in mapping.items()}
+    )
+
+
+def _mapping(data: object, where: str) -> dict[str, Any]:
+    if not isinstance(data, Mapping) or not all(isinstance(key, str) for key in data):
+        raise InputError(f"{where}: must be a mapping of keys to values, not {_short(data)}")
+    return dict(data)
+
+
+def _convert(value: object, hint: Any, where: str) -> Any:
+    """Return `value` as the type that a field asks for."""
+    if hint == Press:
+        return _press(value, where)
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        (hint,) = (option for option in typing.get_args(hint) if option is not type(None))
+    if typing.get_origin(hint) is tuple:
+        return _convert_list(value, typing.get_args(hint), where)
+    if hint is float:
+        return _number(value, where)
+    if hint is int:
+        if isinstance(value, int) and not isinstance(value, bool):
+            return value
+        raise InputError(f"{where} is {_short(value)}; it must be a whole number")
+    if hint is str:
+        if isinstance(value, str):
+            return value
+        raise InputError(f"{where} is {_short(value)}; it must be text")
+    return _build(hint, value, where.rpartition(": ")[2])
+
+
+def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise InputError(f"{where} is {_short(value)}; it must be a list")
+    if hints[-1] is Ellipsis:
+        return tuple(
+            _convert(item, hints[0], f"{where} {index}")
+            for index, item in enumerate(value, start=1)
+        )
+    if len(value) != len(hints):
+        raise InputError(f"{where} has {len(value)} values; it must have {len(hints)}")
+    return tuple(_convert(item, hint, where) for item, hint in zip(value, hints, strict=True))
+
+
+def _number(value: object, where: str) -> float:
+    # YAML 1.1 reads 1e-3 (no dot) as text, which nobody means.
+    if isinstance(value, int | float | str) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if math.isfinite(number):
+            return number
+    raise InputError(f"{where} is {_short(value)}; it must be a finite number")
+
+
+def _press(value: object, where: str) -> Press:
+    mapping = _mapping(value, where)
+    kind = mapping.pop("kind", None)
+    if kind is None:
+        raise InputError(f"{where}: kind is missing; it is one of {_listed(sorted(TRAJECTORIES))}")
+    require_choice(f"{where}: kind", kind, TRAJECTORIES)
+    return _build(TRAJECTORIES[kind], mapping, f"{where}: {kind}")
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,303 @@
+"""From a scenario to what the sensors would have recorded, with the truth beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move
+from fden_ros.simulation.contact import ContactHistory, contacts_of_moves
+from fden_ros.simulation.scenario import (
+    DisplacementSensor,
+    Dropout,
+    ForceSensor,
+    Geometry,
+    Scenario,
+    Site,
+)
+from fden_ros.simulation.trajectory import Approach, Path
+
+StampArray = NDArray[np.int64]
+
+START_NS = 1_700_000_000 * 10**9
+"""Stamp of the beginning of every recording, so that bags are reproducible."""
+
+END_PAUSE_S = 0.5
+_MAX_JITTER_PERIODS = 0.45
+
+# One generator a purpose: what one of them draws never changes the others.
+_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS = range(3)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The samples of one sensor, in the order of their stamps.
+
+    Attributes
+    ----------
+    stamp_ns
+        Header stamps in ns, shape (n,), strictly increasing.
+    value
+        Force in N, positive when pressing, or displacement in m along the axis into the tissue,
+        shape (n,).
+    position
+        Tip of the probe in m, shape (n, 3), with ``position @ axis == value``; None where the
+        message has no room for it.
+    topic, message, axis, frame_id
+        As in the scenario's sensor.
+    """
+
+    stamp_ns: StampArray
+    value: FloatArray
+    position: FloatArray | None
+    topic: str
+    message: str
+    axis: tuple[float, float, float]
+    frame_id: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Both streams and the truth behind them, which is ready for JSON."""
+
+    force: Stream
+    displacement: Stream
+    truth: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Visit:
+    """One site: when it was met, the moves there (times since `start`) and the contacts."""
+
+    site: Site
+    start: float
+    stop: float
+    moves: tuple[Move, ...]
+    contacts: ContactHistory
+
+
+def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
+    """Simulate a scenario; the same scenario and seed give the same bytes.
+
+    Parameters
+    ----------
+    scenario
+        What is pressed and how.
+    seed
+        Instead of the scenario's own.
+    """
+    seed = scenario.seed if seed is None else seed
+    visits = _visits(scenario, _generator(seed, _TISSUE_DRAWS))
+    duration = visits[-1].stop
+    force = _force_stream(scenario, visits, duration, _generator(seed, _FORCE_DRAWS))
+    displacement = _displacement_stream(
+        scenario, visits, duration, _generator(seed, _DISPLACEMENT_DRAWS)
+    )
+    return Recording(force, displacement, _truth(scenario, seed, visits))
+
+
+def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> dict[str, Any]:
+    """Return the identifier's parameters that fit a scenario, by their dotted names."""
+    geometry = scenario.geometry
+    parameters: dict[str, Any] = {"geometry.kind": geometry.kind}
+    if geometry.kind == "flat_punch":
+        parameters["geometry.area_m2"] = geometry.face_area_m2
+        parameters["geometry.thickness_m"] = geometry.thickness_m
+    elif geometry.kind == "sphere":
+        parameters["geometry.radius_m"] = geometry.radius_m
+    parameters["force.axis"] = list(scenario.force.axis)
+    parameters["displacement.axis"] = list(scenario.displacement.axis)
+    if scenario.displacement.delay_s:
+        parameters["displacement.delay_s"] = scenario.displacement.delay_s
+    orders = {model.fractional_order for model in models}
+    if len(orders) == 1:
+        parameters["alpha.source"] = "given"
+        parameters["alpha.value"] = orders.pop()
+        parameters["alpha.sd"] = 0.0
+    return parameters
+
+
+def _generator(seed: int, purpose: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, purpose])))
+
+
+def _visits(scenario: Scenario, generator: np.random.Generator) -> list[_Visit]:
+    visits: list[_Visit] = []
+    start = 0.0
+    for index, site in enumerate(scenario.sites):
+        is_last = index == len(scenario.sites) - 1
+        approach = scenario.approach
+        pause = approach.site_pause_s if visits else approach.start_pause_s
+        path = _path_over(
+            site, scenario.geometry, approach, pause, END_PAUSE_S if is_last else 0.0
+        )
+        contacts = contacts_of_moves(path.moves, site.tissue.model(generator))
+        visits.append(_Visit(site, start, start + path.time, tuple(path.moves), contacts))
+        start += path.time
+    return visits
+
+
+def _path_over(
+    site: Site, geometry: Geometry, approach: Approach, pause_s: float, end_pause_s: float
+) -> Path:
+    path = Path(-approach.distance_m / geometry.length_m, geometry.length_m)
+    path.rest(pause_s)
+    for press in site.presses:
+        press.press(path, approach)
+    path.rest(end_pause_s)
+    return path
+
+
+def _force_stream(
+    scenario: Scenario, visits: Sequence[_Visit], duration: float, generator: np.random.Generator
+) -> Stream:
+    sensor = scenario.force
+    elapsed_ns, times = _sampling(sensor, duration, generator)
+    stress = np.zeros_like(times)
+    for visit in visits:
+        during = slice(*np.searchsorted(times, [visit.start, visit.stop]))
+        stress[during] = visit.contacts.stress(times[during] - visit.start)
+    noise = scenario.force_noise_n * generator.standard_normal(times.size)
+    error = sensor.bias_n + sensor.drift_n_per_s * times + noise
+    force = stress * scenario.geometry.force_per_stress + error
+    kept = _kept(elapsed_ns, scenario.dropouts, "force")
+    return _stream(sensor, elapsed_ns[kept], force[kept], None)
+
+
+def _displacement_stream(
+    scenario: Scenario, visits: Sequence[_Visit], duration: float, generator: np.random.Generator
+) -> Stream:
+    sensor = scenario.displacement
+    elapsed_ns, times = _sampling(sensor, duration, generator)
+    reading = sensor.surface_m + scenario.geometry.depth_of_strain(_strain(visits, times))
+    noise = sensor.noise_m * generator.standard_normal((times.size, 3))
+    stamps = elapsed_ns + round(sensor.delay_s * 1e9)
+    kept = _kept(stamps, scenario.dropouts, "displacement")
+    if sensor.message == "joint_state":
+        return _stream(sensor, stamps[kept], (reading + noise[:, 2])[kept], None)
+    axis = np.array(sensor.axis)
+    position = np.outer(reading, axis) + _lateral(visits, times, axis) + noise
+    return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
+
+
+def _stream(
+    sensor: ForceSensor | DisplacementSensor,
+    elapsed_ns: StampArray,
+    value: FloatArray,
+    position: FloatArray | None,
+) -> Stream:
+    return Stream(
+        START_NS + elapsed_ns,
+        value,
+        position,
+        sensor.topic,
+        sensor.message,
+        sensor.axis,
+        sensor.frame_id,
+    )
+
+
+def _sampling(
+    sensor: ForceSensor | DisplacementSensor, duration: float, generator: np.random.Generator
+) -> tuple[StampArray, FloatArray]:
+    """Return when samples are taken, in whole ns and in s since the beginning."""
+    count = int(duration * sensor.rate_hz)
+    bound = _MAX_JITTER_PERIODS / sensor.rate_hz
+    jitter = np.clip(sensor.jitter_s * generator.standard_normal(count), -bound, bound)
+    jitter[:1] = np.abs(jitter[:1])
+    elapsed_ns: StampArray = np.rint((np.arange(count) / sensor.rate_hz + jitter) * 1e9).astype(
+        np.int64
+    )
+    times: FloatArray = elapsed_ns * 1e-9
+    return elapsed_ns, times
+
+
+def _kept(elapsed_ns: StampArray, dropouts: Sequence[Dropout], stream: str) -> NDArray[np.bool_]:
+    kept = np.ones(elapsed_ns.shape, dtype=bool)
+    for dropout in dropouts:
+        if dropout.stream in (stream, "both"):
+            since = elapsed_ns * 1e-9 - dropout.start_s
+            kept &= (since < 0.0) | (since >= dropout.duration_s)
+    return kept
+
+
+def _strain(visits: Sequence[_Visit], times: FloatArray) -> FloatArray:
+    strain = np.empty_like(times)
+    for visit in visits:
+        for move in visit.moves:
+            first, last = np.searchsorted(
+                times, [visit.start + move.start, visit.start + move.stop]
+            )
+            strain[first:last] = move.strain_at(times[first:last] - visit.start)
+    # The bounds of two moves may differ in the last bit; the very end belongs to no move.
+    final = visits[-1].moves[-1]
+    strain[times >= visits[-1].stop] = final.strain_at(final.stop)
+    return strain
+
+
+def _lateral(visits: Sequence[_Visit], times: FloatArray, axis: FloatArray) -> FloatArray:
+    """Return the sideways part of the tip's position, (n, 3): it moves while the probe waits."""
+    knots: list[float] = []
+    places: list[tuple[float, float]] = []
+    for visit in visits:
+        arrival = visit.start + visit.moves[0].stop if knots else visit.start
+        knots += [arrival, visit.stop]
+        places += [visit.site.position_m] * 2
+    across = np.array(places)
+    lateral = np.zeros((times.size, 3))
+    for coordinate, direction in enumerate(_across(axis)):
+        lateral += np.outer(np.interp(times, knots, across[:, coordinate]), direction)
+    return lateral
+
+
+def _across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two directions across the approach axis: x and y where that is z."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    first = start - (start @ axis) * axis
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    return first, second if second.sum() >= 0.0 else -second
+
+
+def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str, Any]:
+    models = [visit.contacts.model for visit in visits]
+    sites = [
+        {
+            "site": number,
+            "linear_stiffness": visit.contacts.model.linear_stiffness,
+            "nonlinear_stiffness": visit.contacts.model.nonlinear_stiffness,
+            "fractional_order": visit.contacts.model.fractional_order,
+            "position": list(visit.site.position_m),
+        }
+        for number, visit in enumerate(visits, start=1)
+    ]
+    met = [
+        (number, visit, contact)
+        for number, visit in enumerate(visits, start=1)
+        for contact in visit.contacts.contacts
+    ]
+    contacts = [
+        {
+            "contact": count,
+            "site": number,
+            "start_ns": START_NS + round((visit.start + contact.start) * 1e9),
+            "end_ns": START_NS + round((visit.start + contact.stop) * 1e9),
+            "max_strain": contact.max_strain(visit.contacts.model),
+        }
+        for count, (number, visit, contact) in enumerate(met, start=1)
+    ]
+    return {
+        "scenario": scenario.name,
+        "description": scenario.description,
+        "seed": seed,
+        "identifier_parameters": identifier_parameters(scenario, models),
+        "surface_displacement_m": scenario.displacement.surface_m,
+        "force_noise_n": scenario.force_noise_n,
+        "displacement_delay_s": scenario.displacement.delay_s,
+        "sites": sites,
+        "contacts": contacts,
+    }

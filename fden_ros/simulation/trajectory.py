@@ -1,0 +1,278 @@
+"""Motions of a probe: through the air to the surface, into the tissue and out again.
+
+A trajectory describes what happens in the tissue (a ramp, a hold, a sine); :class:`Approach` what
+happens in the air. Together they give one list of moves in units of strain, negative above the
+undisturbed surface.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+from fden_ros.errors import InputError
+from fden_ros.simulation.closed_form import LinearMove, Move, SineMove
+
+
+def require_positive(owner: object, *names: str) -> None:
+    """Raise InputError unless the named fields of `owner` are positive and finite."""
+    _require(owner, names, lambda value: value > 0.0, "positive")
+
+
+def require_not_negative(owner: object, *names: str) -> None:
+    """Raise InputError unless the named fields of `owner` are finite and not negative."""
+    _require(owner, names, lambda value: value >= 0.0, "0 or positive")
+
+
+def _require(
+    owner: object, names: tuple[str, ...], holds: Callable[[float], bool], what: str
+) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if value is not None and not (math.isfinite(value) and holds(value)):
+            kind = getattr(owner, "kind", type(owner).__name__.lower())
+            raise InputError(f"{kind}: {name} is {value}; it must be {what}")
+
+
+class Path:
+    """A motion under construction: where the probe is, and the moves that brought it there.
+
+    Parameters
+    ----------
+    strain
+        Where it starts, at time 0.
+    length_m
+        Length of a strain of 1 in the air, in m.
+    """
+
+    def __init__(self, strain: float, length_m: float) -> None:
+        self.time = 0.0
+        self.strain = strain
+        self.length_m = length_m
+        self.moves: list[Move] = []
+
+    def rest(self, duration_s: float) -> None:
+        """Stay for a time."""
+        if duration_s > 0.0:
+            self._add(LinearMove(self.time, self.time + duration_s, self.strain, self.strain))
+
+    def go(self, strain: float, strain_rate: float) -> None:
+        """Move to `strain` at a constant rate (1/s, its sign does not matter)."""
+        if strain != self.strain:
+            duration = abs(strain - self.strain) / abs(strain_rate)
+            self._add(LinearMove(self.time, self.time + duration, self.strain, strain))
+
+    def oscillate(self, amplitude: float, frequency: float, cycles: int) -> None:
+        """Add whole cycles of a sine around the present strain."""
+        stop = self.time + cycles / frequency
+        self._add(SineMove(self.time, stop, self.strain, amplitude, frequency, self.time))
+
+    def _add(self, move: Move) -> None:
+        mean = self.strain
+        self.moves.append(move)
+        self.time = move.stop
+        self.strain = move.stop_strain if isinstance(move, LinearMove) else mean
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How the probe moves in the air; the same for every site.
+
+    Attributes
+    ----------
+    distance_m
+        Height above the surface where the probe waits.
+    speed_m_per_s
+        Speed down to `slow_distance_m` above the surface, from where the probe moves at the rate
+        of its press: a robot does not know where the surface is, so nothing may change at the
+        touch.
+    slow_distance_m
+        See there.
+    retract_speed_m_per_s
+        Speed away from the tissue, unless the press says otherwise.
+    start_pause_s
+        Time in the air before the first approach, for the tare.
+    site_pause_s
+        Time in the air between sites; the probe moves sideways in it.
+    """
+
+    distance_m: float = 0.01
+    speed_m_per_s: float = 0.02
+    slow_distance_m: float = 0.001
+    retract_speed_m_per_s: float = 0.02
+    start_pause_s: float = 2.0
+    site_pause_s: float = 3.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self, "distance_m", "speed_m_per_s", "retract_speed_m_per_s", "site_pause_s"
+        )
+        require_not_negative(self, "slow_distance_m", "start_pause_s")
+        if self.slow_distance_m > self.distance_m:
+            raise InputError(
+                f"approach: slow_distance_m is {self.slow_distance_m}; at most distance_m is right"
+            )
+
+    def descend(self, path: Path) -> None:
+        """Bring the probe to where the press begins, unless it is nearer already."""
+        near = -self.slow_distance_m / path.length_m
+        if path.strain < near:
+            path.go(near, self.speed_m_per_s / path.length_m)
+
+    def retract(
+        self, path: Path, strain_rate: float | None, height_m: float | None = None
+    ) -> None:
+        """Take the probe back into the air."""
+        rate = self.retract_speed_m_per_s / path.length_m if strain_rate is None else strain_rate
+        path.go(-(self.distance_m if height_m is None else height_m) / path.length_m, rate)
+
+
+class Trajectory(Protocol):
+    """What every kind of press offers."""
+
+    kind: ClassVar[str]
+
+    def press(self, path: Path, approach: Approach) -> None:
+        """Append the press to `path`: down, into the tissue, and back into the air."""
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Into the tissue at a constant rate of strain, and out again.
+
+    Attributes
+    ----------
+    strain_rate
+        In 1/s.
+    max_strain
+        Where it turns.
+    retract_rate
+        Rate of strain on the way out, in 1/s; by default the approach's retract speed.
+    """
+
+    kind: ClassVar[str] = "ramp"
+    strain_rate: float
+    max_strain: float
+    retract_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "strain_rate", "max_strain", "retract_rate")
+
+    def press(self, path: Path, approach: Approach) -> None:
+        """Append approach, ramp and retreat to `path`."""
+        approach.descend(path)
+        path.go(self.max_strain, self.strain_rate)
+        approach.retract(path, self.retract_rate)
+
+
+@dataclass(frozen=True)
+class RampHold:
+    """A ramp, then the strain is held for `hold_s`; other fields as in :class:`Ramp`."""
+
+    kind: ClassVar[str] = "ramp_hold"
+    strain_rate: float
+    max_strain: float
+    hold_s: float
+    retract_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "strain_rate", "max_strain", "hold_s", "retract_rate")
+
+    def press(self, path: Path, approach: Approach) -> None:
+        """Append approach, ramp, hold and retreat to `path`."""
+        approach.descend(path)
+        path.go(self.max_strain, self.strain_rate)
+        path.rest(self.hold_s)
+        approach.retract(path, self.retract_rate)
+
+
+@dataclass(frozen=True)
+class Palpation:
+    """Repeated presses of one place: ramp, hold, out of contact, pause, and again.
+
+    Attributes
+    ----------
+    presses
+        How often.
+    lift_m
+        Height above the undisturbed surface to which the probe goes between two presses.
+    pause_s
+        Time it stays there.
+    strain_rate, max_strain, hold_s, retract_rate
+        As in :class:`RampHold`.
+    """
+
+    kind: ClassVar[str] = "palpation"
+    strain_rate: float
+    max_strain: float
+    hold_s: float = 0.5
+    retract_rate: float | None = None
+    presses: int = 10
+    lift_m: float = 0.002
+    pause_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        require_positive(self, "strain_rate", "max_strain", "retract_rate", "presses", "lift_m")
+        require_not_negative(self, "hold_s", "pause_s")
+
+    def press(self, path: Path, approach: Approach) -> None:
+        """Append all presses to `path`."""
+        approach.descend(path)
+        for count in range(1, self.presses + 1):
+            path.go(self.max_strain, self.strain_rate)
+            path.rest(self.hold_s)
+            if count < self.presses:
+                approach.retract(path, self.retract_rate, self.lift_m)
+                path.rest(self.pause_s)
+        approach.retract(path, self.retract_rate)
+
+
+@dataclass(frozen=True)
+class Sinusoid:
+    """A ramp to a mean strain, a hold, then whole cycles of a sine around it.
+
+    Attributes
+    ----------
+    mean_strain, amplitude
+        Strains.
+    frequency_hz, cycles
+        The sine, and how many periods of it.
+    strain_rate, hold_s, retract_rate
+        The way there, as in :class:`RampHold`.
+    """
+
+    kind: ClassVar[str] = "sinusoid"
+    strain_rate: float
+    mean_strain: float
+    amplitude: float
+    frequency_hz: float
+    cycles: int
+    hold_s: float = 0.0
+    retract_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self,
+            "strain_rate",
+            "mean_strain",
+            "amplitude",
+            "frequency_hz",
+            "cycles",
+            "retract_rate",
+        )
+        require_not_negative(self, "hold_s")
+
+    def press(self, path: Path, approach: Approach) -> None:
+        """Append approach, ramp, hold, sine and retreat to `path`."""
+        approach.descend(path)
+        path.go(self.mean_strain, self.strain_rate)
+        path.rest(self.hold_s)
+        path.oscillate(self.amplitude, self.frequency_hz, self.cycles)
+        approach.retract(path, self.retract_rate)
+
+
+TRAJECTORIES: dict[str, type[Ramp] | type[RampHold] | type[Palpation] | type[Sinusoid]] = {
+    trajectory.kind: trajectory for trajectory in (Ramp, RampHold, Palpation, Sinusoid)
+}
