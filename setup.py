@@ -36,15 +36,23 @@ setup(
         "zstandard>=0.22",
     ],
     extras_require={
-        # ROS 2 itself, where no distribution of it is installed. Never a plain requirement: on a robot pip
-        # would put a second ROS beside the first.
+        # ROS 2 itself, where no distribution of it is installed. Never a plain requirement: on a
+        # robot pip would put a second ROS beside the first.
         "wheels": [
             "ros-jazzy-ament-index-python",
             "ros-jazzy-common-interfaces",
             "ros-jazzy-rclpy",
             "ros-jazzy-rmw-fastrtps-cpp",
+            "ros-jazzy-rosidl-parser",
         ],
-        "test": ["hypothesis", "mpmath", "pytest", "pytest-xdist", "ros-jazzy-domain-coordinator", "rosbags"],
+        "test": [
+            "hypothesis",
+            "mpmath",
+            "pytest",
+            "pytest-xdist",
+            "ros-jazzy-domain-coordinator",
+            "rosbags",
+        ],
         "lint": ["mypy", "ruff"],
     },
     entry_points={

@@ -1,0 +1,73 @@
+r"""Start the identifier node with its parameter file, topics and lifecycle.
+
+ros2 launch fden_ros identifier.launch.py force_topic:=/ft/wrench \
+    displacement_topic:=/arm/joint_states
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import LifecycleNode
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description() -> LaunchDescription:
+    arguments = [
+        DeclareLaunchArgument(
+            "parameters",
+            default_value=PathJoinSubstitution(
+                [FindPackageShare("fden_ros"), "config", "identifier.yaml"]
+            ),
+            description="YAML file with the node's parameters.",
+        ),
+        DeclareLaunchArgument(
+            "namespace", default_value="", description="Namespace of the node and of its topics."
+        ),
+        DeclareLaunchArgument(
+            "force_topic", default_value="force", description="Topic of the measured force."
+        ),
+        DeclareLaunchArgument(
+            "displacement_topic",
+            default_value="displacement",
+            description="Topic of the measured displacement of the probe.",
+        ),
+        DeclareLaunchArgument(
+            "autostart",
+            default_value="true",
+            choices=["true", "false"],
+            description="Configure and activate the node at its start; false: a manager does.",
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time",
+            default_value="false",
+            choices=["true", "false"],
+            description="Take the time from the topic /clock, as while a bag plays.",
+        ),
+        DeclareLaunchArgument(
+            "log_level",
+            default_value="info",
+            choices=["debug", "info", "warn", "error", "fatal"],
+            description="Least severity of the node's messages that is shown.",
+        ),
+    ]
+    identifier = LifecycleNode(
+        package="fden_ros",
+        executable="identifier",
+        name="identifier",
+        namespace=LaunchConfiguration("namespace"),
+        output="screen",
+        parameters=[
+            LaunchConfiguration("parameters"),
+            {
+                name: ParameterValue(LaunchConfiguration(name), value_type=bool)
+                for name in ("autostart", "use_sim_time")
+            },
+        ],
+        remappings=[
+            ("force", LaunchConfiguration("force_topic")),
+            ("displacement", LaunchConfiguration("displacement_topic")),
+        ],
+        arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
+    )
+    return LaunchDescription([*arguments, identifier])

@@ -1,0 +1,22 @@
+"""Every test process has a ROS domain of its own and keeps DDS on this host."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+import domain_coordinator
+import pytest
+
+_domain = contextlib.ExitStack()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # pytest-xdist's workers come here too, each after its own interpreter started.
+    os.environ["ROS_DOMAIN_ID"] = str(_domain.enter_context(domain_coordinator.domain_id()))
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    _domain.close()

@@ -1,0 +1,192 @@
+"""What is declared in several places agrees, and what is shipped can be built and found."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib.metadata import requires
+from pathlib import Path
+
+import pytest
+
+import fden_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Distribution on the package index: the rosdep key that brings it.
+ROSDEP_KEYS = {
+    "filterpy": "python3-filterpy-pip",
+    "hypothesis": "python3-hypothesis",
+    "lz4": "mcap-ros2-support",
+    "matplotlib": "python3-matplotlib",
+    "mcap": "mcap-ros2-support",
+    "mpmath": "python3-sympy",
+    "numpy": "python3-numpy",
+    "pytest": "python3-pytest",
+    "pytest-xdist": "python3-pytest-xdist",
+    "pyyaml": "python3-yaml",
+    "rich": "python3-rich",
+    "ros-jazzy-domain-coordinator": "domain_coordinator",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "zstandard": "mcap-ros2-support",
+}
+IMPORT_NAMES = {"pyyaml": "yaml"}
+
+
+def manifest(path: str = "package.xml") -> ElementTree.Element:
+    return ElementTree.parse(ROOT / path).getroot()
+
+
+def dependencies(kind: str) -> set[str]:
+    return {element.text or "" for element in manifest().iter(kind)}
+
+
+def requirements(extra: str | None = None) -> set[str]:
+    """Return the names of the distributions that setup.py asks for, in an extra or plainly."""
+    names = set()
+    for requirement in requires("fden_ros") or []:
+        name, _, marker = requirement.partition(";")
+        found = re.search(r"extra == ['\"](\w+)['\"]", marker)
+        if (found.group(1) if found else None) == extra:
+            names.add(re.split(r"[<>=!~ ]", name, maxsplit=1)[0].lower())
+    return names - {"setuptools"}
+
+
+def imported_modules(*folders: str) -> set[str]:
+    modules = set()
+    for folder in folders:
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    modules |= {alias.name.split(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                    modules.add(node.module.split(".")[0])
+    return modules - set(sys.stdlib_module_names) - {"fden_ros"}
+
+
+def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, **options
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    setup_version = re.search(r'version="([^"]+)"', (ROOT / "setup.py").read_text())
+    assert setup_version is not None
+    assert {
+        setup_version.group(1),
+        manifest().findtext("version"),
+        manifest("msg_defs/package.xml").findtext("version"),
+    } == {fden_ros.__version__}
+
+
+def test_package_xml_and_setup_py_ask_for_the_same_python_packages() -> None:
+    assert {ROSDEP_KEYS[name] for name in requirements()} <= dependencies("exec_depend")
+    assert {ROSDEP_KEYS[name] for name in requirements("test")} <= dependencies("test_depend")
+    python_keys = {
+        key
+        for key in dependencies("exec_depend") | dependencies("test_depend")
+        if key.startswith(("python3-", "mcap"))
+    }
+    assert python_keys <= {ROSDEP_KEYS[n] for n in requirements() | requirements("test")}
+
+
+def test_no_plain_requirement_brings_a_second_ros() -> None:
+    assert not [name for name in requirements() if name.startswith("ros-")]
+    assert "ros-jazzy-rclpy" in requirements("wheels")
+
+
+def test_every_import_is_declared() -> None:
+    python = {IMPORT_NAMES.get(name, name) for name in requirements()}
+    ros = {key for key in dependencies("exec_depend") if "-" not in key}
+    assert imported_modules("fden_ros", "launch") <= python | ros
+
+
+def test_the_core_and_the_simulation_know_no_ros_and_not_each_other() -> None:
+    ros = {key for key in dependencies("exec_depend") if "-" not in key}
+    assert not imported_modules("fden_ros/core", "fden_ros/simulation") & ros
+    for one, other in (("core", "simulation"), ("simulation", "core")):
+        for path in (ROOT / "fden_ros" / one).rglob("*.py"):
+            assert f"fden_ros.{other}" not in path.read_text(encoding="utf-8"), path
+
+
+def test_every_locked_package_is_pinned_and_no_index_is_named() -> None:
+    lines = (ROOT / "requirements" / "lock.txt").read_text().splitlines()
+    pins = [line for line in lines if line and not line.startswith("#")]
+    assert len(pins) > 100
+    for pin in pins:
+        assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*( ; [^:/]+)?", pin), pin
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "msg_defs" / "msg").glob("*.msg")), ids=str)
+def test_every_float_of_a_message_states_its_unit(path: Path) -> None:
+    field = re.compile(r"^float\d+(\[[^]]*\])?\s+(\w+)\s*(#.*)?$")
+    dimensionless_lists = {"probabilities"}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        match = field.match(line)
+        if match and match.group(2) not in dimensionless_lists:
+            assert re.search(r"\[[^]]+\]", match.group(3) or ""), f"{path.name}: {line}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "msg_defs" / "msg").glob("*.msg")), ids=str)
+def test_every_message_of_the_sources_is_built(path: Path) -> None:
+    import fden_msgs.msg
+
+    message = getattr(fden_msgs.msg, path.stem)()
+    fields = re.findall(
+        r"^(?!#)[\w/]+(?:\[\d*\])?\s+([a-z]\w*)\s*(?:#.*)?$",
+        path.read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
+    )
+    assert list(message.get_fields_and_field_types()) == fields
+
+
+def test_a_command_in_the_environment_keeps_dds_on_this_host_unless_told_otherwise(
+    tmp_path: Path,
+) -> None:
+    show = (ROOT / "scripts" / "ros_env", "printenv", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+    fresh = {key: value for key, value in os.environ.items() if not key.startswith("ROS_AUTO")}
+    assert run(*show, env=fresh, cwd=tmp_path).stdout == "LOCALHOST\n"
+    fresh["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
+    assert run(*show, env=fresh, cwd=tmp_path).stdout == "SUBNET\n"
+
+
+def test_a_command_in_the_environment_finds_the_messages_in_its_own_children(
+    tmp_path: Path,
+) -> None:
+    code = (
+        "import subprocess, sys; "
+        "sys.exit(subprocess.call(['python', '-c', 'import rclpy, fden_msgs.msg, fden_ros']))"
+    )
+    run(ROOT / "scripts" / "ros_env", "python", "-c", code, cwd=tmp_path)
+
+
+def test_colcon_builds_both_packages_into_a_workspace_that_ros_finds(tmp_path: Path) -> None:
+    install = tmp_path / "install"
+    run(
+        "colcon", "--log-base", tmp_path / "log", "build",
+        "--base-paths", ROOT, ROOT / "msg_defs",
+        "--build-base", tmp_path / "build", "--install-base", install,
+        "--cmake-args", f"-DPython3_EXECUTABLE={sys.executable}",
+        cwd=tmp_path,
+    )  # fmt: skip
+    for program in ("fden", "identifier"):
+        assert os.access(install / "fden_ros" / "lib" / "fden_ros" / program, os.X_OK)
+    share = install / "fden_ros" / "share"
+    assert (share / "ament_index/resource_index/packages/fden_ros").is_file()
+    for folder, pattern in (("launch", "*.launch.py"), ("config", "*.yaml"), ("bags", "*.yaml")):
+        shipped = {path.name for path in (share / "fden_ros" / folder).glob(pattern)}
+        assert shipped == {path.name for path in (ROOT / folder).glob(pattern)} != set()
+
+    sourced = f"source {install}/local_setup.bash && cd {tmp_path} && "
+    where = 'python -c "import fden_msgs.msg, fden_ros; print(fden_ros.__file__)"'
+    assert run("bash", "-c", sourced + where).stdout.startswith(str(install))
+    fden = install / "fden_ros" / "lib" / "fden_ros" / "fden"
+    assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
