@@ -43,14 +43,14 @@ from fden_ros.simulation.closed_form import (
     unit_legendre,
 )
 
-_MEMORY_NODES = 40
+_MEMORY_NODES = 24
 _SCAN_POINTS = 64
 _TIMES_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
 class Memory:
-    """The stress of all contacts so far, as the rule ``int f(s) g(s) ds = impulses @ g(times)``."""
+    """The stress of past contacts as the rule ``int f(s) g(s) ds = impulses @ g(times)``."""
 
     times: FloatArray = field(default_factory=lambda: np.empty(0))
     impulses: FloatArray = field(default_factory=lambda: np.empty(0))

@@ -102,17 +102,24 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
 
 def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> dict[str, Any]:
     """Return the identifier's parameters that fit a scenario, by their dotted names."""
-    geometry = scenario.geometry
-    parameters: dict[str, Any] = {"geometry.kind": geometry.kind}
-    if geometry.kind == "flat_punch":
-        parameters["geometry.area_m2"] = geometry.face_area_m2
-        parameters["geometry.thickness_m"] = geometry.thickness_m
-    elif geometry.kind == "sphere":
-        parameters["geometry.radius_m"] = geometry.radius_m
-    parameters["force.axis"] = list(scenario.force.axis)
-    parameters["displacement.axis"] = list(scenario.displacement.axis)
-    if scenario.displacement.delay_s:
-        parameters["displacement.delay_s"] = scenario.displacement.delay_s
+    geometry, force, displacement = scenario.geometry, scenario.force, scenario.displacement
+    dimensions = {
+        "flat_punch": {
+            "geometry.area": geometry.force_per_stress,
+            "geometry.thickness": geometry.length_m,
+        },
+        "sphere": {"geometry.radius": geometry.length_m},
+        "pass_through": {},
+    }
+    parameters: dict[str, Any] = {
+        "geometry.kind": geometry.kind,
+        **dimensions[geometry.kind],
+        "force.message": force.message,
+        "force.axis": list(force.axis),
+        "displacement.message": displacement.message,
+        "displacement.axis": list(displacement.axis),
+        "displacement.delay": displacement.delay_s,
+    }
     orders = {model.fractional_order for model in models}
     if len(orders) == 1:
         parameters["alpha.source"] = "given"
@@ -209,11 +216,8 @@ def _sampling(
     bound = _MAX_JITTER_PERIODS / sensor.rate_hz
     jitter = np.clip(sensor.jitter_s * generator.standard_normal(count), -bound, bound)
     jitter[:1] = np.abs(jitter[:1])
-    elapsed_ns: StampArray = np.rint((np.arange(count) / sensor.rate_hz + jitter) * 1e9).astype(
-        np.int64
-    )
-    times: FloatArray = elapsed_ns * 1e-9
-    return elapsed_ns, times
+    elapsed_ns = np.rint((np.arange(count) / sensor.rate_hz + jitter) * 1e9).astype(np.int64)
+    return elapsed_ns, elapsed_ns.astype(np.float64) * 1e-9
 
 
 def _kept(elapsed_ns: StampArray, dropouts: Sequence[Dropout], stream: str) -> NDArray[np.bool_]:

@@ -1,0 +1,258 @@
+"""The exact stress against arbitrary precision, known limits and another quadrature."""
+
+from __future__ import annotations
+
+import itertools
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import gamma
+
+from fden_ros.errors import InputError
+from fden_ros.simulation.closed_form import (
+    FdenModel,
+    LinearMove,
+    SineMove,
+    stress_of_moves,
+    stress_of_piecewise_linear_strain,
+    stress_of_sinusoidal_strain,
+)
+
+DIGITS = 30
+
+models = st.builds(FdenModel, st.floats(100.0, 2000.0), st.floats(4.0, 14.0), st.floats(0.02, 0.6))
+
+
+def kernel_integral(lam, tau, order):
+    """M(tau): the response to a rate exp(lam s) that began tau ago."""
+    if tau <= 0:
+        return mpmath.mpf(0)
+    power = 1 - order
+    return tau**power / mpmath.gamma(power + 1) * mpmath.hyp1f1(1, power + 1, lam * tau)
+
+
+def reference_stress(knot_times, knot_strains, time, model):
+    """The closed form by Kummer's function, with digits to spare for its cancellation."""
+    stiffness, nonlinear, order, time = map(
+        mpmath.mpf,
+        (model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order, float(time)),
+    )
+    total = mpmath.mpf(0)
+    knots = [
+        (mpmath.mpf(float(t)), mpmath.mpf(float(x)))
+        for t, x in zip(knot_times, knot_strains, strict=True)
+    ]
+    for (t0, x0), (t1, x1) in itertools.pairwise(knots):
+        rate = (x1 - x0) / (t1 - t0)
+        if rate == 0:
+            continue
+        crossings = [t0 + (level - x0) / rate for level in (-1 / nonlinear, 0, 1 / nonlinear)]
+        edges = sorted([t0, t1, *(t for t in crossings if t0 < t < t1)])
+        for start, stop in itertools.pairwise(edges):
+            if time <= start:
+                continue
+            middle = x0 + rate * ((start + stop) / 2 - t0)
+            amplitude, lam = stiffness * rate, mpmath.mpf(0)
+            if abs(middle) > 1 / nonlinear:
+                amplitude *= mpmath.exp(nonlinear * abs(x0 + rate * (start - t0)) - 1)
+                lam = mpmath.sign(middle) * nonlinear * rate
+            with mpmath.workdps(DIGITS + 10 + int(abs(lam) * (time - start) / 2)):
+                part = kernel_integral(lam, time - start, order)
+                growth = mpmath.exp(lam * (stop - start))
+                part -= growth * kernel_integral(lam, time - stop, order)
+            total += amplitude * part
+    return total
+
+
+def random_motion(generator):
+    count = generator.integers(2, 7)
+    knot_times = np.cumsum(np.r_[0.0, 10.0 ** generator.uniform(-1.0, 1.0, count)])
+    knot_strains = np.r_[0.0, generator.uniform(-0.4, 0.4, count)]
+    if count > 3:
+        knot_strains[2] = knot_strains[1]
+    return knot_times, knot_strains
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_stress_is_exact_under_random_piecewise_linear_strain(seed):
+    generator = np.random.default_rng(seed)
+    model = FdenModel(520.0, generator.uniform(4.0, 14.0), generator.uniform(0.02, 0.6))
+    knot_times, knot_strains = random_motion(generator)
+    first, last = knot_times[1], knot_times[-1] - knot_times[-2]
+    times = np.r_[
+        generator.uniform(0.0, 1.2 * knot_times[-1], 4),
+        first * np.array([1.0, 1.0 + 1e-9, 1.149]),
+        knot_times[-1] + last * np.array([0.0, 0.151, 0.99, 1.01]),
+    ]
+    dense = np.linspace(0.0, knot_times[-1], 2000)
+    peak = np.abs(stress_of_piecewise_linear_strain(knot_times, knot_strains, dense, model)).max()
+
+    stress = stress_of_piecewise_linear_strain(knot_times, knot_strains, times, model)
+
+    with mpmath.workdps(DIGITS):
+        exact = [reference_stress(knot_times, knot_strains, t, model) for t in times]
+        error = max(
+            abs(float(f - mpmath.mpf(float(g)))) for f, g in zip(exact, stress, strict=True)
+        )
+    assert error <= 1e-12 * peak
+
+
+@pytest.mark.parametrize("order", [0.02, 0.131, 0.6])
+def test_stress_of_a_long_hold_is_exact(order):
+    model = FdenModel(520.0, 14.0, order)
+    knot_times, knot_strains = [0.0, 1.0], [0.0, 0.3]
+    times = np.array([1.0, 1.2, 10.0, 1e3, 1e5])
+    stress = stress_of_piecewise_linear_strain(knot_times, knot_strains, times, model)
+    peak = stress[0]
+    c = 1 - mpmath.mpf(order)
+    with mpmath.workdps(DIGITS):
+
+        def rate(s):
+            inside = mpmath.mpf(520) * mpmath.mpf(0.3)
+            return inside * mpmath.exp(max(mpmath.mpf(14) * mpmath.mpf(0.3) * s - 1, 0))
+
+        boundary = 1 / (mpmath.mpf(14) * mpmath.mpf(0.3))
+        for time, value in zip(times[1:], stress[1:], strict=True):
+            exact = mpmath.quad(
+                lambda s, t=time: (mpmath.mpf(float(t)) - s) ** (c - 1) * rate(s), [0, boundary, 1]
+            ) / mpmath.gamma(c)
+            assert abs(float(exact - mpmath.mpf(float(value)))) <= 1e-12 * peak
+
+
+@pytest.mark.parametrize("offset, amplitude", [(0.0, 0.08), (0.0, 0.3), (0.2, 0.1), (-0.1, 0.15)])
+@pytest.mark.parametrize("order", [0.05, 0.131, 0.5])
+def test_stress_of_a_sine_is_exact(offset, amplitude, order):
+    model = FdenModel(520.0, 9.0, order)
+    frequency = 1.3
+    times = np.array([0.01, 0.19, 0.4, 0.95, 2.3])
+    stress = stress_of_sinusoidal_strain(offset, amplitude, frequency, times, model)
+    dense = np.linspace(0.01, 2.0, 500)
+    peak = np.abs(stress_of_sinusoidal_strain(offset, amplitude, frequency, dense, model)).max()
+
+    angular = 2 * mpmath.pi * mpmath.mpf(frequency)
+    c = 1 - mpmath.mpf(order)
+
+    def rate(s):
+        x = offset + amplitude * mpmath.sin(angular * s)
+        slope = 520 * mpmath.exp(max(9 * abs(x) - 1, 0))
+        return slope * amplitude * angular * mpmath.cos(angular * s)
+
+    levels = [(level - offset) / amplitude for level in (-1 / 9, 1 / 9)]
+    angles = [mpmath.asin(sine) for sine in levels if abs(sine) < 1]
+    corners = [
+        (phase + 2 * mpmath.pi * cycle) / angular
+        for angle in angles
+        for phase in (angle, mpmath.pi - angle)
+        for cycle in range(-1, 4)
+    ]
+    quarters = [mpmath.mpf(k) / (4 * mpmath.mpf(frequency)) for k in range(1, 13)]
+    with mpmath.workdps(20):
+        for time, value in zip(times, stress, strict=True):
+            t = mpmath.mpf(float(time))
+            edges = sorted([mpmath.mpf(0), t, *(e for e in corners + quarters if 0 < e < t)])
+            # With u = (t - s)^c the kernel's singularity is gone.
+            exact = mpmath.fsum(
+                mpmath.quad(lambda u, t=t: rate(t - u ** (1 / c)), [(t - b) ** c, (t - a) ** c])
+                for a, b in itertools.pairwise(edges)
+            ) / mpmath.gamma(c + 1)
+            exact += mpmath.mpf(float(model.phi(offset))) * t ** (c - 1) / mpmath.gamma(c)
+            assert abs(float(exact - mpmath.mpf(float(value)))) <= 1e-12 * peak
+
+
+@given(models, st.floats(1e-3, 10.0), st.floats(0.05, 0.99))
+def test_ramp_below_the_boundary_strain_is_a_power_law(model, rate, share):
+    time = share * model.boundary_strain / rate
+    stress = stress_of_piecewise_linear_strain(
+        [0.0, 2.0 * time], [0.0, 2.0 * time * rate], time, model
+    )
+    order = model.fractional_order
+    expected = model.linear_stiffness * rate * time ** (1.0 - order) / gamma(2.0 - order)
+    assert stress == pytest.approx(expected, rel=1e-12)
+
+
+@given(models, st.floats(0.05, 0.3))
+def test_stress_long_after_a_ramp_is_the_relaxation_of_a_step(model, strain):
+    stress = stress_of_piecewise_linear_strain([0.0, 1e-6], [0.0, strain], 1.0, model)
+    order = model.fractional_order
+    assert stress == pytest.approx(float(model.phi(strain)) / gamma(1.0 - order), rel=1e-5)
+
+
+@given(models, st.integers(0, 10_000))
+def test_stress_is_odd_in_strain(model, seed):
+    knot_times, knot_strains = random_motion(np.random.default_rng(seed))
+    times = np.linspace(0.0, 1.1 * knot_times[-1], 50)
+    there = stress_of_piecewise_linear_strain(knot_times, knot_strains, times, model)
+    mirrored = stress_of_piecewise_linear_strain(knot_times, -knot_strains, times, model)
+    np.testing.assert_array_equal(mirrored, -there)
+
+
+@given(models)
+def test_phi_is_odd_and_smooth_at_the_boundary_strain(model):
+    boundary, step = model.boundary_strain, 1e-7
+    strains = np.linspace(-0.5, 0.5, 101)
+    np.testing.assert_array_equal(model.phi(-strains), -model.phi(strains))
+    for edge in (-boundary, boundary):
+        below, above = model.phi(edge - step), model.phi(edge + step)
+        assert above - below == pytest.approx(2.0 * step * model.linear_stiffness, rel=1e-5)
+        slopes = model.phi_derivative([edge - step, edge + step])
+        assert slopes[0] == pytest.approx(slopes[1], rel=1e-5)
+
+
+@given(models, st.floats(-0.5, 0.5))
+def test_strain_of_phi_inverts_phi(model, strain):
+    assert model.strain_of_phi(model.phi(strain)) == pytest.approx(strain, rel=1e-12, abs=1e-15)
+
+
+def test_phi_derivative_is_the_slope_of_phi():
+    model = FdenModel(520.0, 8.5, 0.131)
+    strains = np.linspace(-0.4, 0.4, 81)
+    slope = (model.phi(strains + 1e-6) - model.phi(strains - 1e-6)) / 2e-6
+    np.testing.assert_allclose(model.phi_derivative(strains), slope, rtol=1e-6)
+
+
+def test_cutting_a_move_in_two_changes_nothing():
+    model = FdenModel(520.0, 8.5, 0.131)
+    times = np.linspace(0.0, 3.0, 301)
+    for move in (LinearMove(0.0, 2.0, 0.0, 0.3), SineMove(0.0, 2.0, 0.1, 0.2, 0.7, 0.0)):
+        whole = stress_of_moves([move], times, model)
+        halves = stress_of_moves([move.between(0.0, 0.77), move.between(0.77, 2.0)], times, model)
+        np.testing.assert_allclose(halves, whole, rtol=0.0, atol=1e-12 * np.abs(whole).max())
+
+
+def test_times_may_come_in_any_order_and_shape():
+    model = FdenModel(520.0, 8.5, 0.131)
+    times = np.linspace(-1.0, 5.0, 24)
+    shuffled = np.random.default_rng(0).permutation(times).reshape(4, 6)
+    knots = [0.0, 1.0, 2.0, 2.5], [0.0, 0.3, 0.3, 0.1]
+    in_order = stress_of_piecewise_linear_strain(*knots, times, model)
+    by_time = dict(zip(times, in_order, strict=True))
+    stress = stress_of_piecewise_linear_strain(*knots, shuffled, model)
+    assert stress.shape == (4, 6)
+    np.testing.assert_allclose(stress, np.vectorize(by_time.get)(shuffled), rtol=1e-13)
+    assert np.all(stress[shuffled <= 0.0] == 0.0)
+
+
+@pytest.mark.parametrize(
+    "knot_times, knot_strains, complaint",
+    [
+        ([0.0, 1.0], [0.0], "as many"),
+        ([0.0, 0.0], [0.0, 0.1], "increasing"),
+        ([0.0, 1.0], [0.1, 0.2], "must be 0"),
+    ],
+)
+def test_knots_that_make_no_motion_are_refused(knot_times, knot_strains, complaint):
+    with pytest.raises(InputError, match=complaint):
+        stress_of_piecewise_linear_strain(
+            knot_times, knot_strains, [1.0], FdenModel(520.0, 8.5, 0.131)
+        )
+
+
+@pytest.mark.parametrize(
+    "parameters", [(0.0, 8.5, 0.1), (520.0, -1.0, 0.1), (520.0, 8.5, 1.0), (520.0, 8.5, np.nan)]
+)
+def test_a_tissue_that_cannot_be_is_refused(parameters):
+    with pytest.raises(InputError, match="must"):
+        FdenModel(*parameters)

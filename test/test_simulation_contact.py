@@ -1,0 +1,177 @@
+"""Contact that cannot pull: against the law itself, and against time stepping on a fine grid."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.special import gamma, roots_jacobi
+
+from fden_ros.simulation.closed_form import FdenModel, pieces_of, stress_of_moves
+from fden_ros.simulation.contact import contacts_of_moves
+from fden_ros.simulation.trajectory import Approach, Palpation, Path, Ramp, RampHold, Sinusoid
+
+TISSUES = [(0.02, 6.0), (0.131, 8.5), (0.32, 12.0), (0.6, 10.0)]
+QUICK_PALPATION = Palpation(
+    strain_rate=0.5, max_strain=0.25, hold_s=0.3, presses=3, pause_s=0.2, lift_m=0.002
+)
+
+
+def moves_over_fresh_tissue(trajectory):
+    path = Path(strain=-0.1, length_m=0.02)
+    path.rest(0.1)
+    trajectory.press(path, Approach(distance_m=0.002, slow_distance_m=0.001))
+    path.rest(0.2)
+    return path.moves
+
+
+def strain_at(moves, times):
+    strain = np.empty_like(times)
+    for move in moves:
+        during = (times >= move.start) & (times <= move.stop)
+        strain[during] = move.strain_at(times[during])
+    return strain
+
+
+def fractional_stress(history, time):
+    """D^-alpha of the stress at `time`: Gauss-Jacobi last, else tanh-sinh."""
+    model = history.model
+    order = model.fractional_order
+    k = 0.025 * np.arange(-160, 161)
+    from_end = 1.0 / (1.0 + np.exp(np.pi * np.sinh(k)))
+    weights = 0.025 * np.pi / 4.0 * np.cosh(k) / np.cosh(0.5 * np.pi * np.sinh(k)) ** 2
+    end_nodes, end_weights = roots_jacobi(40, order - 1.0, 0.0)
+    total = 0.0
+    for contact in history.contacts:
+        for piece in (p for move in contact.moves for p in pieces_of(move, model)):
+            start, stop = piece.start, piece.stop
+            if start >= time:
+                continue
+            if time <= stop:
+                stop = 0.5 * (start + time)
+                nodes = stop + (time - stop) * 0.5 * (1.0 + end_nodes)
+                half = 0.5 * (time - stop)
+                total += half**order * end_weights @ contact.stress(nodes, model)
+            length = stop - start
+            nodes = start + length * (1.0 - from_end)
+            inside = (nodes > start) & (nodes < stop)
+            age = (time - stop) + length * from_end[inside]
+            stress = contact.stress(nodes[inside], model)
+            total += length * np.sum(weights[inside] * stress * age ** (order - 1.0))
+    return total / gamma(order)
+
+
+def stepped_stress(strain, step, model):
+    """Full-memory time stepping (L1 scheme) with the complementarity of contact at every step."""
+    order = model.fractional_order
+    count = np.arange(strain.size)
+    power = 1.0 - order
+    weights = ((count + 1.0) ** power - count**power) * step**-order / gamma(2.0 - order)
+    phi, change, stress = (np.zeros(strain.size) for _ in range(3))
+    probe = model.phi(strain)
+    for i in range(1, strain.size):
+        past = change[1:i] @ weights[i - 1 : 0 : -1]
+        pressed = past + weights[0] * (probe[i] - phi[i - 1])
+        stress[i] = max(pressed, 0.0)
+        phi[i] = probe[i] if pressed > 0.0 else phi[i - 1] - past / weights[0]
+        change[i] = phi[i] - phi[i - 1]
+    return stress
+
+
+@pytest.mark.parametrize("order, nonlinear", TISSUES)
+def test_fractional_integral_of_the_stress_is_phi_of_the_probe_in_every_contact(order, nonlinear):
+    model = FdenModel(520.0, nonlinear, order)
+    moves = moves_over_fresh_tissue(QUICK_PALPATION)
+    history = contacts_of_moves(moves, model)
+    assert len(history.contacts) == 3
+    peak = model.phi(0.25)
+    for contact in history.contacts:
+        shares = np.array([0.003, 0.05, 0.3, 0.55, 0.8, 0.97])
+        times = contact.start + (contact.stop - contact.start) * shares
+        law = model.phi(strain_at(moves, times))
+        integral = [fractional_stress(history, time) for time in times]
+        np.testing.assert_allclose(integral, law, rtol=0.0, atol=1e-9 * peak)
+
+
+@pytest.mark.parametrize("order, nonlinear", TISSUES)
+def test_free_surface_lies_below_the_probe_in_the_air_and_at_it_on_touch(order, nonlinear):
+    model = FdenModel(520.0, nonlinear, order)
+    moves = moves_over_fresh_tissue(QUICK_PALPATION)
+    contacts = contacts_of_moves(moves, model).contacts
+    for before, after in itertools.pairwise(contacts):
+        flight = np.linspace(before.stop, after.start, 100)[1:]
+        surface = after.memory.free_phi(flight, model)
+        probe = model.phi(strain_at(moves, flight))
+        assert np.all(probe[:-1] < surface[:-1])
+        assert np.all(np.diff(surface) < 0.0)
+        assert probe[-1] == pytest.approx(surface[-1], rel=1e-9)
+
+
+@pytest.mark.parametrize("order, tolerance", [(0.02, 1e-5), (0.131, 1e-4), (0.32, 1e-3)])
+def test_stress_agrees_with_time_stepping(order, tolerance):
+    model = FdenModel(520.0, 8.5, order)
+    moves = moves_over_fresh_tissue(QUICK_PALPATION)
+    times = np.arange(0.0, moves[-1].stop, 5e-4)
+    stress = contacts_of_moves(moves, model).stress(times)
+    stepped = stepped_stress(strain_at(moves, times), 5e-4, model)
+    # The stepping is of first order just after a change of velocity: that sets the bound.
+    assert np.abs(stress - stepped).max() <= tolerance * stress.max()
+    assert np.sqrt(np.mean((stress - stepped) ** 2)) <= 0.05 * tolerance * stress.max()
+
+
+def test_stress_is_that_of_bilateral_contact_until_the_release():
+    model = FdenModel(520.0, 8.5, 0.131)
+    moves = moves_over_fresh_tissue(RampHold(strain_rate=0.2, max_strain=0.3, hold_s=0.5))
+    (contact,) = contacts_of_moves(moves, model).contacts
+    times = np.linspace(contact.start, contact.stop, 500)[1:-1]
+    pressing = [move.between(max(move.start, contact.start), move.stop) for move in moves[2:]]
+    bilateral = stress_of_moves(pressing, times, model)
+    stress = contacts_of_moves(moves, model).stress(times)
+    np.testing.assert_allclose(stress, bilateral, rtol=0.0, atol=1e-12 * stress.max())
+    later = contact.stop + np.array([1e-6, 0.05])
+    assert np.all(stress_of_moves(pressing, later, model) < 0.0)
+    assert np.all(contacts_of_moves(moves, model).stress(later) == 0.0)
+
+
+def test_touch_is_where_the_probe_passes_the_surface():
+    model = FdenModel(520.0, 8.5, 0.131)
+    moves = moves_over_fresh_tissue(Ramp(strain_rate=0.1, max_strain=0.3))
+    (contact,) = contacts_of_moves(moves, model).contacts
+    assert strain_at(moves, np.array([contact.start]))[0] == pytest.approx(0.0, abs=1e-12)
+    assert contact.max_strain(model) == pytest.approx(0.3)
+
+
+def test_a_sine_of_large_amplitude_leaves_the_tissue_in_every_cycle():
+    model = FdenModel(520.0, 8.5, 0.131)
+    sine = Sinusoid(strain_rate=0.1, mean_strain=0.1, amplitude=0.08, frequency_hz=1.0, cycles=5)
+    moves = moves_over_fresh_tissue(sine)
+    history = contacts_of_moves(moves, model)
+    assert len(history.contacts) >= 5
+    times = np.arange(0.0, moves[-1].stop, 1e-3)
+    stepped = stepped_stress(strain_at(moves, times), 1e-3, model)
+    stress = history.stress(times)
+    assert np.abs(stress - stepped).max() <= 1e-3 * stress.max()
+
+
+def test_the_surface_rises_to_meet_a_probe_that_waits_in_the_dent():
+    model = FdenModel(520.0, 8.5, 0.131)
+    path = Path(strain=0.0, length_m=0.02)
+    path.go(0.3, 1.0)
+    path.rest(2.0)
+    path.go(0.06, 2.0)
+    path.rest(5.0)
+    history = contacts_of_moves(path.moves, model)
+    assert len(history.contacts) == 2
+    assert history.contacts[1].start > path.moves[-1].start
+    late = history.stress(np.array([path.time - 0.1]))
+    assert 0.0 < late[0] < 0.1 * history.stress(np.array([1.0]))[0]
+
+
+def test_a_probe_that_stays_in_the_air_touches_nothing():
+    path = Path(strain=-0.5, length_m=0.02)
+    path.go(-0.1, 0.2)
+    path.go(-0.4, 0.2)
+    history = contacts_of_moves(path.moves, FdenModel(520.0, 8.5, 0.131))
+    assert history.contacts == ()
+    assert not history.stress(np.linspace(0.0, path.time, 50)).any()
