@@ -426,7 +426,7 @@ def _up_to_now(
     nodes, weights = _jacobi(alpha)
     elapsed = times - start
     values = phi_rate(times[:, None] - elapsed[:, None] * nodes)
-    return elapsed ** (1.0 - alpha) * (values @ weights)
+    return elapsed ** (1.0 - alpha) * weighted_sums(values, weights)
 
 
 def _past(
@@ -440,7 +440,14 @@ def _past(
     unit_nodes, unit_weights = unit_legendre(count)
     length = piece.stop - piece.start
     nodes = piece.start + length * unit_nodes
-    return (times[:, None] - nodes) ** -alpha @ (length * unit_weights * phi_rate(nodes))
+    kernel = (times[:, None] - nodes) ** -alpha
+    return weighted_sums(kernel, length * unit_weights * phi_rate(nodes))
+
+
+def weighted_sums(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the sum of each row of `values` (n, m) under `weights` (m,)."""
+    # Not a BLAS product: its rounding depends on the number of threads, and bags must not.
+    return np.einsum("ij,j->i", values, weights)
 
 
 @lru_cache(maxsize=256)

@@ -41,6 +41,7 @@ from fden_ros.simulation.closed_form import (
     pieces_of,
     stress_of_moves,
     unit_legendre,
+    weighted_sums,
 )
 
 _MEMORY_NODES = 24
@@ -59,7 +60,7 @@ class Memory:
         """Return phi of the free surface at `times` after the last release, in Pa·s^alpha."""
         alpha = model.fractional_order
         past = times[:, None] - self.times
-        return past ** (alpha - 1.0) @ self.impulses / gamma(alpha)
+        return weighted_sums(past ** (alpha - 1.0), self.impulses) / gamma(alpha)
 
     def stress(self, times: FloatArray, touch: float, model: FdenModel) -> FloatArray:
         """Return what earlier contacts add to the stress at `times` in a contact since `touch`."""
@@ -70,7 +71,7 @@ class Memory:
         sums = np.empty_like(times)
         for first in range(0, times.size, _TIMES_AT_ONCE):
             some = slice(first, first + _TIMES_AT_ONCE)
-            sums[some] = (1.0 / (times[some, None] - self.times)) @ weights
+            sums[some] = weighted_sums(1.0 / (times[some, None] - self.times), weights)
         return np.sin(np.pi * alpha) / np.pi * (times - touch) ** (1.0 - alpha) * sums
 
 
