@@ -33,8 +33,8 @@ def write_recording(
     """Write a simulated recording as a rosbag2 folder.
 
     The truth is the first message, JSON in a latched ``std_msgs/String`` on `TRUTH_TOPIC`; a
-    parameter file for the identifier, ``identifier.yaml``, lies beside the bag's own files. Times of
-    recording equal the header stamps.
+    parameter file for the identifier, ``identifier.yaml``, lies beside the bag's own files. Times
+    of recording equal the header stamps.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ def _parameter_file(recording: Recording) -> str:
     )
 
 
-# From a sample to a message. Every maker fills one message again and again: it is serialised before
-# the next sample is asked for.
+# From a sample to a message. Every maker fills one message again and again: it is serialised
+# before the next sample is asked for.
 
 
 def _force_wrench(stream: Stream) -> Callable[[int], WrenchStamped]:

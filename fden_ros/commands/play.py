@@ -1,0 +1,203 @@
+"""``fden play``: publish a bag on live topics."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from fden_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from fden_ros.nodes.player import Player
+
+DESCRIPTION = """\
+Publish a bag on live topics: the recorded bytes, at the recorded pace, with the quality of service
+that the recorded publishers offered. Playing begins when every force and displacement topic has a
+subscriber, and ends when reliable subscribers have received everything.
+"""
+
+EPILOG = """\
+examples:
+  fden play ramp_bag                            as recorded
+  fden play ramp_bag --rate 5 --clock           five times faster; nodes with use_sim_time follow
+  fden play ramp_bag --remap /force:=/ft/wrench /displacement:=/arm/joints
+  fden play ramp_bag --loop --no-wait           again and again, with the same stamps, until Ctrl-C
+
+`--rate inf` sends as fast as subscribers acknowledge: they need queues as deep as the bag is long,
+and on best-effort topics messages get lost.
+"""
+
+_DEFAULT_CLOCK_HZ = 100.0
+_BAR_PERIOD_S = 0.1
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "play",
+        help="publish a bag on live topics",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", metavar="BAG", help="a rosbag2 folder or an .mcap file")
+    parser.add_argument(
+        "--rate",
+        type=_positive_or_inf,
+        default=1.0,
+        metavar="R",
+        help="speed, or inf (default: 1)",
+    )
+    parser.add_argument("--loop", action="store_true", help="play again and again")
+    parser.add_argument(
+        "--clock",
+        type=_positive,
+        nargs="?",
+        const=_DEFAULT_CLOCK_HZ,
+        metavar="HZ",
+        help=f"publish the bag's time on /clock (default: {_DEFAULT_CLOCK_HZ:g} times a second)",
+    )
+    parser.add_argument(
+        "--topics", nargs="+", action="extend", metavar="TOPIC", help="play only these topics"
+    )
+    parser.add_argument(
+        "--remap",
+        type=_remapping,
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FROM:=TO",
+        help="publish a topic under another name",
+    )
+    waiting = parser.add_mutually_exclusive_group()
+    waiting.add_argument(
+        "--wait-for",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="subscribers that each force and displacement topic must have first (default: 1)",
+    )
+    waiting.add_argument("--no-wait", action="store_true", help="begin without subscribers")
+    parser.add_argument(
+        "--timeout",
+        type=_positive,
+        default=30.0,
+        metavar="S",
+        help="how long to wait for subscribers (default: 30 s)",
+    )
+    parser.add_argument(
+        "--delay",
+        type=_not_negative,
+        default=0.5,
+        metavar="S",
+        help="pause between finding the subscribers and the first message (default: 0.5 s)",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play the bag; return the exit code."""
+    from fden_ros.nodes.player import Player
+    from fden_ros.recording.reader import BagReader
+
+    bag = BagReader(args.bag)
+    player = Player(
+        bag, rate=args.rate, topics=args.topics, remap=dict(args.remap), clock_hz=args.clock
+    )
+    if player.message_count == 0:
+        raise InputError(f"{args.bag} holds no message to play: choose another bag")
+    for warning in (*bag.warnings, *player.warnings):
+        _say(f"warning: {warning}")
+    told = len(player.warnings)
+    with player:
+        if not args.no_wait and player.input_topics:
+            _say(f"waiting for subscribers to {', '.join(player.input_topics)} ...")
+            player.wait_for_subscribers(args.wait_for, args.timeout)
+        time.sleep(args.delay)
+        while True:
+            began = time.monotonic()
+            with _progress(player) as on_progress:
+                sent = player.play(on_progress)
+            _say(f"sent {sent} messages in {time.monotonic() - began:.1f} s")
+            if not args.loop:
+                break
+    for warning in player.warnings[told:]:
+        _say(f"warning: {warning}")
+    return 0
+
+
+@contextmanager
+def _progress(player: Player) -> Iterator[Callable[[int, float], None] | None]:
+    """Show a bar on a terminal, and nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns = (
+        BarColumn(),
+        TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[sent]} messages"),
+    )
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
+        task = bar.add_task("", total=player.duration_s, sent=0)
+        shown = 0.0
+
+        def show(sent: int, elapsed_s: float) -> None:
+            nonlocal shown
+            now = time.monotonic()
+            if now - shown >= _BAR_PERIOD_S or sent == player.message_count:
+                shown = now
+                bar.update(task, completed=elapsed_s, sent=sent, refresh=True)
+
+        yield show
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a number, got {text!r}") from None
+
+
+def _positive_or_inf(text: str) -> float:
+    value = _number(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"expected a number above 0 or inf, got {text!r}")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, got {text!r}")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
+    return int(text)
+
+
+def _remapping(text: str) -> tuple[str, str]:
+    old, separator, new = text.partition(":=")
+    if not (old and separator and new):
+        raise argparse.ArgumentTypeError(f"expected FROM:=TO, got {text!r}")
+    return old, new

@@ -1,0 +1,347 @@
+"""Playing a bag on live topics, as ``ros2 bag play`` does where that exists."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from fden_ros.errors import InputError
+from fden_ros.recording.definitions import message_class
+from fden_ros.recording.qos import RELIABLE, Qos
+from fden_ros.recording.reader import BagReader, Topic
+
+INPUT_TYPES = frozenset(
+    {
+        "geometry_msgs/msg/WrenchStamped",
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/TransformStamped",
+        "geometry_msgs/msg/PointStamped",
+        "sensor_msgs/msg/JointState",
+    }
+)
+"""Types that carry force or displacement."""
+
+DEFAULT_CLOCK_HZ = 100.0
+# A subscriber is matched here a little before it has matched us, and what a best-effort topic
+# carries in between is lost: nothing in ROS reports the other side's match.
+DEFAULT_DELAY_S = 0.5
+
+_POLL_S = 0.02
+# Reliable queues hold this many messages. Acknowledgement is awaited at half of it, so that a
+# fast player never overwrites what a subscriber has not received.
+_QUEUE = 2000
+_ACKNOWLEDGE_EVERY = _QUEUE // 2
+_ACKNOWLEDGE_TIMEOUT_S = 5.0
+_NS_PER_S = 1_000_000_000
+
+
+class Player:
+    """Publish a bag with the recorded bytes, quality of service and pace.
+
+    The player owns an rclpy context, so it can live beside other nodes of the process. Messages are
+    paced by log time on the steady clock; a late message goes out at once and none is dropped.
+    Header stamps stay as recorded, also when the bag is played again.
+
+    Parameters
+    ----------
+    bag
+        The bag, or its path.
+    rate
+        Speed (1: as recorded); ``math.inf`` plays as fast as subscribers acknowledge.
+    topics
+        Names of the topics to play; all when None.
+    remap
+        New names of topics.
+    clock_hz
+        Publish the bag's time on ``/clock`` so often a second; None: not at all.
+    domain_id
+        The ROS domain; None: the environment's.
+
+    Raises
+    ------
+    InputError
+        When the bag, a topic or a value cannot be used.
+
+    Examples
+    --------
+    >>> with Player("ramp") as player:                                      # doctest: +SKIP
+    ...     player.wait_for_subscribers()
+    ...     player.play()
+    """
+
+    def __init__(
+        self,
+        bag: BagReader | str | Path,
+        *,
+        rate: float = 1.0,
+        topics: Collection[str] | None = None,
+        remap: Mapping[str, str] | None = None,
+        clock_hz: float | None = None,
+        domain_id: int | None = None,
+    ) -> None:
+        if not rate > 0.0:
+            raise InputError(f"rate {rate:g} cannot be played: expected a number above 0, or inf")
+        if clock_hz is not None and not 0.0 < clock_hz < math.inf:
+            raise InputError(f"clock rate {clock_hz:g} Hz is not possible: expected above 0")
+        self.bag = bag if isinstance(bag, BagReader) else BagReader(bag)
+        self._rate = rate
+        self._clock_hz = clock_hz
+        self._domain_id = domain_id
+        self._warnings: list[str] = []
+        self._topics = self._select(topics)
+        self._names = {topic.name: topic.name for topic in self._topics}
+        for old, new in (remap or {}).items():
+            self.bag.topic(old)
+            self._names[old] = new
+        self._publishers: dict[tuple[str, str], Any] = {}
+        self._clock: Any = None
+        self._stop = threading.Event()
+        self._unacknowledged = 0
+        self._is_acknowledged = True
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What cannot be played or may not have arrived, a line each."""
+        return tuple(self._warnings)
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """The topics that are played, with their names in the bag."""
+        return self._topics
+
+    @property
+    def message_count(self) -> int:
+        """Messages in one pass."""
+        return sum(topic.message_count for topic in self._topics)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the bag (s), at rate 1."""
+        return ((self.bag.end_ns or 0) - (self.bag.start_ns or 0)) / _NS_PER_S
+
+    @property
+    def input_topics(self) -> tuple[str, ...]:
+        """Live names of the topics that carry force or displacement."""
+        return tuple(
+            self._names[topic.name] for topic in self._topics if topic.type_name in INPUT_TYPES
+        )
+
+    def __enter__(self) -> Player:
+        """Start the node and its publishers."""
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.signals import SignalHandlerOptions
+
+        self._context = Context()
+        # Interrupts stay with Python, so that they end a wait at once.
+        rclpy.init(
+            args=[],
+            context=self._context,
+            domain_id=self._domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        try:
+            self._advertise()
+        except BaseException:
+            rclpy.shutdown(context=self._context)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        exception_type: type[BaseException] | None,
+        exception: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Destroy the node; latched messages vanish with it."""
+        import rclpy
+
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def stop(self) -> None:
+        """End waiting and playing, from any thread."""
+        self._stop.set()
+
+    def wait_for_subscribers(self, count: int = 1, timeout_s: float = 30.0) -> None:
+        """Wait until every force and displacement topic has enough subscribers.
+
+        Parameters
+        ----------
+        count
+            Subscribers that each of `input_topics` must have.
+        timeout_s
+            How long to wait (s).
+
+        Raises
+        ------
+        InputError
+            When a topic still lacks subscribers; it says which, and whether one is incompatible.
+        """
+        deadline = time.monotonic() + timeout_s
+        while lacking := self._lacking(count):
+            if self._stop.wait(_POLL_S):
+                return
+            if time.monotonic() > deadline:
+                raise InputError(
+                    f"fewer than {count} subscribers to {', '.join(lacking)} after {timeout_s:g} s: "
+                    f"start them first, or do not wait (--no-wait){self._incompatible(lacking)}"
+                )
+
+    def play(self, on_progress: Callable[[int, float], None] | None = None) -> int:
+        """Publish the bag once, and wait until reliable subscribers have everything.
+
+        Parameters
+        ----------
+        on_progress
+            Called after every message with the number of messages sent and the time within the
+            bag (s).
+
+        Returns
+        -------
+        int
+            Number of messages sent.
+        """
+        start_ns = self.bag.start_ns
+        if start_ns is None:
+            return 0
+        began = time.monotonic()
+        clock_step_ns = self._clock_step_ns()
+        next_clock_ns = start_ns
+        sent = 0
+        for message in self.bag.messages([topic.name for topic in self._topics]):
+            while self._clock is not None and next_clock_ns <= message.log_time_ns:
+                self._sleep_until(began, next_clock_ns - start_ns)
+                self._publish_clock(next_clock_ns)
+                next_clock_ns += clock_step_ns
+            self._sleep_until(began, message.log_time_ns - start_ns)
+            if self._stop.is_set():
+                break
+            self._publishers[message.topic, message.type_name].publish(message.data)
+            sent += 1
+            self._limit_backlog()
+            if on_progress is not None:
+                on_progress(sent, (message.log_time_ns - start_ns) / _NS_PER_S)
+        self.wait_until_acknowledged()
+        return sent
+
+    def wait_until_acknowledged(self, timeout_s: float = _ACKNOWLEDGE_TIMEOUT_S) -> bool:
+        """Wait until reliable subscribers have received all messages; return whether they have."""
+        from rclpy.duration import Duration
+
+        deadline = time.monotonic() + timeout_s
+        self._unacknowledged = 0
+        late = [
+            publisher.topic_name
+            for publisher in self._publishers.values()
+            if not publisher.wait_for_all_acked(
+                Duration(seconds=max(0.0, deadline - time.monotonic()))
+            )
+        ]
+        if late and self._is_acknowledged:
+            self._warnings.append(f"a subscriber to {', '.join(late)} does not keep up")
+        self._is_acknowledged = not late
+        return not late
+
+    def _advertise(self) -> None:
+        import rclpy
+
+        self._node = rclpy.create_node(
+            "fden_player",
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        for topic in self._topics:
+            self._publishers[topic.name, topic.type_name] = self._node.create_publisher(
+                message_class(topic.type_name),
+                self._names[topic.name],
+                _offer(topic.offered_qos).to_profile(),
+            )
+        if self._clock_hz is not None:
+            from rosgraph_msgs.msg import Clock
+
+            self._clock = self._node.create_publisher(Clock, "/clock", RELIABLE.to_profile())
+
+    def _lacking(self, count: int) -> list[str]:
+        return [
+            publisher.topic_name
+            for (_, type_name), publisher in self._publishers.items()
+            if type_name in INPUT_TYPES and publisher.get_subscription_count() < count
+        ]
+
+    def _incompatible(self, topics: Collection[str]) -> str:
+        """Return why a subscriber that is there may not be matched; empty when there is none."""
+        for publisher in self._publishers.values():
+            topic = publisher.topic_name
+            if topic not in topics or publisher.get_subscription_count() > 0:
+                continue
+            for endpoint in self._node.get_subscriptions_info_by_topic(topic):
+                qos = endpoint.qos_profile
+                return (
+                    f"; {endpoint.node_name} asks {topic} for {qos.reliability.name.lower()}, "
+                    f"{qos.durability.name.lower()}, which the bag does not offer"
+                )
+        return ""
+
+    def _sleep_until(self, began: float, elapsed_ns: int) -> None:
+        if math.isinf(self._rate):
+            return
+        delay = began + elapsed_ns / _NS_PER_S / self._rate - time.monotonic()
+        if delay > 0.0:
+            self._stop.wait(delay)
+
+    def _clock_step_ns(self) -> int:
+        if self._clock_hz is None:
+            return 0
+        rate = 1.0 if math.isinf(self._rate) else self._rate
+        return max(1, round(_NS_PER_S * rate / self._clock_hz))
+
+    def _publish_clock(self, stamp_ns: int) -> None:
+        from builtin_interfaces.msg import Time
+        from rosgraph_msgs.msg import Clock
+
+        sec, nanosec = divmod(stamp_ns, _NS_PER_S)
+        self._clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+
+    def _limit_backlog(self) -> None:
+        self._unacknowledged += 1
+        if self._unacknowledged >= _ACKNOWLEDGE_EVERY:
+            # A subscriber that hangs delays the others once, not again and again.
+            self.wait_until_acknowledged(_ACKNOWLEDGE_TIMEOUT_S if self._is_acknowledged else 0.0)
+
+    def _select(self, names: Collection[str] | None) -> tuple[Topic, ...]:
+        for name in names or ():
+            message_class(self.bag.topic(name).type_name)
+        selected = []
+        for topic in self.bag.topics:
+            if names is not None and topic.name not in names:
+                continue
+            try:
+                message_class(topic.type_name)
+            except InputError as error:
+                self._warnings.append(f"{topic.name} is not played: {error}")
+                continue
+            selected.append(topic)
+        if not selected:
+            raise InputError(f"{self.bag.path} has no topic that can be played: choose another")
+        return tuple(selected)
+
+
+def _offer(recorded: Collection[Qos]) -> Qos:
+    """Return one offer that suits the subscribers of all recorded ones, with a deep queue."""
+    if not recorded:
+        return replace(RELIABLE, depth=_QUEUE)
+    latched = all(qos.latched for qos in recorded)
+    # The depth of a latched topic says how many old messages a late subscriber gets: it stays.
+    return Qos(
+        reliability="reliable" if all(qos.reliable for qos in recorded) else "best_effort",
+        durability="transient_local" if latched else "volatile",
+        depth=max(qos.depth for qos in recorded) if latched else _QUEUE,
+    )
