@@ -21,9 +21,9 @@ python_identity() {
 digest() { sha256sum | cut -c 1-16; }
 
 # What each step of the set-up depends on. The folder counts: scripts of a virtual environment hold its path.
-base_key() { (cd "$root" && { echo "$route $root $1"; cat scripts/setup requirements/lock.txt; } | digest); }
+base_key() { (cd "$root" && { echo "$route $root $1"; cat scripts/setup scripts/*.py requirements/lock.txt; } | digest); }
 messages_key() { (cd "$root" && { base_key "$1"; cat msg_defs/*.* msg_defs/msg/*; ls msg_defs/msg; } | digest); }
-project_key() { (cd "$root" && { base_key "$1"; cat setup.py setup.cfg pyproject.toml package.xml; } | digest); }
+project_key() { (cd "$root" && { base_key "$1"; cat setup.py setup.cfg package.xml; } | digest); }
 
 is_current() { # STEP KEY
     [[ -r $stamps/$1 && $(<"$stamps/$1") == "$2" ]]
