@@ -33,19 +33,20 @@ DEFAULT_CLOCK_HZ = 100.0
 DEFAULT_DELAY_S = 0.5
 
 _POLL_S = 0.02
-# Reliable queues hold this many messages. Acknowledgement is awaited at half of it, so that a
-# fast player never overwrites what a subscriber has not received.
-_QUEUE = 2000
-_ACKNOWLEDGE_EVERY = _QUEUE // 2
-_ACKNOWLEDGE_TIMEOUT_S = 5.0
+# What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:
+# faster than this (messages per second) a subscriber in Python receives less, not more.
+_FASTEST_HZ = 4000.0
+# Reliable queues keep messages for sending them again.
+_QUEUE = 20_000
+_ACKNOWLEDGE_TIMEOUT_S = 10.0
 _NS_PER_S = 1_000_000_000
 
 
 class Player:
     """Publish a bag with the recorded bytes, quality of service and pace.
 
-    The player owns an rclpy context, so it can live beside other nodes of the process. Messages are
-    paced by log time on the steady clock; a late message goes out at once and none is dropped.
+    The player owns an rclpy context, so it can live beside other nodes of the process. Messages
+    are paced by log time on the steady clock; a late one goes out at once and none is dropped.
     Header stamps stay as recorded, also when the bag is played again.
 
     Parameters
@@ -53,7 +54,7 @@ class Player:
     bag
         The bag, or its path.
     rate
-        Speed (1: as recorded); ``math.inf`` plays as fast as subscribers acknowledge.
+        Speed (1: as recorded); ``math.inf`` plays as fast as subscribers in Python can follow.
     topics
         Names of the topics to play; all when None.
     remap
@@ -102,8 +103,6 @@ class Player:
         self._publishers: dict[tuple[str, str], Any] = {}
         self._clock: Any = None
         self._stop = threading.Event()
-        self._unacknowledged = 0
-        self._is_acknowledged = True
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -190,7 +189,7 @@ class Player:
                 return
             if time.monotonic() > deadline:
                 raise InputError(
-                    f"fewer than {count} subscribers to {', '.join(lacking)} after {timeout_s:g} s: "
+                    f"{', '.join(lacking)}: fewer than {count} subscribers after {timeout_s:g} s: "
                     f"start them first, or do not wait (--no-wait){self._incompatible(lacking)}"
                 )
 
@@ -217,15 +216,14 @@ class Player:
         sent = 0
         for message in self.bag.messages([topic.name for topic in self._topics]):
             while self._clock is not None and next_clock_ns <= message.log_time_ns:
-                self._sleep_until(began, next_clock_ns - start_ns)
+                self._sleep_until(began, next_clock_ns - start_ns, sent)
                 self._publish_clock(next_clock_ns)
                 next_clock_ns += clock_step_ns
-            self._sleep_until(began, message.log_time_ns - start_ns)
+            self._sleep_until(began, message.log_time_ns - start_ns, sent)
             if self._stop.is_set():
                 break
             self._publishers[message.topic, message.type_name].publish(message.data)
             sent += 1
-            self._limit_backlog()
             if on_progress is not None:
                 on_progress(sent, (message.log_time_ns - start_ns) / _NS_PER_S)
         self.wait_until_acknowledged()
@@ -236,7 +234,6 @@ class Player:
         from rclpy.duration import Duration
 
         deadline = time.monotonic() + timeout_s
-        self._unacknowledged = 0
         late = [
             publisher.topic_name
             for publisher in self._publishers.values()
@@ -244,9 +241,8 @@ class Player:
                 Duration(seconds=max(0.0, deadline - time.monotonic()))
             )
         ]
-        if late and self._is_acknowledged:
-            self._warnings.append(f"a subscriber to {', '.join(late)} does not keep up")
-        self._is_acknowledged = not late
+        if late:
+            self._warnings.append(f"a subscriber to {', '.join(late)} may lack messages")
         return not late
 
     def _advertise(self) -> None:
@@ -290,10 +286,11 @@ class Player:
                 )
         return ""
 
-    def _sleep_until(self, began: float, elapsed_ns: int) -> None:
+    def _sleep_until(self, began: float, elapsed_ns: int, sent: int) -> None:
+        due = began + elapsed_ns / _NS_PER_S / self._rate
         if math.isinf(self._rate):
-            return
-        delay = began + elapsed_ns / _NS_PER_S / self._rate - time.monotonic()
+            due = began + sent / _FASTEST_HZ
+        delay = due - time.monotonic()
         if delay > 0.0:
             self._stop.wait(delay)
 
@@ -309,12 +306,6 @@ class Player:
 
         sec, nanosec = divmod(stamp_ns, _NS_PER_S)
         self._clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
-
-    def _limit_backlog(self) -> None:
-        self._unacknowledged += 1
-        if self._unacknowledged >= _ACKNOWLEDGE_EVERY:
-            # A subscriber that hangs delays the others once, not again and again.
-            self.wait_until_acknowledged(_ACKNOWLEDGE_TIMEOUT_S if self._is_acknowledged else 0.0)
 
     def _select(self, names: Collection[str] | None) -> tuple[Topic, ...]:
         for name in names or ():

@@ -30,6 +30,8 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # record header, channel, sequence, log tim
 _CHUNK = struct.Struct("<QQQI")  # first and last log time, uncompressed size, CRC-32
 # Files without chunks are read in pieces of about this many bytes.
 _PIECE = 1 << 20
+# rosbag2 makes chunks of 768 KiB; a damaged size must not ask for all memory.
+_LARGEST_CHUNK = 1 << 31
 # What the mcap package lets through for bytes that are no MCAP.
 _DAMAGE = (McapError, struct.error, ValueError, LookupError, OverflowError, MemoryError, OSError)
 _BAD_CHUNK = (struct.error, ValueError, RuntimeError, MemoryError, zstandard.ZstdError)
@@ -316,6 +318,8 @@ def _unpack(content: bytes, cut_off: bool) -> bytes:
         offset += name_length
         (data_length,) = struct.unpack_from("<Q", content, offset)
         data = content[offset + 8 : offset + 8 + data_length]
+        if size > _LARGEST_CHUNK:
+            raise ChunkError("its size is impossible")
         if cut_off:
             return _PARTIAL[compression](data)
         records = _DECOMPRESS[compression](data, size)

@@ -1,0 +1,488 @@
+from __future__ import annotations
+
+import errno
+import inspect
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import geometry_msgs.msg
+import pytest
+import sensor_msgs.msg
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+from rclpy.serialization import deserialize_message
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header, String
+
+from fden_ros.errors import InputError
+from fden_ros.recording.cdr import serialize
+from fden_ros.recording.definitions import message_definition, type_hash
+from fden_ros.recording.qos import LATCHED, RELIABLE, SENSOR_DATA, Qos, parse_profiles
+from fden_ros.recording.reader import BagReader, RawMessage, decode
+from fden_ros.recording.writer import BagWriter
+
+START = 1_700_000_000_000_000_000
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+JOINTS = "sensor_msgs/msg/JointState"
+
+
+def wrench(force: float, stamp_ns: int = START) -> WrenchStamped:
+    message = WrenchStamped(header=Header(frame_id="probe"))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.wrench.force.z = float(force)
+    return message
+
+
+def write_bag(folder: Path, count: int = 50, **options: Any) -> Path:
+    with BagWriter(folder, **options) as bag:
+        bag.add_topic("/force", WRENCH, SENSOR_DATA)
+        bag.add_topic("/joints", JOINTS)
+        for i in range(count):
+            bag.write("/force", wrench(i, START + i), START + i)
+            bag.write("/joints", JointState(name=["probe"], position=[i * 1e-3]), START + i)
+    return folder
+
+
+def write_mcap(
+    path: Path, stamps: Sequence[int], *, finish: bool = True, **options: Any
+) -> list[bytes]:
+    """Write wrenches, numbered in the order of the file, with the options of the mcap package."""
+    payloads = [serialize(wrench(i)) for i in range(len(stamps))]
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(WRENCH, "ros2msg", message_definition(WRENCH).encode())
+        channel = writer.register_channel("/force", "cdr", schema)
+        for stamp, payload in zip(stamps, payloads, strict=True):
+            writer.add_message(channel, stamp, payload, stamp)
+        if finish:
+            writer.finish()
+        else:
+            writer.flush()
+    return payloads
+
+
+def data_of(path: Path) -> list[bytes]:
+    return [message.data for message in BagReader(path).messages()]
+
+
+# Serialisation
+
+
+def test_serialised_messages_of_every_type_read_back_equal() -> None:
+    for module in (geometry_msgs.msg, sensor_msgs.msg):
+        for _, cls in inspect.getmembers(module, inspect.isclass):
+            assert deserialize_message(serialize(cls()), cls) == cls()
+
+
+@given(
+    st.lists(st.text(alphabet=st.characters(exclude_characters="\0", exclude_categories=["Cs"]))),
+    st.lists(st.floats(allow_nan=False)),
+    st.lists(st.floats(allow_nan=False)),
+)
+def test_serialised_sequences_read_back_equal(
+    names: list[str], position: list[float], effort: list[float]
+) -> None:
+    message = JointState(name=names, position=position, effort=effort)
+    assert deserialize_message(serialize(message), JointState) == message
+
+
+def test_nested_and_byte_fields_read_back_equal() -> None:
+    status = DiagnosticStatus(level=b"\x02", name="x", values=[KeyValue(key="a", value="µ")])
+    message = DiagnosticArray(status=[status, DiagnosticStatus()])
+    assert deserialize_message(serialize(message), DiagnosticArray) == message
+
+
+# Round trip
+
+
+def test_messages_read_back_as_written(tmp_path: Path) -> None:
+    bag = BagReader(write_bag(tmp_path / "bag"))
+    messages = list(bag.messages())
+    assert [message.topic for message in messages] == ["/force", "/joints"] * 50
+    assert [message.log_time_ns - START for message in messages[::2]] == list(range(50))
+    assert decode(messages[98]) == wrench(49, START + 49)
+    assert (bag.message_count, bag.start_ns, bag.end_ns) == (100, START, START + 49)
+    assert bag.warnings == ()
+
+
+def test_topics_carry_type_count_qos_and_schema(tmp_path: Path) -> None:
+    force, joints = BagReader(write_bag(tmp_path / "bag")).topics
+    assert (force.name, force.type_name, force.message_count) == ("/force", WRENCH, 50)
+    assert force.offered_qos == (SENSOR_DATA,)
+    assert joints.offered_qos == (RELIABLE,)
+    assert (force.schema, force.schema_encoding) == (message_definition(WRENCH), "ros2msg")
+
+
+def test_only_the_topics_asked_for_are_read(tmp_path: Path) -> None:
+    bag = BagReader(write_bag(tmp_path / "bag"))
+    assert {message.topic for message in bag.messages(["/joints"])} == {"/joints"}
+    with pytest.raises(InputError, match="has no topic /torque: it has /force, /joints"):
+        bag.messages(["/torque"])
+
+
+def test_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
+    first, second = write_bag(tmp_path / "a" / "bag"), write_bag(tmp_path / "b" / "bag")
+    for name in ("bag_0.mcap", "metadata.yaml"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+
+
+def test_time_of_recording_orders_the_messages(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/force", WRENCH)
+        bag.write("/force", wrench(1), START, receive_ns=START + 9)
+        bag.write("/force", wrench(2), START + 1, receive_ns=START + 5)
+    forces = [decode(message).wrench.force.z for message in BagReader(tmp_path / "bag").messages()]
+    assert forces == [2.0, 1.0]
+
+
+# Metadata and definitions
+
+
+def test_metadata_has_the_fields_that_rosbag2_demands(tmp_path: Path) -> None:
+    text = (write_bag(tmp_path / "bag") / "metadata.yaml").read_text()
+    metadata = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert metadata["version"] == 9
+    assert metadata["storage_identifier"] == "mcap"
+    assert metadata["duration"] == {"nanoseconds": 49}
+    assert metadata["starting_time"] == {"nanoseconds_since_epoch": START}
+    assert metadata["message_count"] == 100
+    assert metadata["relative_file_paths"] == ["bag_0.mcap"]
+    assert metadata["files"][0]["message_count"] == 100
+    assert (metadata["compression_format"], metadata["compression_mode"]) == ("", "")
+    assert metadata["ros_distro"] == "jazzy"
+    assert "custom_data" in metadata
+    force = metadata["topics_with_message_count"][0]
+    assert force["message_count"] == 50
+    assert force["topic_metadata"]["serialization_format"] == "cdr"
+    assert force["topic_metadata"]["type_description_hash"] == type_hash(WRENCH)
+    assert force["topic_metadata"]["offered_qos_profiles"] == [SENSOR_DATA.to_dict()]
+    assert "&" not in text
+
+
+def test_definition_holds_every_type_once() -> None:
+    text = message_definition(WRENCH)
+    headings = [line for line in text.splitlines() if line.startswith("MSG: ")]
+    assert headings == [
+        "MSG: geometry_msgs/Wrench",
+        "MSG: geometry_msgs/Vector3",
+        "MSG: std_msgs/Header",
+        "MSG: builtin_interfaces/Time",
+    ]
+
+
+def test_type_hash_is_that_of_the_distribution() -> None:
+    known = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    assert type_hash("std_msgs/msg/String") == known
+    assert type_hash("nowhere_msgs/msg/Nothing") == ""
+
+
+def test_qos_of_old_and_new_bags_means_the_same() -> None:
+    words = [LATCHED.to_dict()]
+    numbers = [{**words[0], "history": 1, "reliability": 1, "durability": 1, "liveliness": 1}]
+    assert parse_profiles(words) == (LATCHED,)
+    assert parse_profiles(yaml.safe_dump(numbers)) == (LATCHED,)
+    assert parse_profiles([{"depth": "x", "reliability": 99}])[0].reliability == "unknown"
+    assert parse_profiles(": : :") == parse_profiles(None) == ()
+
+
+# Complete or nothing
+
+
+def test_nothing_is_left_after_an_exception(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/force", WRENCH)
+        bag.write("/force", wrench(1), START)
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_bag_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "bag")
+    with pytest.raises(InputError, match=r"exists.*--force"):
+        write_bag(folder)
+    write_bag(folder, count=3, overwrite=True)
+    assert BagReader(folder).message_count == 6
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.tex").write_text("years")
+    with pytest.raises(InputError, match="not a bag"):
+        write_bag(tmp_path / "thesis", overwrite=True)
+    assert (tmp_path / "thesis" / "chapter.tex").read_text() == "years"
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    script = (
+        "import resource, signal, sys\n"
+        "from test_recording_bags import write_bag\n"
+        "from fden_ros.errors import InputError\n"
+        "from pathlib import Path\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))\n"
+        "try:\n"
+        "    write_bag(Path(sys.argv[1]) / 'bag', count=5000)\n"
+        "except InputError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)],
+        cwd=Path(__file__).parent,
+        env={**os.environ, "PYTHONPATH": _search_path()},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert os.strerror(errno.EFBIG) in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def _search_path() -> str:
+    return ":".join(filter(None, sys.path))
+
+
+# Other tools
+
+
+def test_an_independent_reader_reads_our_bag(tmp_path: Path) -> None:
+    with AnyReader([write_bag(tmp_path / "bag")]) as reader:
+        assert {c.topic: c.msgtype for c in reader.connections} == {
+            "/force": WRENCH,
+            "/joints": JOINTS,
+        }
+        assert {c.digest for c in reader.connections} == {type_hash(WRENCH), type_hash(JOINTS)}
+        read = [(c.topic, t, reader.deserialize(d, c.msgtype)) for c, t, d in reader.messages()]
+    forces = [message.wrench.force.z for topic, _, message in read if topic == "/force"]
+    positions = [message.position[0] for topic, _, message in read if topic == "/joints"]
+    assert forces == list(range(50))
+    assert positions == [i * 1e-3 for i in range(50)]
+    assert read[0][1] == START
+
+
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.FILE])
+def test_bag_of_an_independent_writer_is_read(
+    tmp_path: Path, version: Any, mode: CompressionMode
+) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = RosbagsWriter(tmp_path / "bag", version=version, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(
+            "/pose", "geometry_msgs/msg/PoseStamped", typestore=store
+        )
+        for i in range(10):
+            pose = PoseStamped(header=Header(frame_id="base"))
+            pose.pose.position.z = float(i)
+            writer.write(connection, START + i, serialize(pose))
+    bag = BagReader(tmp_path / "bag")
+    assert [decode(message).pose.position.z for message in bag.messages()] == list(range(10))
+    assert bag.warnings == ()
+
+
+def test_bare_file_is_read_like_its_folder(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "bag")
+    assert data_of(folder / "bag_0.mcap") == data_of(folder)
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("layout", ["index", "no index", "no summary", "no chunks"])
+def test_every_layout_of_a_file_gives_the_same_messages(
+    tmp_path: Path, compression: CompressionType, layout: str
+) -> None:
+    options: dict[str, Any] = {
+        "index": {},
+        "no index": {"index_types": IndexType.NONE},
+        "no summary": {
+            "index_types": IndexType.NONE,
+            "use_statistics": False,
+            "repeat_channels": False,
+            "repeat_schemas": False,
+            "use_summary_offsets": False,
+        },
+        "no chunks": {"use_chunking": False},
+    }[layout]
+    path = tmp_path / "bag.mcap"
+    stamps = range(START, START + 400)
+    payloads = write_mcap(path, stamps, compression=compression, chunk_size=2000, **options)
+    bag = BagReader(path)
+    assert [message.data for message in bag.messages()] == payloads
+    assert bag.message_count == 400
+    assert bag.warnings == ()
+
+
+@given(st.lists(st.integers(0, 20), min_size=1, max_size=60), st.sampled_from([True, False]))
+def test_messages_come_by_time_then_in_the_order_of_the_file(
+    tmp_path_factory: pytest.TempPathFactory, stamps: list[int], chunked: bool
+) -> None:
+    path = tmp_path_factory.mktemp("order") / "bag.mcap"
+    payloads = write_mcap(path, stamps, chunk_size=300, use_chunking=chunked)
+    order = sorted(range(len(stamps)), key=lambda index: stamps[index])
+    assert data_of(path) == [payloads[index] for index in order]
+
+
+def test_split_bag_is_one_stream_by_time(tmp_path: Path) -> None:
+    first = write_mcap(tmp_path / "bag_2.mcap", range(0, 100, 2))
+    second = write_mcap(tmp_path / "bag_10.mcap", range(1, 101, 2))
+    metadata = {"relative_file_paths": ["bag_2.mcap", "bag_10.mcap"]}
+    (tmp_path / "metadata.yaml").write_text(
+        yaml.safe_dump({"rosbag2_bagfile_information": metadata})
+    )
+    bag = BagReader(tmp_path)
+    expected = [payload for pair in zip(first, second, strict=True) for payload in pair]
+    assert [message.data for message in bag.messages()] == expected
+    assert bag.topics[0].message_count == 100
+    (tmp_path / "bag_10.mcap").unlink()
+    bag = BagReader(tmp_path)
+    assert [message.data for message in bag.messages()] == first
+    assert "bag_10.mcap is listed in metadata.yaml but missing" in bag.warnings[0]
+
+
+def test_folder_without_metadata_is_read_and_said(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "bag")
+    expected = data_of(folder)
+    (folder / "metadata.yaml").unlink()
+    assert data_of(folder) == expected
+    assert "no metadata.yaml" in BagReader(folder).warnings[0]
+    (folder / "metadata.yaml").write_text("{")
+    assert data_of(folder) == expected
+    assert "cannot be read" in BagReader(folder).warnings[0]
+
+
+# Damage
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_file_cut_off_anywhere_gives_its_complete_messages(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    whole = tmp_path / "whole.mcap"
+    payloads = write_mcap(
+        whole, range(200), compression=compression, chunk_size=3000, finish=False
+    )
+    content = whole.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    counts = []
+    for size in range(60, len(content) + 1, 97):
+        cut.write_bytes(content[:size])
+        bag = BagReader(cut)
+        read = [message.data for message in bag.messages()]
+        assert read == payloads[: len(read)]
+        assert len(read) == bag.message_count
+        assert f"{len(read)} complete messages" in bag.warnings[0]
+        counts.append(len(read))
+    assert counts == sorted(counts)
+    assert counts[-1] > 150
+
+
+def test_messages_of_a_chunk_that_is_cut_off_are_used(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    payloads = write_mcap(path, range(200), compression=CompressionType.NONE, finish=False)
+    path.write_bytes(path.read_bytes()[:-6000])
+    read = data_of(path)
+    assert 100 < len(read) < 200
+    assert read == payloads[: len(read)]
+
+
+def test_damaged_chunk_is_lost_alone_and_said(tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    payloads = write_mcap(path, range(200), compression=CompressionType.NONE, chunk_size=5000)
+    content = bytearray(path.read_bytes())
+    position = content.index(payloads[100])
+    content[position + 20] ^= 0xFF
+    path.write_bytes(content)
+    bag = BagReader(path)
+    read = [message.data for message in bag.messages()]
+    assert 100 < len(read) < 200
+    assert set(read) < set(payloads)
+    assert "is lost (checksum differs)" in bag.warnings[0]
+
+
+@given(st.binary(max_size=300), st.integers(0, 10**6))
+def test_no_damage_gets_past_as_anything_but_one_line(
+    tmp_path_factory: pytest.TempPathFactory, noise: bytes, position: int
+) -> None:
+    path = tmp_path_factory.mktemp("noise") / "bag.mcap"
+    payloads = write_mcap(path, range(30), chunk_size=1000)
+    content = bytearray(path.read_bytes())
+    position %= len(content)
+    content[position : position + len(noise)] = noise
+    path.write_bytes(content)
+    try:
+        messages: list[RawMessage] = list(BagReader(path).messages())
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert len(messages) <= 2 * len(payloads)
+
+
+# What cannot be read says what would be right
+
+
+def test_unusable_paths_are_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.mcap").write_text("time,force\n")
+    cases = {
+        "nowhere": "does not exist",
+        "folder": "holds no bag",
+        "empty.mcap": "is empty",
+        "text.mcap": "not an MCAP file",
+    }
+    for name, reason in cases.items():
+        with pytest.raises(InputError, match=reason) as caught:
+            BagReader(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+def test_sqlite3_bag_is_refused_with_the_command_that_converts_it(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = RosbagsWriter(tmp_path / "old", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    with writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        writer.write(connection, START, serialize(String(data="x")))
+    for path in (tmp_path / "old", tmp_path / "old" / "old.db3"):
+        with pytest.raises(InputError, match=r"sqlite3 bag.*ros2 bag convert -i") as caught:
+            BagReader(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_ros1_bag_is_refused_with_the_command_that_converts_it(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Rosbag1Writer(tmp_path / "old.bag") as writer:
+        writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+    with pytest.raises(InputError, match=r"ROS 1 bag.*rosbags-convert --src"):
+        BagReader(tmp_path / "old.bag")
+
+
+def test_types_that_are_not_installed_are_named() -> None:
+    with pytest.raises(InputError, match="install the package nowhere_msgs"):
+        decode(RawMessage("/x", "nowhere_msgs/msg/Nothing", START, b""))
+    with pytest.raises(InputError, match=r"expected package/msg/Name"), BagWriter("x") as bag:
+        bag.add_topic("/x", "Nothing")
+
+
+def test_bytes_that_do_not_fit_their_type_are_named() -> None:
+    with pytest.raises(InputError, match="no valid"):
+        decode(RawMessage("/x", JOINTS, START, b"\x00\x01"))
+
+
+def test_profile_asks_for_what_the_bag_offered() -> None:
+    profile = Qos(reliability="best_effort", depth=3).to_profile(minimum_depth=8)
+    assert (profile.reliability.name, profile.durability.name) == ("BEST_EFFORT", "VOLATILE")
+    assert profile.depth == 8
