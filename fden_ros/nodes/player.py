@@ -131,6 +131,11 @@ class Player:
             self._names[topic.name] for topic in self._topics if topic.type_name in INPUT_TYPES
         )
 
+    @property
+    def clock_subscribers(self) -> int:
+        """How many subscribers ``/clock`` has."""
+        return 0 if self._clock is None else int(self._clock.get_subscription_count())
+
     def __enter__(self) -> Player:
         """Start the node and its publishers."""
         import rclpy
