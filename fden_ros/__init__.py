@@ -1,3 +1,3 @@
-"""Online identification of soft tissue with the FDEN model (fractional dynamics, exponential nonlinearity)."""
+"""Identify soft tissue online with the FDEN model: fractional dynamics, exponential stress."""
 
 __version__ = "0.1.0"

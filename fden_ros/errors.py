@@ -4,6 +4,6 @@
 class InputError(Exception):
     """Something given from outside (a file, a parameter, an argument) cannot be used.
 
-    The message is one line that says what is wrong and what would be right. Commands print it and exit with 1;
-    the node logs it and refuses the transition.
+    The message is one line that says what is wrong and what would be right. Commands print it and
+    exit with 1; the node logs it and refuses the transition.
     """

@@ -1,1 +1,1 @@
-
+"""Subcommands of ``fden``, one module each: ``add_parser`` and ``run``."""

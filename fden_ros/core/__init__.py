@@ -1,5 +1,6 @@
-"""The pure core: from samples to classified tissue, one module per step, in the order in which data flow.
+"""The pure core: from samples to classified tissue, one module per step, in data order.
 
-``synchronize`` → ``contact`` → ``geometry`` → ``fractional_integral`` → ``estimator`` → ``classifier``,
-composed by ``pipeline``. ``model`` holds the constitutive law. Nothing here knows ROS, a clock or a file.
+``synchronize`` → ``contact`` → ``geometry`` → ``fractional_integral`` → ``estimator`` →
+``classifier``, composed by ``pipeline``. ``model`` holds the constitutive law. Nothing here knows
+ROS, a clock or a file.
 """

@@ -1,8 +1,10 @@
 r"""Which tissue of a library an estimate belongs to, with probabilities.
 
-For class c with prior p(c) and parameters :math:`\theta = (\ln G, \ln G_n, \alpha)` spread as :math:`N(\mu_c, \Sigma_c)`, an estimate
-:math:`\hat\theta` with covariance P has the evidence :math:`N(\hat\theta;\, \mu_c,\, \Sigma_c + P)`. ``unknown`` is one more class, as wide as
-soft tissue is: what fits none of the others falls to it. alpha counts only if it was learned from the data.
+For class c with prior p(c) and parameters :math:`\theta = (\ln G, \ln G_n, \alpha)` spread as
+:math:`N(\mu_c, \Sigma_c)`, an estimate
+:math:`\hat\theta` with covariance P has the evidence :math:`N(\hat\theta;\, \mu_c,\, \Sigma_c +
+P)`. ``unknown`` is one more class, as wide as soft tissue is: what fits none of the others falls
+to it. alpha counts only if it was learned from the data.
 """
 
 from __future__ import annotations
@@ -62,7 +64,9 @@ class ClassProbabilities(NamedTuple):
     probabilities: tuple[float, ...]
 
 
-def classify(library: TissueLibrary, estimate: Estimate, order_learned: bool) -> ClassProbabilities:
+def classify(
+    library: TissueLibrary, estimate: Estimate, order_learned: bool
+) -> ClassProbabilities:
     """Return the probability of every class given an estimate.
 
     Parameters

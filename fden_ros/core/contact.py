@@ -1,8 +1,9 @@
 """Contact: when the probe touches, where the tissue's surface is, and when the probe leaves.
 
-In the air the force's bias and noise are measured. A rise above the noise is a contact; its true onset is then
-looked for backwards, by fitting the model's own response to the samples kept from before the detection, because a threshold
-alone places the strain origin too late. The pipeline replays those samples, so nothing of the contact is lost.
+In the air the force's bias and noise are measured. A rise above the noise is a contact; its true
+onset is then looked for backwards, by fitting the model's own response to the samples kept from
+before the detection, because a threshold alone places the strain origin too late. The pipeline
+replays those samples, so nothing of the contact is lost.
 """
 
 from __future__ import annotations
@@ -28,13 +29,16 @@ class ContactConfig:
     Parameters
     ----------
     force_threshold : float
-        Force above its bias that is a contact [N]; 0: four standard deviations of the measured noise.
+        Force above its bias that is a contact [N]; 0: four standard deviations of the measured
+        noise.
     measure_bias : bool
-        Take the force's bias from each approach. False: the force is trusted as it is (after any tare).
+        Take the force's bias from each approach. False: the force is trusted as it is (after any
+        tare).
     force_noise : float
         Standard deviation of the force per sample [N]; 0: measured in the air.
     noise_floor : float
-        Least force noise that is believed [N], so that a quantised or noise-free signal does not look perfect.
+        Least force noise that is believed [N], so that a quantised or noise-free signal does not
+        look perfect.
     lookback : float
         How far before its detection the onset is looked for [s].
     site_distance : float
@@ -79,22 +83,34 @@ class Release(NamedTuple):
 class _Chunk(NamedTuple):
     """Some 20 ms of force: enough to average, short enough to react."""
 
-    count: int
+    size: int
     start_ns: int
+    end_ns: int
     mean: float
     square_sum: float  #: of deviations from the mean
 
 
+class _Air(NamedTuple):
+    """What the force is in the air."""
+
+    mean: float  #: [N]
+    noise: float  #: standard deviation per sample, slow changes included [N]
+    fast_noise: float  #: the same without slow changes [N]
+    size: int  #: samples behind it
+
+
 _CHUNK_NS = 20_000_000
 _CHUNK_SAMPLES = 3
-_MAX_CHUNKS = 64
 _MIN_CHUNKS = 5
-#: The newest chunks are left out of the baseline: they may hold the beginning of a contact.
-_LAG_CHUNKS = 12
+#: The newest chunks may hold the beginning of a slow contact: they do not count as air yet.
+_LAG_NS = NANOSECONDS
+#: The air's force is measured anew after this many chunks.
+_AIR_EVERY = 8
 _RELEASE_CHUNKS = 2
 _BELOW_BASELINE_CHUNKS = 10
 _THRESHOLD_DEVIATIONS = 4.0
-#: The probe is off the tissue when it has retreated behind the surface by this share of its deepest penetration.
+#: The probe is off the tissue when it has retreated behind the surface by this share of its
+#: deepest penetration.
 _RETREAT = 0.2
 #: The samples in the air are kept within this bound, whatever the sampling rate.
 _MAX_LOOKBACK_SAMPLES = 40_000
@@ -117,7 +133,6 @@ class ContactDetector:
         self.in_contact = False
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
-        self.noise_sd = config.force_noise  #: of the force per sample [N]
         self.release_threshold = 0.0  #: force below which the probe is no longer pressing [N]
         self.reset()
 
@@ -125,7 +140,9 @@ class ContactDetector:
         """Forget everything but what the configuration says."""
         self.in_contact = False
         self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
-        self._chunks: deque[_Chunk] = deque(maxlen=_MAX_CHUNKS)
+        self._chunks: deque[_Chunk] = deque()
+        self._chunks_in_air = 0
+        self._air: _Air | None = None
         self._open: list[float] = []
         self._open_start_ns = 0
         self._low_chunks = 0
@@ -133,14 +150,14 @@ class ContactDetector:
         self._surface = self._deepest = 0.0
 
     def compliance_free(self, pair: Pair, force: float) -> float:
-        """Return the displacement of the tissue's surface [m]: the measured one less the tool's own give."""
+        """Return the displacement of the tissue's surface [m], without the tool's own give."""
         return pair.displacement - self._config.series_compliance * force
 
     def mean_air_force(self) -> float | None:
-        """Return the mean force of the last second in the air [N], None if in contact or not known yet."""
+        """Return the mean force of late in the air [N]; None in contact, or if not known yet."""
         if self.in_contact or len(self._chunks) < _MIN_CHUNKS:
             return None
-        return _mean_and_noise(tuple(self._chunks))[0]
+        return _air_of(tuple(self._chunks)).mean
 
     def add(self, pair: Pair) -> Onset | Release | None:
         """Take one pair; return an event if the contact begins or ends with it."""
@@ -167,50 +184,63 @@ class ContactDetector:
             return None
         mean = math.fsum(values) / len(values)
         chunk = _Chunk(
-            len(values), self._open_start_ns, mean, math.fsum((v - mean) ** 2 for v in values)
+            len(values),
+            self._open_start_ns,
+            pair.stamp_ns,
+            mean,
+            math.fsum((v - mean) ** 2 for v in values),
         )
         values.clear()
         return chunk
 
     def _in_air(self, chunk: _Chunk) -> Onset | None:
-        chunks = self._chunks
-        if self._config.measure_bias and len(chunks) < _MIN_CHUNKS:
-            chunks.append(chunk)
+        air = self._air_before(chunk)
+        if air is None:
+            self._keep(chunk)
             return None
-        lag = min(_LAG_CHUNKS, len(chunks) // 2)
-        baseline = tuple(chunks)[: len(chunks) - lag]
-        bias, bias_sd, noise = self._baseline(baseline)
+        noise = self._config.force_noise or max(air.fast_noise, self._config.noise_floor)
         threshold = max(self._config.force_threshold, _THRESHOLD_DEVIATIONS * noise)
+        bias = air.mean if self._config.measure_bias else 0.0
         rise = chunk.mean - bias
         if rise > threshold:
-            for _ in range(lag):
-                chunks.pop()
-            return self._begin(bias, bias_sd, noise, threshold)
-        chunks.append(chunk)
+            return self._begin(bias, threshold)
+        self._keep(chunk)
         self._watch_below_baseline(rise < -threshold)
         return None
+
+    def _keep(self, chunk: _Chunk) -> None:
+        chunks = self._chunks
+        chunks.append(chunk)
+        self._chunks_in_air += 1
+        while chunk.start_ns - chunks[0].start_ns > self._lookback_ns:
+            chunks.popleft()
+
+    def _air_before(self, chunk: _Chunk) -> _Air | None:
+        """Return what the air's force was before `chunk`, None while it is not known."""
+        count = len(self._chunks)
+        if count < _MIN_CHUNKS:
+            return None if self._config.measure_bias else _air_of(tuple(self._chunks))
+        if self._air is None or self._chunks_in_air % _AIR_EVERY == 0:
+            newest_ns = chunk.start_ns - _LAG_NS
+            old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
+            self._air = _air_of(max(old, tuple(self._chunks)[: -(-count // 2)], key=len))
+        return self._air
 
     def _watch_below_baseline(self, below: bool) -> None:
         self._low_chunks = self._low_chunks + 1 if below and self._config.measure_bias else 0
         if self._low_chunks < _BELOW_BASELINE_CHUNKS:
             return
-        # What was taken for air was a contact, or the force has the wrong sign: measure the baseline anew.
+        # What was taken for air was a contact, or the force has the wrong sign: measure the
+        # baseline anew.
         self.below_baseline += 1
         self._low_chunks = 0
         recent = tuple(self._chunks)[-_MIN_CHUNKS:]
+        self._air = None
         self._chunks.clear()
         self._chunks.extend(recent)
         self._samples.clear()
 
-    def _baseline(self, chunks: tuple[_Chunk, ...]) -> tuple[float, float, float]:
-        """Return bias, its standard deviation and the noise per sample [N] from chunks in the air."""
-        mean, measured, count = _mean_and_noise(chunks)
-        noise = self._config.force_noise or max(measured, self._config.noise_floor)
-        if not self._config.measure_bias:
-            return 0.0, 0.0, noise
-        return mean, noise / math.sqrt(count), noise
-
-    def _begin(self, bias: float, bias_sd: float, noise: float, threshold: float) -> Onset:
+    def _begin(self, bias: float, threshold: float) -> Onset:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -218,8 +248,10 @@ class ContactDetector:
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         surface = find_surface(time, force, displacement, self._order)
+        self._forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
+        bias, bias_sd, noise = self._bias_and_noise(bias)
         # A little before the onset, so that the memory begins with the air.
-        first = max(surface.index - 2, 0)
+        first = max(surface.first - 2, 0)
         onset = Onset(
             samples=tuple(pairs)[first:],
             bias=bias,
@@ -227,16 +259,32 @@ class ContactDetector:
             noise_sd=noise,
             displacement=surface.displacement,
             displacement_sd=surface.displacement_sd,
-            seen=surface.index > 0 and float(force[0]) < threshold,
+            seen=surface.first > 0 and float(force[0]) < threshold,
         )
         self.in_contact = True
         self.force_bias = bias
-        self.noise_sd = noise
         self.release_threshold = 0.5 * threshold
         self._samples.clear()
         self._low_chunks = 0
         self._surface = self._deepest = surface.displacement
         return onset
+
+    def _forget_since(self, stamp_ns: int) -> None:
+        """Drop the chunks that reach into the contact."""
+        chunks = self._chunks
+        while chunks and chunks[-1].end_ns >= stamp_ns:
+            chunks.pop()
+        self._air = None
+
+    def _bias_and_noise(self, bias: float) -> tuple[float, float, float]:
+        """Return the force's bias, its deviation and the noise per sample [N], as in the air."""
+        air = _air_of(tuple(self._chunks))
+        noise = self._config.force_noise or max(air.noise, self._config.noise_floor)
+        if not self._config.measure_bias:
+            return 0.0, 0.0, noise
+        if air.size == 0:
+            return bias, noise, noise
+        return air.mean, noise / math.sqrt(air.size), noise
 
     def _in_contact(self, chunk: _Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
@@ -244,6 +292,7 @@ class ContactDetector:
         if retreat > _RETREAT * (self._deepest - self._surface):
             # Behind the surface there is no tissue: what force is left is drift of the sensor.
             self._chunks.clear()
+            self._air = None
             return self._release(chunk.start_ns)
         if chunk.mean - self.force_bias >= self.release_threshold:
             self._low_chunks = 0
@@ -261,35 +310,45 @@ class ContactDetector:
         return Release(stamp_ns)
 
 
-def _mean_and_noise(chunks: tuple[_Chunk, ...]) -> tuple[float, float, int]:
-    """Return mean and standard deviation of the samples [N], and their number."""
-    count = sum(chunk.count for chunk in chunks)
+def _air_of(chunks: tuple[_Chunk, ...]) -> _Air:
+    count = sum(chunk.size for chunk in chunks)
     if count == 0:
-        return 0.0, 0.0, 0
-    mean = math.fsum(chunk.count * chunk.mean for chunk in chunks) / count
-    squares = math.fsum(c.square_sum + c.count * (c.mean - mean) ** 2 for c in chunks)
-    return mean, math.sqrt(squares / max(count - 1, 1)), count
+        return _Air(0.0, 0.0, 0.0, 0)
+    mean = math.fsum(chunk.size * chunk.mean for chunk in chunks) / count
+    within = math.fsum(chunk.square_sum for chunk in chunks)
+    between = math.fsum(chunk.size * (chunk.mean - mean) ** 2 for chunk in chunks)
+    noise = math.sqrt((within + between) / max(count - 1, 1))
+    return _Air(mean, noise, math.sqrt(within / max(count - len(chunks), 1)), count)
 
 
 class Surface(NamedTuple):
     """Where an approach met the tissue."""
 
-    index: int  #: of the first sample in contact
+    first: int  #: of the first sample in contact
     displacement: float  #: [m]
     displacement_sd: float  #: [m]
 
 
 _MAX_BINS = 96
 _CANDIDATES = 40
-_MAX_ZOOMS = 6
+#: The first window is this long [s] and holds at least this many samples; it doubles until the
+#: onset lies well within it.
+_FIRST_WINDOW = 0.1
+_MIN_WINDOW_SAMPLES = 24
+_CONTACT_SHARE = 0.6
+#: Before the onset the force is less than this share of that at the detection.
+_AIR_SHARE = 0.1
 
 
-def find_surface(time: Array, force: Array, displacement: Array, fractional_order: float) -> Surface:
+def find_surface(
+    time: Array, force: Array, displacement: Array, fractional_order: float
+) -> Surface:
     r"""Find where the force begins to follow the displacement.
 
-    Least squares of the model's small-strain response :math:`k\,D^\alpha \max(d - d_0, 0)` over the surface :math:`d_0`, the
-    stiffness k eliminated; exact for any approach, since the fractional derivative is that of the measured motion. The
-    window is narrowed until the contact fills a good part of it.
+    Least squares of the model's small-strain response :math:`k\,D^\alpha \max(d - d_0, 0)` over
+    the surface :math:`d_0`, the stiffness k and the force's bias eliminated; exact for any
+    approach, since the fractional derivative is that of the measured motion. The window reaches
+    back from the last sample just as far as it must.
 
     Parameters
     ----------
@@ -298,17 +357,24 @@ def find_surface(time: Array, force: Array, displacement: Array, fractional_orde
     fractional_order : float
         Rough alpha [1].
     """
-    start = 0
-    for _ in range(_MAX_ZOOMS):
+    window = _FIRST_WINDOW
+    detected = float(force[-_MIN_WINDOW_SAMPLES // 2 :].mean())
+    while True:
+        start = min(
+            int(np.searchsorted(time, time[-1] - window)),
+            max(time.size - _MIN_WINDOW_SAMPLES, 0),
+        )
         bins = _Bins.of(time, force, displacement, start, fractional_order)
-        onset_time = bins.best(np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False))
-        contact_share = (bins.time[-1] - onset_time) / (bins.time[-1] - bins.time[0])
-        if contact_share > 0.3 or time.size - start < 2 * _CANDIDATES:
+        onset_time = bins.best(
+            np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False)
+        )
+        inside = time[-1] - onset_time <= _CONTACT_SHARE * (time[-1] - time[start])
+        # A bend within the contact is no onset: before that, the force is the air's.
+        if start == 0 or (inside and bins.mean_force_until(onset_time) < _AIR_SHARE * detected):
             break
-        start = int(np.searchsorted(time, onset_time - (bins.time[-1] - onset_time)))
+        window = 2.0 * max(window, float(time[-1] - time[start]))
     spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
-    around = np.linspace(-spacing, spacing, _CANDIDATES)
-    onset_time = bins.best(onset_time + around)
+    onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
     index = int(np.searchsorted(time, onset_time))
     return Surface(index, surface, bins.deviation(onset_time, spacing))
@@ -348,17 +414,24 @@ class _Bins:
         depth = np.maximum(self.displacement[:, None] - surface, 0.0)
         depth *= self.time[:, None] >= onset_times
         response = self.derivative @ np.diff(depth, axis=0)
+        # Centred, because the force's bias is fitted too.
+        response -= response.mean(axis=0)
+        force = self.force - self.force.mean()
         power = np.sum(response**2, axis=0)
-        gain = np.maximum(self.force @ response, 0.0)
+        gain = np.maximum(force @ response, 0.0)
         explained = np.divide(gain**2, power, out=np.zeros_like(power), where=power > 0.0)
-        misfit: Array = self.force @ self.force - explained
+        misfit: Array = force @ force - explained
         return misfit
+
+    def mean_force_until(self, onset_time: float) -> float:
+        before = self.force[self.time <= onset_time]
+        return float(before.mean()) if before.size else 0.0
 
     def best(self, onset_times: Array) -> float:
         return float(onset_times[np.argmin(self.misfit(onset_times))])
 
     def deviation(self, onset_time: float, spacing: float) -> float:
-        """Standard deviation of the surface [m] from the curvature of the misfit."""
+        """Return the standard deviation of the surface [m] from the curvature of the misfit."""
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
         noise = max(middle, 0.0) / max(self.time.size - 2, 1)

@@ -1,23 +1,30 @@
-r"""Recursive estimation of the FDEN parameters: a Gaussian sum of extended Kalman filters on the fractional stress.
+r"""Recursive estimation of the FDEN parameters on the fractional stress.
 
-The observation is the fractional stress :math:`f'_k = D^{-\alpha} f = \varphi(x_k; G, G_n) + v_k` (paper, Appendix F). A single filter
-commits itself before the strain passes :math:`1/G_n`, where :math:`G_n` is not observable, and never recovers; a sum of filters, each
-started at its own :math:`\ln G_n`, does not (Alspach and Sorenson, IEEE Trans. Autom. Control 17 (1972) 439).
+A Gaussian sum of extended Kalman filters.
 
-State of each member: :math:`(\ln G, \ln G_n, o, b)`, with o the strain origin and b the bias of the stress, nuisances that are
-known at best as well as the touch was seen and the sensor was tared:
+The observation is the fractional stress :math:`f'_k = D^{-\alpha} f = \varphi(x_k; G, G_n) + v_k`
+(paper, Appendix F). A single filter commits itself before the strain passes :math:`1/G_n`, where
+:math:`G_n` is not observable, and never recovers; a sum of filters, each started at its own
+:math:`\ln G_n`, does not (Alspach and Sorenson, IEEE Trans. Autom. Control 17 (1972) 439).
+
+State of each member: :math:`(\ln G, \ln G_n, o, b)`, with o the strain origin and b the bias of
+the stress, nuisances that are known at best as well as the touch was seen and the sensor was
+tared:
 
 .. math::
-    f'_k = \varphi\bigl(x(u_k - o); G, G_n\bigr) + b\,\frac{t_k^\alpha}{\Gamma(1+\alpha)} + v_k, \qquad
-    R_k = 0.9\,\sigma^2 \frac{t_k^{2\alpha}}{(1+2\alpha)\,\Gamma(1+\alpha)^2}
+    f'_k = \varphi\bigl(x(u_k - o); G, G_n\bigr) + b\,\frac{t_k^\alpha}{\Gamma(1+\alpha)} + v_k,
+    \qquad R_k = 0.9\,\sigma^2 \frac{t_k^{2\alpha}}{(1+2\alpha)\,\Gamma(1+\alpha)^2}
 
-u is the compression, :math:`t_k` the time since the memory began. :math:`R_k` stands for the coloured noise that white force noise
+u is the compression, :math:`t_k` the time since the memory began. :math:`R_k` stands for the
+coloured noise that white force noise
 :math:`\sigma` per sample becomes; a mean over m samples has :math:`R_k/m`.
 
-alpha is not estimated here (choosing it by the residual of f' is a trap: the noise shrinks with alpha). Its uncertainty
-counts all the same: the sensitivity :math:`s = d\hat\theta/d\alpha` of the estimate is carried along,
-:math:`s \leftarrow (I - KH)s + K\,\partial f'/\partial\alpha`, and adds :math:`s s^T \sigma_\alpha^2` to the covariance (consider
-analysis: Tapley, Schutz and Born, Statistical Orbit Determination, 2004, ch. 6).
+alpha is not estimated here (choosing it by the residual of f' is a trap: the noise shrinks with
+alpha). Its uncertainty counts all the same: the sensitivity :math:`s = d\hat\theta/d\alpha` of the
+estimate is carried along,
+:math:`s \leftarrow (I - KH)s + K\,\partial f'/\partial\alpha`, and adds :math:`s s^T
+\sigma_\alpha^2` to the covariance (consider analysis: Tapley, Schutz and Born, Statistical Orbit
+Determination, 2004, ch. 6).
 """
 
 from __future__ import annotations
@@ -39,7 +46,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the tissue before it is touched; the defaults are the liver of the paper's Table II.
+    """What is known of the tissue before it is touched; by default the paper's liver.
 
     Parameters
     ----------
@@ -85,7 +92,7 @@ class Block(NamedTuple):
     fractional_stress: float  #: f' [Pa s^alpha]
     fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
     memory_time: float  #: t since the memory began [s]
-    count: int  #: samples in the block
+    size: int  #: samples in the block
 
 
 class Innovation(NamedTuple):
@@ -142,7 +149,8 @@ _LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)
 _MEMBER_SPACING = 0.1125
 _MEMBER_SD = 0.06
 _GRID_HALF_WIDTH = 2.25
-#: Share of the white-noise variance that remains in f' where the information is, measured on simulated ramps.
+#: Share of the white-noise variance that remains in f' where the information is, measured on
+#: simulated ramps.
 _NOISE_SHARE = 0.9
 
 
@@ -199,15 +207,18 @@ class FractionalStressEstimator:
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""
         growth = block.memory_time**self._order
-        noise = self._noise_variance * growth**2 / block.count
+        noise = self._noise_variance * growth**2 / block.size
         bias_gain = growth / self._gamma
         weights = self._weights()
         members = [self._update_member(m, block, bias_gain, noise) for m in self._members]
         self._max_compression = max(self._max_compression, block.compression)
-        self._sample_count += block.count
-        predicted = float(sum(w * m.predicted for w, m in zip(weights, members)))
+        self._sample_count += block.size
+        predicted = float(sum(w * m.predicted for w, m in zip(weights, members, strict=True)))
         variance = float(
-            sum(w * (m.variance + (m.predicted - predicted) ** 2) for w, m in zip(weights, members))
+            sum(
+                w * (m.variance + (m.predicted - predicted) ** 2)
+                for w, m in zip(weights, members, strict=True)
+            )
         )
         return Innovation(predicted, block.fractional_stress - predicted, variance)
 
@@ -283,7 +294,7 @@ class FractionalStressEstimator:
         )
 
     def _sensitivity(self, weights: Array, centred: Array) -> Array:
-        """Derivative of the mixture's mean by alpha: that of the members, and that of their weights."""
+        """Return the derivative of the mean by alpha: of the members, and of their weights."""
         own = np.array([member.sensitivity for member in self._members])
         by_weight = np.array([member.log_weight_sensitivity for member in self._members])
         result: Array = weights @ own + (weights * (by_weight - weights @ by_weight)) @ centred
@@ -293,7 +304,7 @@ class FractionalStressEstimator:
         self, weights: Array, means: Array, covariances: Array
     ) -> float:
         total = 0.0
-        for weight, mean, covariance in zip(weights, means, covariances):
+        for weight, mean, covariance in zip(weights, means, covariances, strict=True):
             strain = self._geometry.strain(self._max_compression - mean[_ORIGIN])
             if strain > 0.0:
                 deviation = math.sqrt(covariance[_LOG_GN, _LOG_GN])

@@ -1,11 +1,15 @@
 r"""Online fractional integral in constant time and memory per sample, for arbitrary steps.
 
-The Riemann-Liouville integral of order beta (paper, eq. FC) has the kernel :math:`k(t) = t^{\beta-1}/\Gamma(\beta)`, which
-remembers everything. On :math:`[\delta, T]` it is a sum of exponentials to eleven digits,
-:math:`k(t) \approx \sum_j w_j e^{-s_j t}`, so that the whole past lives in one number per exponential,
-:math:`z_j(t) = \int_0^t e^{-s_j (t-\xi)} f(\xi)\,d\xi`. The rates s do not depend on beta: one state serves every order at once.
+The Riemann-Liouville integral of order beta (paper, eq. FC) has the kernel :math:`k(t) =
+t^{\beta-1}/\Gamma(\beta)`, which remembers everything. On :math:`[\delta, T]` it is a sum of
+exponentials to eleven digits,
+:math:`k(t) \approx \sum_j w_j e^{-s_j t}`, so that the whole past lives in one number per
+exponential,
+:math:`z_j(t) = \int_0^t e^{-s_j (t-\xi)} f(\xi)\,d\xi`. The rates s do not depend on beta: one
+state serves every order at once.
 
-With f linear between samples, h the step and :math:`y_j = s_j h`, the recursion is exact for any h:
+With f linear between samples, h the step and :math:`y_j = s_j h`, the recursion is exact for any
+h:
 
 .. math::
     q_j &= e^{-y_j} z_j, \qquad
@@ -13,9 +17,9 @@ With f linear between samples, h the step and :math:`y_j = s_j h`, the recursion
     z_j &\leftarrow q_j + h\,[f_{n-1}(\phi_1 - \phi_2) + f_n \phi_2], \qquad
     \phi_1 = (1 - e^{-y})/y,\ \phi_2 = (1 - \phi_1)/y
 
-The newest step is integrated with the true kernel, because there the sum of exponentials does not hold. Idea of the kernel
-sum: Beylkin and Monzón, Appl. Comput. Harmon. Anal. 28 (2010) 131; of the recursion: Lubich and Schädle,
-SIAM J. Sci. Comput. 24 (2002) 161.
+The newest step is integrated with the true kernel, because there the sum of exponentials does not
+hold. Idea of the kernel sum: Beylkin and Monzón, Appl. Comput. Harmon. Anal. 28 (2010) 131; of the
+recursion: Lubich and Schädle, SIAM J. Sci. Comput. 24 (2002) 161.
 """
 
 from __future__ import annotations
@@ -30,7 +34,8 @@ from scipy.special import gamma
 
 Array = NDArray[np.float64]
 
-#: Shortest step [s] and longest memory [s] for which the sum of exponentials holds, to a relative 3e-11.
+#: Shortest step [s] and longest memory [s] for which the sum of exponentials holds, to a relative
+#: 3e-11.
 SHORTEST_STEP = 1e-5
 LONGEST_MEMORY = 1e5
 
@@ -42,8 +47,8 @@ _SERIES_LIMIT = 1e-2
 
 @functools.cache
 def _rates() -> Array:
-    decades = np.log10([10**-0.25 / LONGEST_MEMORY, 10**1.25 / SHORTEST_STEP])
-    rates = np.concatenate([[0.0], np.logspace(*decades, _EXPONENTIALS - 1)])
+    slowest, fastest = 10**-0.25 / LONGEST_MEMORY, 10**1.25 / SHORTEST_STEP
+    rates = np.concatenate([[0.0], np.geomspace(slowest, fastest, _EXPONENTIALS - 1)])
     rates.flags.writeable = False
     return rates
 
@@ -110,7 +115,7 @@ class FractionalIntegral:
         self.last_value = 0.0
 
     def start(self, value: float) -> Array:
-        """Forget everything and begin at a sample `value`; return the integral, which is 0, shape (orders,)."""
+        """Forget everything and begin at `value`; return the integral, 0, shape (orders,)."""
         self._memory.fill(0.0)
         self.last_value = value
         return np.zeros(self._order_array.size)
@@ -118,7 +123,8 @@ class FractionalIntegral:
     def advance(self, step: float, value: float) -> Array:
         """Add a sample `step` seconds after the last; return D^-beta f there, shape (orders,).
 
-        Steps shorter than :data:`SHORTEST_STEP` are outside the kernel's range: the caller merges or drops them.
+        Steps shorter than :data:`SHORTEST_STEP` are outside the kernel's range: the caller merges
+        or drops them.
         """
         if step != self._prepared_step:
             self._prepare(step)
@@ -138,7 +144,9 @@ class FractionalIntegral:
         np.exp(-exponent, out=self._decay)
         few = int(np.searchsorted(exponent, _SERIES_LIMIT))
         small, large = exponent[:few], exponent[few:]
-        self._new_gain[:few] = 0.5 - small * (1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720)))
+        self._new_gain[:few] = 0.5 - small * (
+            1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720))
+        )
         mean_decay = self._scratch
         mean_decay[:few] = 1.0 - small * self._new_gain[:few]
         mean_decay[few:] = (1.0 - self._decay[few:]) / large

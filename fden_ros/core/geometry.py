@@ -1,8 +1,9 @@
 """From force and displacement to stress and strain: one class a geometry.
 
-Every geometry works on the *compression* u = d / L: the displacement d into the tissue over a characteristic length L, less
-the strain origin o that the estimator may refine. Strain is x(u - o); stress is force times a constant. So one filter
-serves all geometries, and the apparent stiffness in newtons per metre follows from dx/du.
+Every geometry works on the *compression* u = d / L: the displacement d into the tissue over a
+characteristic length L, less the strain origin o that the estimator may refine. Strain is x(u -
+o); stress is force times a constant. So one filter serves all geometries, and the apparent
+stiffness in newtons per metre follows from dx/du.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ class FlatPunch:
     thickness : float
         Thickness of the tissue h [m].
     poisson_ratio : float or None
-        Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of the layer under a
-        probe smaller than it; see :func:`hayes_factor`. None: no correction.
+        Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
+        the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
     """
 
     area: float
@@ -59,7 +60,7 @@ class FlatPunch:
 
     @property
     def stress_per_force(self) -> float:
-        """1/A, or with Hayes' correction (1 - nu^2) h / (2 a kappa A') such that f = E x for an elastic layer."""
+        """1/A; with Hayes' correction (1 - nu^2) / (2 a kappa h), so that f = E x if elastic."""
         if self.poisson_ratio is None:
             return 1.0 / self.area
         radius = math.sqrt(self.area / math.pi)
@@ -79,10 +80,13 @@ class FlatPunch:
 class Sphere:
     r"""A spherical tip (Hertz), with representative stress and strain.
 
-    For a viscoelastic half-space under growing contact, Lee and Radok (J. Appl. Mech. 27, 1960) give
-    :math:`F = \tfrac43 \sqrt R\, E^*(t) * d(\delta^{3/2})`. With the representative stress :math:`f = 3F/(4R^2)` and strain
-    :math:`x = (\delta/R)^{3/2}` this is :math:`f = D^\alpha(G x)`: the noise of the stress is that of the force,
-    the memory is exact where the law is linear, and G is the plane-strain modulus in Pa s^alpha.
+    For a viscoelastic half-space under growing contact, Lee and Radok (J. Appl. Mech. 27, 1960)
+    give
+    :math:`F = \tfrac43 \sqrt R\, E^*(t) * d(\delta^{3/2})`. With the representative stress
+    :math:`f = 3F/(4R^2)` and strain
+    :math:`x = (\delta/R)^{3/2}` this is :math:`f = D^\alpha(G x)`: the noise of the stress is that
+    of the force, the memory is exact where the law is linear, and G is the plane-strain modulus in
+    Pa s^alpha.
 
     Parameters
     ----------
@@ -113,14 +117,16 @@ class Sphere:
 
 @dataclass(frozen=True)
 class TorsionalRheometer:
-    """A cylindrical sample twisted between plates (paper, Appendix A): torque [N m] and angle [rad] as inputs.
+    """A cylinder twisted between plates (paper, Appendix A): torque [N m] and angle [rad].
 
-    Stress f = T / (pi R^3), strain x = R theta / (2 d): the means over the sample, half of the outer values.
+    Stress f = T / (pi R^3), strain x = R theta / (2 d): the means over the sample, half of the
+    outer values.
 
     Parameters
     ----------
     radius : float
-        Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a factor of 8 in stress.
+        Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a
+        factor of 8 in stress.
     height : float
         Height of the sample d [m].
     """
@@ -165,13 +171,13 @@ class PassThrough:
 
 @functools.lru_cache(maxsize=64)
 def hayes_factor(aspect_ratio: float, poisson_ratio: float) -> float:
-    r"""Return Hayes' factor kappa of a rigid flat punch on an elastic layer bonded to a rigid base.
+    r"""Return Hayes' factor kappa of a rigid flat punch on an elastic layer bonded to its base.
 
-    :math:`F = 2 a \kappa E d / (1 - \nu^2)`; kappa is 1 for a half-space (Hayes, Keer, Herrmann and Mockros, J. Biomech. 5
-    (1972) 541). Found here from the integral equation itself,
+    :math:`F = 2 a \kappa E d / (1 - \nu^2)`; kappa is 1 for a half-space (Hayes, Keer, Herrmann
+    and Mockros, J. Biomech. 5 (1972) 541). Found here from the integral equation itself,
     :math:`\varphi(\xi) - \tfrac1\pi \int_{-1}^{1} M(\xi-\eta)\,\varphi(\eta)\,d\eta = 1`,
-    :math:`M(\xi) = \tfrac{a}{h}\int_0^\infty (1-L(u)) \cos(u \xi a/h)\,du`, :math:`\kappa = \int_0^1 \varphi`, with L the layer's
-    compliance relative to a half-space.
+    :math:`M(\xi) = \tfrac{a}{h}\int_0^\infty (1-L(u)) \cos(u \xi a/h)\,du`, :math:`\kappa =
+    \int_0^1 \varphi`, with L the layer's compliance relative to a half-space.
 
     Parameters
     ----------
@@ -190,6 +196,8 @@ def hayes_factor(aspect_ratio: float, poisson_ratio: float) -> float:
         kolosov * (1.0 + decay2) + (4.0 * wave**2 + 1.0 + kolosov**2) * decay
     )
     distance = np.abs(nodes[:, None] - nodes[None, :])
-    kernel = np.cos(aspect_ratio * distance[:, :, None] * wave) @ ((1.0 - compliance) * wave_weights)
+    kernel = np.cos(aspect_ratio * distance[:, :, None] * wave) @ (
+        (1.0 - compliance) * wave_weights
+    )
     system = np.eye(nodes.size) - aspect_ratio / math.pi * kernel * weights
     return float(0.5 * weights @ np.linalg.solve(system, np.ones(nodes.size)))

@@ -5,10 +5,11 @@ r"""The constitutive law of FDEN: fractional dynamics, exponential nonlinearity.
     \varphi(x) = \begin{cases} G x & |x| \le 1/G_n \\
     \operatorname{sgn}(x)\,(G/G_n)\,e^{G_n |x| - 1} & |x| > 1/G_n \end{cases}
 
-(paper, eqs. 1 and 2 with the symmetric form of eq. partial7). The two branches join with equal value and slope at the
-boundary strain :math:`x_b = 1/G_n`. With :math:`u = \ln G_n`, :math:`\partial\varphi/\partial\ln G = \varphi` and
-:math:`\partial\varphi/\partial u = \varphi\,(G_n|x| - 1)` beyond the boundary strain, 0 within: one smooth observation,
-no switching.
+(paper, eqs. 1 and 2 with the symmetric form of eq. partial7). The two branches join with equal
+value and slope at the boundary strain :math:`x_b = 1/G_n`. With :math:`u = \ln G_n`,
+:math:`\partial\varphi/\partial\ln G = \varphi` and
+:math:`\partial\varphi/\partial u = \varphi\,(G_n|x| - 1)` beyond the boundary strain, 0 within:
+one smooth observation, no switching.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ class ElasticResponse(NamedTuple):
     by_strain: float  #: dphi/dx [Pa s^alpha]
 
 
-#: Beyond this exponent phi is continued by its tangent: e^60 is no tissue, and an overflow would poison the filter.
+#: Beyond this exponent phi is continued by its tangent: e^60 is no tissue, and an overflow would
+#: poison the filter.
 _MAX_EXPONENT = 60.0
 
 
@@ -58,9 +60,9 @@ def exponential_scale(linear_stiffness: float, nonlinear_stiffness: float) -> fl
 
 
 def apparent_stiffness_factor(fractional_order: float, time_scale: float) -> float:
-    """Return tau^-alpha / Gamma(1 - alpha) [s^-alpha]: the springpot's relaxation after tau per unit of G.
+    """Return tau^-alpha / Gamma(1 - alpha) [s^-alpha], the relaxation after tau per unit of G.
 
-    A fractional solid has no single stiffness. Times dphi/dx this is the stress per strain that a small step meets
-    after `time_scale` seconds (paper, eq. E1 with its factor corrected).
+    A fractional solid has no single stiffness. Times dphi/dx this is the stress per strain that a
+    small step meets after `time_scale` seconds (paper, eq. E1 with its factor corrected).
     """
     return float(time_scale**-fractional_order / math.gamma(1.0 - fractional_order))

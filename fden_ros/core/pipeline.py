@@ -1,7 +1,8 @@
-"""The whole chain from samples to classified tissue: one object, the same for live, replay and batch.
+"""The whole chain from samples to classified tissue, the same for live, replay and batch.
 
-Samples of force and displacement go in, each stream in its own order; :class:`TissueState`, :class:`Classification` and
-:class:`ContactSummary` come out through a callback. Time is taken from the stamps alone.
+Samples of force and displacement go in, each stream in its own order; :class:`TissueState`,
+:class:`Classification` and :class:`ContactSummary` come out through a callback. Time is taken from
+the stamps alone.
 """
 
 from __future__ import annotations
@@ -115,10 +116,10 @@ class PipelineConfig:
     """
 
     library: TissueLibrary
-    geometry: Geometry = FlatPunch(area=1e-4, thickness=0.02)
-    synchronize: SynchronizeConfig = SynchronizeConfig()
-    contact: ContactConfig = ContactConfig()
-    estimator: EstimatorConfig = EstimatorConfig()
+    geometry: Geometry = field(default_factory=lambda: FlatPunch(area=1e-4, thickness=0.02))
+    synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     order_source: OrderSource = OrderSource.PRIOR
     strain_origin: float | None = None
     block_duration: float = 0.01
@@ -212,7 +213,8 @@ _CLASSIFY_EVERY = 10
 _PROBABILITY_CHANGE = 0.01
 #: Half the distance between the orders whose difference is df'/dalpha.
 _ORDER_STEP = 0.005
-#: The surface found at the touch starts the filter; its deviation is widened, since the filter sees those samples again.
+#: The surface found at the touch starts the filter; its deviation is widened, since the filter
+#: sees those samples again.
 _ORIGIN_WIDENING = 3.0
 
 
@@ -328,7 +330,7 @@ class Pipeline:
     def add_displacement(
         self, stamp_ns: int, displacement: float, position: Position | None = None
     ) -> None:
-        """Take a displacement sample [m], positive into the tissue, and the probe's position where known."""
+        """Take a displacement [m], positive into the tissue, and the position where known [m]."""
         self._synchronizer.add_displacement(stamp_ns, displacement, position)
 
     def reject(self, stream: str, reason: str) -> None:
@@ -390,7 +392,7 @@ class Pipeline:
             return
         step_ns = stamp_ns - previous_ns
         usual_ns = self._usual_step_ns
-        self._usual_step_ns = usual_ns + 0.05 * (step_ns - usual_ns) if usual_ns else float(step_ns)
+        self._usual_step_ns = usual_ns + 0.05 * (step_ns - usual_ns) if usual_ns else 1.0 * step_ns
         if step_ns <= _GAP_STEPS * usual_ns or step_ns <= _GAP_TIME * NANOSECONDS or not usual_ns:
             return
         self._usual_step_ns = usual_ns
@@ -467,12 +469,15 @@ class Pipeline:
     def _is_new_site(self, site: _Site, pair: Pair) -> bool:
         if site.position is None or pair.position is None:
             return pair.stamp_ns - site.last_ns > self._timeout_ns
-        return self._lateral_distance(site.position, pair.position) > self.config.contact.site_distance
+        return (
+            self._lateral_distance(site.position, pair.position)
+            > self.config.contact.site_distance
+        )
 
     def _lateral_distance(self, a: Position, b: Position) -> float:
         axis = self.config.contact.approach_axis
-        offset = [q - p for p, q in zip(a, b)]
-        along = sum(o * n for o, n in zip(offset, axis))
+        offset = [q - p for p, q in zip(a, b, strict=True)]
+        along = sum(o * n for o, n in zip(offset, axis, strict=True))
         return math.dist(offset, [along * n for n in axis])
 
     def _rest_until(self, site: _Site, stamp_ns: int) -> None:
@@ -517,18 +522,23 @@ class Pipeline:
             return
         self._block_end_ns = pair.stamp_ns
         site = self._site
-        estimate = site.estimator.estimate() if site is not None and site.estimator is not None else None
+        estimate = (
+            site.estimator.estimate() if site is not None and site.estimator is not None else None
+        )
         self._emit(
             TissueState(
                 stamp_ns=pair.stamp_ns,
-                # After a jump of the clock the probe may press on a tissue that nothing is known of.
+                # After a jump of the clock the probe may press on a tissue that nothing is known
+                # of.
                 status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
                 flags=self._input_flags(),
                 site_id=site.site_id if site is not None else 0,
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,
                 estimate=estimate,
-                order_source=self.config.order_source if estimate is not None else OrderSource.NONE,
+                order_source=self.config.order_source
+                if estimate is not None
+                else OrderSource.NONE,
             )
         )
 
@@ -547,14 +557,15 @@ class Pipeline:
             fractional_stress_by_order=float(fractional[1] - fractional[2])
             / (self._orders[1] - self._orders[2]),
             memory_time=0.5 * (sums.start_ns + stamp_ns - 2 * site.start_ns) / NANOSECONDS,
-            count=count,
+            size=count,
         )
         sums.clear()
         self._block_end_ns = stamp_ns
         self._blocks += 1
         innovation = None
         if site.estimator is not None and site.usable and not contact.ended:
-            # Without contact the law does not hold; near the surface the origin's error is not small.
+            # Without contact the law does not hold; near the surface the origin's error is not
+            # small.
             if force > contact.release_force and compression > site.origin_sd:
                 innovation = site.estimator.update(block)
             contact.estimate = site.estimator.estimate()
@@ -588,12 +599,16 @@ class Pipeline:
                 site_id=site.site_id,
                 contact_id=contact.contact_id,
                 phase=phase,
-                order_source=self.config.order_source if estimate is not None else OrderSource.NONE,
+                order_source=self.config.order_source
+                if estimate is not None
+                else OrderSource.NONE,
                 estimate=estimate,
                 signals=Signals(strain, block.stress, block.fractional_stress),
                 innovation=innovation,
                 apparent_stiffness=(
-                    self._apparent_stiffness(estimate, compression) if estimate is not None else None
+                    self._apparent_stiffness(estimate, compression)
+                    if estimate is not None
+                    else None
                 ),
             )
         )
@@ -649,7 +664,7 @@ class Pipeline:
         previous = contact.classes
         changed = previous is None or any(
             abs(new - old) > _PROBABILITY_CHANGE
-            for new, old in zip(classes.probabilities, previous.probabilities)
+            for new, old in zip(classes.probabilities, previous.probabilities, strict=True)
         )
         if changed or (previous is not None and previous.label != classes.label):
             decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
@@ -731,7 +746,7 @@ class Pipeline:
 
 
 def stale(state: TissueState) -> TissueState:
-    """Return `state` marked as no longer current, with nothing in it that a controller could act on."""
+    """Return `state` as no longer current, with nothing in it to act on."""
     return replace(
         state,
         status=Status.STALE,

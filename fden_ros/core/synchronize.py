@@ -1,7 +1,8 @@
 """Two streams of stamped samples into pairs: displacement interpolated to the stamps of the force.
 
-Every decision rests on stamps and on the order of samples within their own stream, never on when samples of the two
-streams arrive relative to each other. So live, replayed and batched data give the same pairs.
+Every decision rests on stamps and on the order of samples within their own stream, never on when
+samples of the two streams arrive relative to each other. So live, replayed and batched data give
+the same pairs.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class SynchronizeConfig:
 
 #: Stamps closer than this are one sample [ns]: the fractional integral's shortest step.
 _MIN_STEP_NS = 10_000
-#: A stamp this far back, confirmed by the next sample, is a jump of the clock; less is a late sample [ns].
+#: A stamp this far back, confirmed by the next sample, is a jump of the clock; less is a late
+#: sample [ns].
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
 #: A stamp this far ahead waits for the next sample to confirm it [ns].
 _FORWARD_JUMP_NS = NANOSECONDS
@@ -87,7 +89,8 @@ class Pair(NamedTuple):
 class StreamGuard:
     """Accept a stream's samples in order of their stamps; reject and count the others.
 
-    A stamp far from its predecessor is held back until the next sample tells a jump of the clock from a stray stamp.
+    A stamp far from its predecessor is held back until the next sample tells a jump of the clock
+    from a stray stamp.
     """
 
     def __init__(self, limit: float, rejected: Counter[str], name: str) -> None:
@@ -108,8 +111,8 @@ class StreamGuard:
     def accept(
         self, stamp_ns: int, value: float, position: Position | None = None
     ) -> tuple[Sample, ...]:
-        """Check one sample; return those that are now accepted: none, this one, or a held one and this one."""
-        if not math.isfinite(value) or (position is not None and not all(map(math.isfinite, position))):
+        """Check one sample; return what is now accepted: none, this, or a held one and this."""
+        if not math.isfinite(value) or not all(map(math.isfinite, position or ())):
             self.reject(Reason.NON_FINITE)
             return ()
         if abs(value) > self._limit:
@@ -169,7 +172,7 @@ class StreamGuard:
         return sample._replace(epoch=self.epoch)
 
     def join_epoch(self, epoch: int, start_ns: int) -> None:
-        """Number the following samples as belonging to `epoch`, which starts at `start_ns`."""
+        """Take the following samples to belong to `epoch`, which starts at `start_ns`."""
         self.epoch = epoch
         self.epoch_start_ns = start_ns
 
@@ -183,7 +186,8 @@ class Synchronizer:
     on_pair : callable
         Called with each :class:`Pair`, in order.
     rejected : collections.Counter
-        Counts of rejected samples, keyed ``"force.<reason>"`` or ``"displacement.<reason>"``; added to.
+        Counts of rejected samples, keyed ``"force.<reason>"`` or ``"displacement.<reason>"``;
+        added to.
     """
 
     def __init__(
@@ -255,7 +259,7 @@ class Synchronizer:
         self._on_pair(Pair(force.epoch, force.stamp_ns, force.value, displacement, position))
 
     def _follow_displacement(self, force: Sample, displacement: Sample) -> None:
-        """Let the force join an epoch that only the displacement's clock has entered, after a window's wait."""
+        """Let the force join an epoch that only the displacement entered, after a window."""
         if displacement.epoch <= self.force_guard.epoch:
             self._behind_since_ns = None
         elif self._behind_since_ns is None:
@@ -271,8 +275,8 @@ class Synchronizer:
     def _bound_memory(self, samples: deque[Sample], guard: StreamGuard) -> None:
         """Drop what has waited for longer than the window.
 
-        A force that waited in vain although its clock jumped back tells that the other stream's clock did not: that
-        stream is then taken to be in the same epoch.
+        A force that waited in vain although its clock jumped back tells that the other stream's
+        clock did not: that stream is then taken to be in the same epoch.
         """
         newest = samples[-1]
         while self._waited_ns(samples[0], newest, guard) > self._window_ns:

@@ -1,1 +1,1 @@
-
+"""ROS shells: nodes over the pure core."""

@@ -1,0 +1,273 @@
+"""Between ROS messages and the core: samples in, messages out.
+
+Used alike by the live node and by replay, so that both compute from the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
+from sensor_msgs.msg import JointState
+
+from fden_ros.core.classifier import ClassProbabilities, TissueLibrary
+from fden_ros.core.estimator import Estimate
+from fden_ros.core.model import exponential_scale
+from fden_ros.core.pipeline import (
+    Classification,
+    ContactSummary,
+    OrderSource,
+    Output,
+    Pipeline,
+    TissueState,
+)
+from fden_ros.core.synchronize import NANOSECONDS, Position, Reason
+from fden_ros.parameters import unit_vector
+
+FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
+DISPLACEMENT_MESSAGES: dict[str, type] = {
+    "joint_state": JointState,
+    "pose": PoseStamped,
+    "transform": TransformStamped,
+    "point": PointStamped,
+}
+
+
+def stamp_ns(stamp: Time) -> int:
+    """Return a stamp as integer nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def to_stamp(nanoseconds: int) -> Time:
+    """Return integer nanoseconds as a stamp."""
+    seconds, rest = divmod(nanoseconds, NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+class Inputs:
+    """Feed a pipeline from messages: project on the axes, pick the joint, hold the frame.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Checked parameter values.
+    pipeline : Pipeline
+
+    Attributes
+    ----------
+    force_frame : str
+        frame_id of the force messages; the outputs carry it.
+    """
+
+    def __init__(self, parameters: Mapping[str, Any], pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._force_axis = unit_vector(parameters["force.axis"])
+        self._displacement_axis = unit_vector(parameters["displacement.axis"])
+        self._force_joint = str(parameters["force.name"])
+        self._displacement_joint = str(parameters["displacement.name"])
+        self._force_sign = -1.0 if parameters["force.inverted"] else 1.0
+        self._displacement_sign = -1.0 if parameters["displacement.inverted"] else 1.0
+        self._read_force: dict[type, Callable[[Any], float | None]] = {
+            WrenchStamped: self._wrench_force,
+            JointState: self._joint_force,
+        }
+        self._read_position: dict[type, Callable[[Any], Position]] = {
+            PoseStamped: _pose_position,
+            TransformStamped: _transform_position,
+            PointStamped: _point_position,
+        }
+        self.reset()
+
+    def reset(self) -> None:
+        """Let the next messages say their frames anew."""
+        self.force_frame = ""
+        self._force_frame_known = False
+        self._displacement_frame: str | None = None
+
+    def add_force(self, message: Any) -> None:
+        """Take a force message."""
+        header = message.header
+        if header.frame_id != self.force_frame:
+            if self._force_frame_known:
+                self._pipeline.reject("force", Reason.WRONG_FRAME)
+                return
+            self.force_frame = header.frame_id
+        self._force_frame_known = True
+        force = self._read_force[type(message)](message)
+        if force is None:
+            self._pipeline.reject("force", Reason.MISSING_FIELD)
+            return
+        self._pipeline.add_force(stamp_ns(header.stamp), force)
+
+    def add_displacement(self, message: Any) -> None:
+        """Take a displacement message."""
+        header = message.header
+        if header.frame_id != self._displacement_frame:
+            if self._displacement_frame is not None:
+                self._pipeline.reject("displacement", Reason.WRONG_FRAME)
+                return
+            self._displacement_frame = header.frame_id
+        if isinstance(message, JointState):
+            joint = _joint_value(message.name, message.position, self._displacement_joint)
+            if joint is None:
+                self._pipeline.reject("displacement", Reason.MISSING_FIELD)
+                return
+            self._pipeline.add_displacement(
+                stamp_ns(header.stamp), self._displacement_sign * joint
+            )
+            return
+        position = self._read_position[type(message)](message)
+        x, y, z = position
+        a, b, c = self._displacement_axis
+        self._pipeline.add_displacement(stamp_ns(header.stamp), a * x + b * y + c * z, position)
+
+    def _wrench_force(self, message: WrenchStamped) -> float:
+        force = message.wrench.force
+        a, b, c = self._force_axis
+        return float(a * force.x + b * force.y + c * force.z)
+
+    def _joint_force(self, message: JointState) -> float | None:
+        effort = _joint_value(message.name, message.effort, self._force_joint)
+        return None if effort is None else self._force_sign * effort
+
+
+def _joint_value(names: list[str], values: Any, joint: str) -> float | None:
+    index = 0
+    if joint:
+        if joint not in names:
+            return None
+        index = names.index(joint)
+    return float(values[index]) if index < len(values) else None
+
+
+def _pose_position(message: PoseStamped) -> Position:
+    position = message.pose.position
+    return position.x, position.y, position.z
+
+
+def _transform_position(message: TransformStamped) -> Position:
+    translation = message.transform.translation
+    return translation.x, translation.y, translation.z
+
+
+def _point_position(message: PointStamped) -> Position:
+    return message.point.x, message.point.y, message.point.z
+
+
+def to_message(output: Output, frame_id: str) -> Any:
+    """Return the message of one output of the pipeline."""
+    if isinstance(output, TissueState):
+        return estimate_message(output, frame_id)
+    if isinstance(output, Classification):
+        return classification_message(output, frame_id)
+    return summary_message(output, frame_id)
+
+
+def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
+    """Return a :class:`TissueState` as a message."""
+    message = TissueEstimate()
+    message.header.stamp = to_stamp(state.stamp_ns)
+    message.header.frame_id = frame_id
+    message.status = int(state.status)
+    message.flags = int(state.flags)
+    message.site_id = state.site_id
+    message.contact_id = state.contact_id
+    message.phase = int(state.phase)
+    valid = 0
+    if state.estimate is not None:
+        valid |= TissueEstimate.VALID_PARAMETERS
+        _fill_parameters(message, state.estimate, state.order_source)
+        message.sample_count = state.estimate.sample_count
+    if state.signals is not None:
+        valid |= TissueEstimate.VALID_SIGNALS
+        message.strain = state.signals.strain
+        message.stress = state.signals.stress
+        message.fractional_stress = state.signals.fractional_stress
+    if state.innovation is not None:
+        valid |= TissueEstimate.VALID_INNOVATION
+        message.predicted_fractional_stress = state.innovation.predicted
+        message.innovation = state.innovation.innovation
+        message.normalized_innovation_squared = state.innovation.normalized_squared
+    if state.apparent_stiffness is not None:
+        valid |= TissueEstimate.VALID_APPARENT_STIFFNESS
+        message.apparent_stiffness = state.apparent_stiffness.value
+        message.apparent_stiffness_sd = state.apparent_stiffness.sd
+        message.apparent_stiffness_time_scale = state.apparent_stiffness.time_scale
+    message.valid = valid
+    return message
+
+
+def classification_message(output: Classification, frame_id: str) -> TissueClassification:
+    """Return a :class:`Classification` as a message."""
+    message = TissueClassification()
+    message.header.stamp = to_stamp(output.stamp_ns)
+    message.header.frame_id = frame_id
+    message.decision = int(output.decision)
+    message.site_id = output.site_id
+    message.contact_id = output.contact_id
+    message.flags = int(output.flags)
+    message.library = output.library.name
+    _fill_classes(message, output.classes, output.library)
+    return message
+
+
+def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
+    """Return a :class:`ContactSummary` as a message."""
+    message = PalpationSummary()
+    message.header.stamp = to_stamp(summary.stamp_ns)
+    message.header.frame_id = frame_id
+    message.start = to_stamp(summary.start_ns)
+    message.end = to_stamp(summary.end_ns)
+    message.site_id = summary.site_id
+    message.contact_id = summary.contact_id
+    message.flags = int(summary.flags)
+    message.converged = summary.converged
+    message.complete = summary.complete
+    if summary.position is not None:
+        message.position_valid = True
+        message.position.x, message.position.y, message.position.z = summary.position
+    if summary.estimate is not None:
+        _fill_parameters(message, summary.estimate, summary.order_source)
+    message.max_strain = summary.max_strain
+    message.max_stress = summary.max_stress
+    message.max_force = summary.max_force
+    message.sample_count = summary.sample_count
+    message.rejected_count = summary.rejected_count
+    _fill_classes(message, summary.classes, summary.library)
+    return message
+
+
+def _fill_parameters(
+    message: TissueEstimate | PalpationSummary, estimate: Estimate, source: OrderSource
+) -> None:
+    linear_stiffness = math.exp(estimate.log_linear_stiffness)
+    nonlinear_stiffness = math.exp(estimate.log_nonlinear_stiffness)
+    deviations = np.sqrt(np.diag(estimate.covariance))
+    message.linear_stiffness = linear_stiffness
+    message.nonlinear_stiffness = nonlinear_stiffness
+    message.exponential_scale = exponential_scale(linear_stiffness, nonlinear_stiffness)
+    message.boundary_strain = 1.0 / nonlinear_stiffness
+    message.fractional_order = estimate.fractional_order
+    message.linear_stiffness_sd = linear_stiffness * float(deviations[0])
+    message.nonlinear_stiffness_sd = nonlinear_stiffness * float(deviations[1])
+    message.fractional_order_sd = float(deviations[2])
+    message.covariance = estimate.covariance.ravel()
+    message.strain_origin = estimate.strain_origin
+    message.strain_origin_sd = estimate.strain_origin_sd
+    message.alpha_source = int(source)
+
+
+def _fill_classes(
+    message: TissueClassification | PalpationSummary,
+    classes: ClassProbabilities | None,
+    library: TissueLibrary,
+) -> None:
+    message.class_names = list(library.class_names)
+    if classes is not None:
+        message.label = classes.label
+        message.probabilities = list(classes.probabilities)

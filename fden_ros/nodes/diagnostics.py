@@ -1,0 +1,139 @@
+"""What the node says about itself on ``/diagnostics``, once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import qos_policy_name_from_kind
+from rclpy.subscription import Subscription
+
+from fden_ros.core.pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from fden_ros.nodes.identifier import Identifier
+
+_PERIOD = 1.0
+
+
+class Diagnostics:
+    """Rates, rejected samples by reason, and what is wrong with the inputs, in words.
+
+    Parameters
+    ----------
+    node : Identifier
+        Owns the publisher and the timer.
+    """
+
+    def __init__(self, node: Identifier) -> None:
+        self._node = node
+        self._publisher = node.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._timer: Any = None
+        self._pipeline: Pipeline | None = None
+        self._subscriptions: Sequence[Subscription] = ()
+        self._incompatible: dict[str, str] = {}
+        self._pairs_before = 0
+        self._rejected_before = 0
+
+    def start(self, pipeline: Pipeline, subscriptions: Sequence[Subscription]) -> None:
+        """Begin to report on `pipeline`, fed by `subscriptions`, a list that may still grow."""
+        self._pipeline = pipeline
+        self._subscriptions = subscriptions
+        self._incompatible.clear()
+        self._pairs_before = self._rejected_before = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self._node.create_timer(_PERIOD, self._publish, clock=steady)
+
+    def stop(self) -> None:
+        """Fall silent."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+        self._timer = None
+        self._pipeline = None
+
+    def destroy(self) -> None:
+        """Release the publisher."""
+        self.stop()
+        self._node.destroy_publisher(self._publisher)
+
+    def incompatible_qos(self, topic: str, event: Any) -> None:
+        """Take note of a publisher whose QoS does not match."""
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        problem = (
+            f"a publisher on {topic} offers an incompatible {policy.lower()}: nothing "
+            f"comes from it"
+        )
+        self._incompatible[topic] = problem
+        self._node.get_logger().warning(problem, throttle_duration_sec=10.0)
+
+    def _publish(self) -> None:
+        pipeline = self._pipeline
+        if pipeline is None:
+            return
+        status = DiagnosticStatus()
+        status.name = f"{self._node.get_fully_qualified_name().lstrip('/')}: tissue identification"
+        status.hardware_id = ""
+        problems = self._problems(pipeline)
+        status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
+        status.message = "; ".join(problems) or "identifying"
+        for key, value in self._values(pipeline).items():
+            status.values.append(KeyValue(key=key, value=str(value)))
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+        self._pairs_before = pipeline.pair_count
+        self._rejected_before = pipeline.rejected.total()
+
+    def _problems(self, pipeline: Pipeline) -> list[str]:
+        problems = list(self._incompatible.values())
+        for subscription in self._subscriptions:
+            problems += self._publisher_problems(subscription)
+        if pipeline.pair_count == self._pairs_before:
+            problems.append("no pair of force and displacement in the last second")
+        rejected = pipeline.rejected.total() - self._rejected_before
+        if rejected:
+            problems.append(f"{rejected} samples rejected in the last second")
+            self._node.get_logger().warning(
+                f"{rejected} samples rejected in the last second, by reason so far: "
+                + ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items())),
+                throttle_duration_sec=10.0,
+            )
+        if (
+            self._node.get_parameter("use_sim_time").value
+            and not self._node.get_clock().now().nanoseconds
+        ):
+            problems.append("use_sim_time is set but nothing publishes /clock")
+        return problems
+
+    def _publisher_problems(self, subscription: Subscription) -> list[str]:
+        topic = subscription.topic_name
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        if not publishers:
+            return [f"nothing publishes {topic}"]
+        expected = _type_name(subscription.msg_type)
+        wrong = {p.topic_type for p in publishers if p.topic_type != expected}
+        problems = [
+            f"{topic} is published as {kind}, expected {expected}" for kind in sorted(wrong)
+        ]
+        if len(publishers) > 1:
+            problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
+        return problems
+
+    def _values(self, pipeline: Pipeline) -> dict[str, Any]:
+        values: dict[str, Any] = {
+            "pairs": pipeline.pair_count,
+            "pairs per second": pipeline.pair_count - self._pairs_before,
+            "contacts": pipeline.contact_count,
+            "sites": pipeline.site_count,
+            "rejected": pipeline.rejected.total(),
+        }
+        values.update({f"rejected.{k}": n for k, n in sorted(pipeline.rejected.items())})
+        values.update(sorted(pipeline.warnings.items()))
+        return values
+
+
+def _type_name(kind: Callable[..., Any]) -> str:
+    package, _, _ = kind.__module__.partition(".")
+    return f"{package}/msg/{kind.__name__}"
