@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from fden_ros import __version__
 from fden_ros.errors import InputError
 
-COMMANDS = ("bag", "replay", "play")
+COMMANDS = ("bag", "replay", "play", "demo")
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.

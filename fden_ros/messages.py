@@ -15,15 +15,20 @@ from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
-from fden_ros.core.classifier import ClassProbabilities, TissueLibrary
-from fden_ros.core.estimator import Estimate
+from fden_ros.core.classifier import ClassProbabilities
+from fden_ros.core.estimator import Estimate, Innovation
 from fden_ros.core.model import exponential_scale
 from fden_ros.core.pipeline import (
+    ApparentStiffness,
     Classification,
     ContactSummary,
+    Flag,
     OrderSource,
     Output,
+    Phase,
     Pipeline,
+    Signals,
+    Status,
     TissueState,
 )
 from fden_ros.core.synchronize import NANOSECONDS, Position, Reason
@@ -211,8 +216,8 @@ def classification_message(output: Classification, frame_id: str) -> TissueClass
     message.site_id = output.site_id
     message.contact_id = output.contact_id
     message.flags = int(output.flags)
-    message.library = output.library.name
-    _fill_classes(message, output.classes, output.library)
+    message.library = output.library_name
+    _fill_classes(message, output.classes)
     return message
 
 
@@ -238,7 +243,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     message.max_force = summary.max_force
     message.sample_count = summary.sample_count
     message.rejected_count = summary.rejected_count
-    _fill_classes(message, summary.classes, summary.library)
+    _fill_classes(message, summary.classes)
     return message
 
 
@@ -263,11 +268,89 @@ def _fill_parameters(
 
 
 def _fill_classes(
-    message: TissueClassification | PalpationSummary,
-    classes: ClassProbabilities | None,
-    library: TissueLibrary,
+    message: TissueClassification | PalpationSummary, classes: ClassProbabilities | None
 ) -> None:
-    message.class_names = list(library.class_names)
     if classes is not None:
         message.label = classes.label
+        message.class_names = list(classes.names)
         message.probabilities = list(classes.probabilities)
+
+
+def state_of(message: TissueEstimate) -> TissueState:
+    """Return an estimate message as a :class:`TissueState`, for those who receive it."""
+    valid = message.valid
+    has_parameters = bool(valid & TissueEstimate.VALID_PARAMETERS)
+    return TissueState(
+        stamp_ns=stamp_ns(message.header.stamp),
+        status=Status(message.status),
+        flags=Flag(message.flags),
+        site_id=message.site_id,
+        contact_id=message.contact_id,
+        phase=Phase(message.phase),
+        order_source=OrderSource(message.alpha_source),
+        estimate=_estimate_of(message, message.sample_count) if has_parameters else None,
+        signals=Signals(message.strain, message.stress, message.fractional_stress)
+        if valid & TissueEstimate.VALID_SIGNALS
+        else None,
+        innovation=Innovation(
+            message.predicted_fractional_stress,
+            message.innovation,
+            message.innovation**2 / (message.normalized_innovation_squared or 1.0),
+        )
+        if valid & TissueEstimate.VALID_INNOVATION
+        else None,
+        apparent_stiffness=ApparentStiffness(
+            message.apparent_stiffness,
+            message.apparent_stiffness_sd,
+            message.apparent_stiffness_time_scale,
+        )
+        if valid & TissueEstimate.VALID_APPARENT_STIFFNESS
+        else None,
+    )
+
+
+def summary_of(message: PalpationSummary) -> ContactSummary:
+    """Return a summary message as a :class:`ContactSummary`, for those who receive it."""
+    position = message.position
+    return ContactSummary(
+        stamp_ns=stamp_ns(message.header.stamp),
+        start_ns=stamp_ns(message.start),
+        end_ns=stamp_ns(message.end),
+        site_id=message.site_id,
+        contact_id=message.contact_id,
+        flags=Flag(message.flags),
+        converged=message.converged,
+        complete=message.complete,
+        position=(position.x, position.y, position.z) if message.position_valid else None,
+        order_source=OrderSource(message.alpha_source),
+        estimate=_estimate_of(message, message.sample_count) if message.alpha_source else None,
+        max_strain=message.max_strain,
+        max_stress=message.max_stress,
+        max_force=message.max_force,
+        sample_count=message.sample_count,
+        rejected_count=message.rejected_count,
+        classes=ClassProbabilities(
+            message.label, tuple(message.class_names), tuple(message.probabilities)
+        )
+        if message.label
+        else None,
+    )
+
+
+def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) -> Estimate:
+    converged = (
+        message.converged
+        if isinstance(message, PalpationSummary)
+        else message.status == TissueEstimate.STATUS_CONVERGED
+    )
+    return Estimate(
+        log_linear_stiffness=math.log(message.linear_stiffness),
+        log_nonlinear_stiffness=math.log(message.nonlinear_stiffness),
+        fractional_order=message.fractional_order,
+        covariance=np.array(message.covariance).reshape(3, 3),
+        strain_origin=message.strain_origin,
+        strain_origin_sd=message.strain_origin_sd,
+        probability_beyond_boundary=math.nan,
+        converged=converged,
+        sample_count=sample_count,
+    )

@@ -217,7 +217,8 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
             "alpha_sd": deviations[2],
         }
     if summary.classes is not None:
-        names = summary.library.class_names
         contact["label"] = summary.classes.label
-        contact["probabilities"] = dict(zip(names, summary.classes.probabilities, strict=True))
+        contact["probabilities"] = dict(
+            zip(summary.classes.names, summary.classes.probabilities, strict=True)
+        )
     return contact

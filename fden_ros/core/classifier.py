@@ -61,6 +61,7 @@ class ClassProbabilities(NamedTuple):
     """Probabilities of a library's classes, in its order, ``unknown`` last."""
 
     label: str
+    names: tuple[str, ...]
     probabilities: tuple[float, ...]
 
 
@@ -96,8 +97,9 @@ def classify(
     )
     probabilities = np.exp(logs - logs.max())
     probabilities /= probabilities.sum()
-    label = library.class_names[int(np.argmax(probabilities))]
-    return ClassProbabilities(label, tuple(float(p) for p in probabilities))
+    names = library.class_names
+    label = names[int(np.argmax(probabilities))]
+    return ClassProbabilities(label, names, tuple(float(p) for p in probabilities))
 
 
 def _log_density(deviation: Array, covariance: Array) -> float:

@@ -172,7 +172,7 @@ class Classification:
     contact_id: int
     flags: Flag
     classes: ClassProbabilities | None
-    library: TissueLibrary
+    library_name: str
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,6 @@ class ContactSummary:
     sample_count: int
     rejected_count: int
     classes: ClassProbabilities | None
-    library: TissueLibrary
 
 
 Output = TissueState | Classification | ContactSummary
@@ -232,6 +231,7 @@ class _Site:
     flags: Flag
     position: Position | None
     estimator: Estimator | None = None
+    estimate: Estimate | None = None
 
 
 @dataclass
@@ -250,7 +250,6 @@ class _Contact:
     max_force: float = 0.0
     sample_count: int = 0
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
-    estimate: Estimate | None = None
     classes: ClassProbabilities | None = None
     decision: Decision = Decision.NONE
 
@@ -522,9 +521,7 @@ class Pipeline:
             return
         self._block_end_ns = pair.stamp_ns
         site = self._site
-        estimate = (
-            site.estimator.estimate() if site is not None and site.estimator is not None else None
-        )
+        estimate = site.estimate if site is not None and site.usable else None
         self._emit(
             TissueState(
                 stamp_ns=pair.stamp_ns,
@@ -568,7 +565,8 @@ class Pipeline:
             # small.
             if force > contact.release_force and compression > site.origin_sd:
                 innovation = site.estimator.update(block)
-            contact.estimate = site.estimator.estimate()
+            if not self._muted:
+                site.estimate = site.estimator.estimate()
         self._report(stamp_ns, contact, site, block, innovation)
 
     def _report(
@@ -579,7 +577,7 @@ class Pipeline:
         block: Block,
         innovation: Innovation | None,
     ) -> None:
-        estimate = contact.estimate if site.usable and not contact.ended else None
+        estimate = site.estimate if site.usable and not contact.ended else None
         origin = estimate.strain_origin if estimate is not None else 0.0
         compression = block.compression - origin
         strain = self.config.geometry.strain(compression)
@@ -687,7 +685,7 @@ class Pipeline:
                 contact_id=contact.contact_id,
                 flags=contact.flags,
                 classes=classes,
-                library=self.config.library,
+                library_name=self.config.library.name,
             )
         )
 
@@ -706,7 +704,7 @@ class Pipeline:
     def _summary(
         self, contact: _Contact, site: _Site, end_ns: int, complete: bool
     ) -> ContactSummary:
-        estimate = contact.estimate
+        estimate = site.estimate if site.usable else None
         converged = estimate is not None and estimate.converged
         classes = None
         if estimate is not None and converged:
@@ -730,7 +728,6 @@ class Pipeline:
             sample_count=contact.sample_count,
             rejected_count=self.rejected.total() - contact.rejected_before,
             classes=classes,
-            library=self.config.library,
         )
 
     def _input_flags(self) -> Flag:

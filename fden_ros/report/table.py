@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from rich import box
 from rich.table import Table
 
 from fden_ros.core.pipeline import ContactSummary
@@ -25,18 +26,17 @@ def contact_table(
         Site number to its true ``linear_stiffness`` and ``nonlinear_stiffness``, shown beside the
         estimates.
     """
-    table = Table(title="Contacts")
-    for name in ("contact", "site", "duration s"):
-        table.add_column(name, justify="right")
-    table.add_column("G  Pa·s^α", justify="right")
+    table = Table(title="Contacts", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in ("#", "site", "G [Pa s^α]"):
+        table.add_column(name, justify="right", no_wrap=True)
     if truth is not None:
-        table.add_column("true G", justify="right", style="dim")
-    table.add_column("Gn", justify="right")
+        table.add_column("true", justify="right", style="dim", no_wrap=True)
+    table.add_column("Gn", justify="right", no_wrap=True)
     if truth is not None:
-        table.add_column("true Gn", justify="right", style="dim")
-    table.add_column("α", justify="right")
+        table.add_column("true", justify="right", style="dim", no_wrap=True)
+    table.add_column("α", justify="right", no_wrap=True)
     table.add_column("status")
-    table.add_column("tissue")
+    table.add_column("tissue", no_wrap=True)
     for summary in summaries:
         table.add_row(*_cells(summary, truth))
     return table
@@ -46,34 +46,23 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
     estimate = summary.estimate
     g = g_n = alpha = DASH
     if estimate is not None:
-        deviations = [math.sqrt(estimate.covariance[i, i]) for i in range(3)]
-        value, value_n = (
-            math.exp(estimate.log_linear_stiffness),
-            math.exp(estimate.log_nonlinear_stiffness),
-        )
-        g = f"{value:.1f} ± {value * deviations[0]:.1f}"
-        g_n = f"{value_n:.3f} ± {value_n * deviations[1]:.3f}"
-        alpha = f"{estimate.fractional_order:.3f} ({summary.order_source.name.lower()})"
-    cells = [
-        str(summary.contact_id),
-        str(summary.site_id),
-        f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
-        g,
-    ]
+        values = [math.exp(estimate[index]) for index in (0, 1)]
+        deviations = [v * math.sqrt(estimate.covariance[i, i]) for i, v in enumerate(values)]
+        g = f"{values[0]:.1f} ± {deviations[0]:.1f}"
+        g_n = f"{values[1]:.2f} ± {deviations[1]:.2f}"
+        alpha = f"{estimate.fractional_order:.3f}"
     site = (truth or {}).get(summary.site_id)
+    cells = [str(summary.contact_id), str(summary.site_id), g]
     if truth is not None:
         cells.append(f"{site['linear_stiffness']:.1f}" if site else DASH)
     cells.append(g_n)
     if truth is not None:
-        cells.append(f"{site['nonlinear_stiffness']:.3f}" if site else DASH)
-    cells.append(alpha)
+        cells.append(f"{site['nonlinear_stiffness']:.2f}" if site else DASH)
     status = "converged" if summary.converged else "not converged"
-    cells.append(status if summary.complete else f"{status}, cut short")
-    cells.append(_label(summary))
-    return cells
+    return [*cells, alpha, status if summary.complete else f"{status}, cut short", _label(summary)]
 
 
 def _label(summary: ContactSummary) -> str:
     if summary.classes is None:
         return "undetermined"
-    return f"{summary.classes.label} ({max(summary.classes.probabilities):.0%})"
+    return f"{summary.classes.label} {max(summary.classes.probabilities):.0%}"

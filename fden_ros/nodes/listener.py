@@ -1,0 +1,90 @@
+"""Receiving what an identifier publishes, in a plain program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from fden_msgs.msg import PalpationSummary, TissueEstimate
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from fden_ros.core.pipeline import ContactSummary, TissueState
+from fden_ros.messages import state_of, summary_of
+from fden_ros.report.figure import Session
+
+_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+_LATCHED = QoSProfile(
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class Listener:
+    """Keep every estimate and summary that one identifier publishes.
+
+    Owns an rclpy context, so that it can live beside other nodes of the process.
+
+    Parameters
+    ----------
+    identifier : str
+        Fully qualified name of the node.
+    """
+
+    def __init__(self, identifier: str) -> None:
+        self._identifier = identifier
+        self.states: list[TissueState] = []
+        self.summaries: list[ContactSummary] = []
+        self._heard = time.monotonic()
+
+    def __enter__(self) -> Listener:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node("fden_listener", context=self._context)
+        self._node.create_subscription(
+            TissueEstimate, f"{self._identifier}/estimate", self._on_estimate, _QOS
+        )
+        self._node.create_subscription(
+            PalpationSummary, f"{self._identifier}/palpation", self._on_summary, _LATCHED
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def spin(self, seconds: float) -> None:
+        """Receive for so long."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    @property
+    def quiet_for(self) -> float:
+        """Seconds since the last message."""
+        return time.monotonic() - self._heard
+
+    def session(self, truth: Mapping[int, Mapping[str, Any]]) -> Session:
+        """Return what was received, with the truth by site."""
+        return Session(tuple(self.states), tuple(self.summaries), truth)
+
+    def _on_estimate(self, message: TissueEstimate) -> None:
+        self._heard = time.monotonic()
+        self.states.append(state_of(message))
+
+    def _on_summary(self, message: PalpationSummary) -> None:
+        self._heard = time.monotonic()
+        self.summaries.append(summary_of(message))
