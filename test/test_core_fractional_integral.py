@@ -1,0 +1,297 @@
+"""Online fractional integral: against closed forms, and against the full memory."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import pickle
+import sys
+import tracemalloc
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import gamma
+
+from fden_ros.core.fractional_integral import (
+    LONGEST_MEMORY,
+    SHORTEST_STEP,
+    FractionalIntegral,
+    kernel_weights,
+)
+
+ORDERS = (0.02, 0.131, 0.25, 0.32, 0.5, 0.6)
+
+# A grid of orders, because fitting the weights of a new one takes 20 ms.
+orders = st.integers(2, 100).map(lambda n: n / 100)
+steps = st.lists(
+    st.floats(math.log(2.0 * SHORTEST_STEP), math.log(10.0)).map(math.exp),
+    min_size=1,
+    max_size=30,
+)
+
+
+def values_at(times):
+    return st.lists(st.floats(-1e3, 1e3), min_size=len(times), max_size=len(times)).map(np.array)
+
+
+def integrated(order_list, times, values):
+    """Every output of the online integral, shape (times, orders)."""
+    integral = FractionalIntegral(order_list)
+    results = [integral.start(float(values[0]))]
+    for step, value in zip(np.diff(times), values[1:], strict=True):
+        results.append(integral.advance(float(step), float(value)))
+    return np.array(results)
+
+
+def product_integral(order, times, values):
+    """D^-order at the last time of linear pieces, with the full memory.
+
+    Differences of powers are formed without cancellation, since a step may be 1e-6 of its age.
+    """
+    age, step = times[-1] - times[:-1], np.diff(times)
+    slope = np.diff(values) / step
+    younger = np.append(times[-1] - times[1:-1], 0.0)
+    shrink = np.append(np.log1p(-step[:-1] / age[:-1]), -np.inf)
+    zeroth = -(age**order) * np.expm1(order * shrink) / gamma(order + 1.0)
+    first = -(age ** (order + 1.0)) * np.expm1((order + 1.0) * shrink) / gamma(order + 2.0)
+    first -= step * younger**order / gamma(order + 1.0)
+    return math.fsum(values[:-1] * zeroth + slope * first)
+
+
+def magnitude(order, times, values):
+    """What an error is measured against: the integral of |f|'s bound."""
+    return np.max(np.abs(values)) * times[-1] ** order / gamma(order + 1.0) + 1e-300
+
+
+def test_reference_itself_agrees_with_adaptive_quadrature():
+    times = np.array([0.0, 0.3, 0.31, 2.0])
+    values = np.array([1.0, -2.0, 5.0, 4.0])
+    order = 0.131
+    # With v = (t - xi)^order the kernel's singularity is gone.
+    corners = [(times[-1] - t) ** order for t in times[::-1]]
+    exact = mpmath.quad(
+        lambda v: float(np.interp(float(times[-1] - v ** (1 / order)), times, values)), corners
+    ) / mpmath.gamma(1.0 + order)
+    assert product_integral(order, times, values) == pytest.approx(float(exact), rel=1e-9)
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data(), order=orders, step_list=steps)
+def test_any_data_on_any_steps_equals_the_full_memory(data, order, step_list):
+    times = np.concatenate([[0.0], np.cumsum(step_list)])
+    values = data.draw(values_at(times))
+    result = integrated([order], times, values)[-1, 0]
+    # The kernel is good to 3e-11; rounding of the least squares' large weights adds to it.
+    assert abs(result - product_integral(order, times, values)) <= 1e-9 * magnitude(
+        order, times, values
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(exponent=st.floats(1.0, 4.0), order=orders, seed=st.integers(0, 2**32 - 1))
+def test_powers_follow_the_power_rule_within_the_interpolation_of_the_data(exponent, order, seed):
+    # D^-b t^p = Gamma(p+1)/Gamma(p+1+b) t^(p+b).
+    step = np.random.default_rng(seed).uniform(0.002, 0.018, 200)
+    times = np.concatenate([[0.0], np.cumsum(step)])
+    times /= times[-1]
+    exact = gamma(exponent + 1.0) / gamma(exponent + 1.0 + order)
+    result = integrated([order], times, times**exponent)[-1, 0]
+    # Linear pieces of a function with |f''| <= p (p-1) t^(p-2) err by at most h^2/8 |f''| in f,
+    # hence by that times 1/Gamma(1+b) in the integral; near t = 0, p in (1, 2) has f'' unbounded
+    # but h^p bounds the value itself.
+    largest = float(np.diff(times).max())
+    allowed = max(
+        exponent * (exponent - 1.0) * largest**2 / 8.0, largest**exponent if exponent < 2.0 else 0
+    )
+    assert abs(result - exact) <= allowed / gamma(1.0 + order) + 1e-9
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_ramp_is_exact_to_the_kernel_at_every_instant(order):
+    times = np.linspace(0.0, 20.0, 2001)
+    result = integrated([order], times, 3.0 * times)[:, 0]
+    exact = 3.0 * times ** (1.0 + order) / gamma(2.0 + order)
+    assert np.max(np.abs(result - exact)) <= 1e-9 * exact[-1]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_sine_becomes_its_phase_shifted_self(order):
+    # D^-b sin(t) = t^(1+b) E_{2,2+b}(-t^2), its transient included; the series in 40 digits.
+    times = np.linspace(0.0, 12.0, 6001)
+    result = integrated([order], times, np.sin(times))[:, 0]
+    with mpmath.workdps(40):
+        for index in (1, 40, 1500, 3000, 6000):
+            t = mpmath.mpf(float(times[index]))
+            exact = mpmath.nsum(
+                lambda k, t=t: (
+                    (-1) ** int(k) * t ** (2 * k + 1 + order) / mpmath.gamma(2 * k + 2 + order)
+                ),
+                [0, 60],
+            )
+            # Interpolation of the sine: h^2/8 = 5e-7, times t^b/Gamma(1+b) < 3.6.
+            assert abs(result[index] - float(exact)) < 2e-6
+
+
+def test_first_sample_alone_has_no_integral():
+    assert np.array_equal(FractionalIntegral([0.131, 0.5]).start(7.0), [0.0, 0.0])
+
+
+def test_step_at_the_start_counts_in_full():
+    integral = FractionalIntegral([0.131])
+    integral.start(2.0)
+    result = integral.advance(0.5, 2.0)[0]
+    assert result == pytest.approx(2.0 * 0.5**0.131 / gamma(1.131), rel=1e-12)
+
+
+def test_start_forgets_the_past():
+    rng = np.random.default_rng(1)
+    integral, fresh = FractionalIntegral([0.131]), FractionalIntegral([0.131])
+    integral.start(5.0)
+    for step in rng.uniform(1e-4, 1.0, 50):
+        integral.advance(float(step), float(rng.normal()))
+    integral.start(1.0)
+    fresh.start(1.0)
+    for step in rng.uniform(1e-4, 1.0, 20):
+        value = float(rng.normal())
+        assert np.array_equal(integral.advance(step, value), fresh.advance(step, value))
+
+
+@settings(max_examples=50, deadline=None)
+@given(data=st.data(), step_list=steps)
+def test_several_orders_at_once_are_what_each_is_alone(data, step_list):
+    times = np.concatenate([[0.0], np.cumsum(step_list)])
+    values = data.draw(values_at(times))
+    together = integrated(ORDERS, times, values)
+    for column, order in enumerate(ORDERS):
+        alone = integrated([order], times, values)[:, 0]
+        scale = magnitude(order, times, values)
+        # The matrix product may add in another order; the weights are large and alternate.
+        assert np.max(np.abs(together[:, column] - alone)) <= 1e-11 * scale
+
+
+@settings(max_examples=50, deadline=None)
+@given(data=st.data(), step_list=steps, order=orders, gain=st.floats(-5.0, 5.0))
+def test_integral_is_linear(data, step_list, order, gain):
+    times = np.concatenate([[0.0], np.cumsum(step_list)])
+    a, b = data.draw(values_at(times)), data.draw(values_at(times))
+    combined = integrated([order], times, a + gain * b)
+    separate = integrated([order], times, a) + gain * integrated([order], times, b)
+    scale = magnitude(order, times, np.abs(a) + abs(gain) * np.abs(b))
+    assert np.max(np.abs(combined - separate)) <= 1e-11 * scale
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    data=st.data(),
+    step_list=steps,
+    order=orders,
+    shares=st.lists(st.floats(0.05, 0.95), min_size=30, max_size=30),
+)
+def test_samples_added_on_the_straight_line_change_nothing(data, step_list, order, shares):
+    times = np.concatenate([[0.0], np.cumsum(step_list)])
+    values = data.draw(values_at(times))
+    extra = [
+        a + share * (b - a)
+        for (a, b), share in zip(itertools.pairwise(times), shares, strict=False)
+        if min(share, 1.0 - share) * (b - a) > SHORTEST_STEP
+    ]
+    denser = np.sort(np.concatenate([times, extra]))
+    refined = integrated([order], denser, np.interp(denser, times, values))[-1, 0]
+    coarse = integrated([order], times, values)[-1, 0]
+    assert abs(refined - coarse) <= 2e-9 * magnitude(order, times, values)
+
+
+def jittered_times(rng, duration, mean_step, knots):
+    steps = rng.uniform(0.2 * mean_step, 1.8 * mean_step, int(duration / mean_step))
+    free = np.cumsum(steps)
+    free = free[free < duration]
+    clear = np.min(np.abs(np.subtract.outer(free, knots)), axis=1) > 2.0 * SHORTEST_STEP
+    return np.sort(np.concatenate([[0.0], free[clear], knots]))
+
+
+def test_ramp_and_hold_of_1000_s_on_jittered_steps_is_within_1e_9_of_the_peak():
+    # The promise of the issue: full-memory product integration, jittered steps, every order.
+    rng = np.random.default_rng(5)
+    times = jittered_times(rng, 1000.0, 0.01, [100.0, 1000.0])
+    values = np.interp(times, [0.0, 100.0, 1000.0], [0.0, 2.0, 2.0])
+    result = integrated(ORDERS, times, values)
+    peaks = np.max(np.abs(result), axis=0)
+    instants = np.unique(np.geomspace(1, times.size - 1, 60).astype(int))
+    for column, order in enumerate(ORDERS):
+        for index in instants:
+            exact = product_integral(order, times[: index + 1], values[: index + 1])
+            assert abs(result[index, column] - exact) <= 1e-9 * peaks[column], (order, index)
+        # And the closed form of a ramp and hold, which needs no sum at all.
+        t, corner = times[-1], 100.0
+        closed = 0.02 * (t ** (1 + order) - (t - corner) ** (1 + order)) / gamma(2 + order)
+        assert abs(result[-1, column] - closed) <= 1e-9 * peaks[column]
+
+
+def test_millisecond_noise_of_a_minute_equals_the_full_memory():
+    rng = np.random.default_rng(6)
+    times = jittered_times(rng, 60.0, 0.001, [60.0])
+    values = 1000.0 * np.sin(times) + 30.0 * rng.standard_normal(times.size)
+    result = integrated([0.131], times, values)[:, 0]
+    peak = np.max(np.abs(result))
+    for index in np.linspace(10, times.size - 1, 25).astype(int):
+        exact = product_integral(0.131, times[: index + 1], values[: index + 1])
+        assert abs(result[index] - exact) <= 1e-9 * peak
+
+
+@pytest.mark.parametrize("order", [*ORDERS, 1.0])
+def test_sum_of_exponentials_is_the_kernel_to_1e_10(order):
+    from fden_ros.core.fractional_integral import _rates
+
+    times = np.geomspace(SHORTEST_STEP, LONGEST_MEMORY, 4321)
+    kernel = times ** (order - 1.0) / gamma(order)
+    sum_of_exponentials = np.exp(-np.outer(times, _rates())) @ kernel_weights(order)
+    assert np.max(np.abs(sum_of_exponentials / kernel - 1.0)) < 1e-10
+
+
+@pytest.mark.parametrize("order", [0.0, -0.1, 1.5, math.nan])
+def test_order_outside_the_kernel_is_refused(order):
+    with pytest.raises(ValueError, match="must be in"):
+        kernel_weights(order)
+
+
+def calls_made(integral, step_list):
+    """How many functions, Python's and C's, are called for these samples."""
+    count = 0
+
+    def profile(_frame, event, _argument):
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(profile)
+    try:
+        for step in step_list:
+            integral.advance(step, step)
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+def test_work_and_memory_per_sample_do_not_grow_with_the_history():
+    rng = np.random.default_rng(7)
+    tenths = [rng.uniform(1e-4, 2e-3, 2000).tolist() for _ in range(10)]
+    integral = FractionalIntegral([0.131, 0.32])
+    integral.start(0.0)
+    tracemalloc.start()
+    try:
+        calls, sizes, peaks = [], [], []
+        for tenth in tenths:
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            calls.append(calls_made(integral, tenth))
+            peaks.append(tracemalloc.get_traced_memory()[1] - before)
+            sizes.append(len(pickle.dumps(integral)))
+    finally:
+        tracemalloc.stop()
+    # The same calls, on arrays of the same size, from the first tenth to the last.
+    assert calls[0] == calls[-1]
+    assert max(sizes) - min(sizes) <= 32  # a float may pickle into a few bytes more
+    # What one sample needs beside the state: far below 8 bytes a sample of history (16 kB).
+    assert max(peaks) < 8_000
