@@ -1,0 +1,142 @@
+"""Geometries: force and displacement to stress and strain."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fden_ros.core.fractional_integral import FractionalIntegral
+from fden_ros.core.geometry import (
+    FlatPunch,
+    PassThrough,
+    Sphere,
+    TorsionalRheometer,
+    hayes_factor,
+)
+
+#: No test depends on the time it takes, nor on chance.
+steady = settings(deadline=None, derandomize=True)
+
+GEOMETRIES = [
+    FlatPunch(1e-4, 0.02),
+    FlatPunch(1e-4, 0.02, 0.5),
+    Sphere(0.005),
+    TorsionalRheometer(0.01, 0.005),
+    PassThrough(),
+]
+
+# Hayes, Keer, Herrmann and Mockros (1972), table 1: kappa by a/h, at Poisson's ratios
+POISSON_RATIOS = (0.30, 0.35, 0.40, 0.45, 0.50)
+HAYES_TABLE = {
+    0.2: (1.207, 1.218, 1.232, 1.252, 1.281),
+    0.4: (1.472, 1.502, 1.542, 1.599, 1.683),
+    0.6: (1.784, 1.839, 1.917, 2.031, 2.211),
+    1.0: (2.480, 2.603, 2.789, 3.085, 3.609),
+}
+
+
+def test_flat_punch_is_force_over_area_and_displacement_over_thickness():
+    punch = FlatPunch(area=2e-4, thickness=0.04)
+    assert 3.0 * punch.stress_per_force == pytest.approx(15_000.0)
+    assert punch.strain(0.01 / punch.length) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("aspect_ratio", HAYES_TABLE)
+def test_hayes_factor_is_the_published_table(aspect_ratio):
+    found = [hayes_factor(aspect_ratio, nu) for nu in POISSON_RATIOS]
+    # The table itself is good to half a per cent.
+    assert found == pytest.approx(HAYES_TABLE[aspect_ratio], rel=5e-3)
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.0, 0.3, 0.5])
+def test_hayes_factor_of_a_half_space_is_1(poisson_ratio):
+    assert hayes_factor(1e-4, poisson_ratio) == pytest.approx(1.0, abs=2e-4)
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.0, 0.5])
+def test_thinner_and_less_compressible_layers_are_stiffer(poisson_ratio):
+    factors = [hayes_factor(a, poisson_ratio) for a in (0.05, 0.5, 2.0, 4.0)]
+    assert factors == sorted(factors)
+    assert factors[0] > 1.0
+    assert hayes_factor(0.5, 0.4) > hayes_factor(0.5, 0.2)
+
+
+def test_hayes_correction_recovers_the_modulus_of_a_layer():
+    # F = 2 a kappa E d / (1 - nu^2) for an elastic layer: stress must come out as E d/h.
+    modulus, radius, thickness, nu, displacement = 2000.0, 0.008, 0.02, 0.5, 0.001
+    kappa = 1.683  # of the table, a/h = 0.4 and nu = 0.5
+    force = 2.0 * radius * kappa * modulus * displacement / (1.0 - nu**2)
+    punch = FlatPunch(math.pi * radius**2, thickness, nu)
+    stress = force * punch.stress_per_force
+    assert stress / punch.strain(displacement / thickness) == pytest.approx(modulus, rel=5e-3)
+
+
+@steady
+@given(modulus=st.floats(10.0, 1e6), radius=st.floats(1e-4, 0.1), share=st.floats(1e-3, 0.5))
+def test_sphere_recovers_the_modulus_of_hertz(modulus, radius, share):
+    sphere, depth = Sphere(radius), share * radius
+    force = 4.0 / 3.0 * modulus * math.sqrt(radius) * depth**1.5
+    ratio = force * sphere.stress_per_force / sphere.strain(depth / sphere.length)
+    assert ratio == pytest.approx(modulus, rel=1e-9)
+
+
+def test_sphere_keeps_the_memory_of_lee_and_radok():
+    # F = 4/3 sqrt(R) E*(t) * d(delta^1.5) with the fractional E*(t) = G t^-alpha/Gamma(1-alpha):
+    # for delta^1.5 growing linearly, F = 4/3 sqrt(R) G rate t^(1-alpha)/Gamma(2-alpha). Its
+    # fractional integral, as stress, must be G times the strain.
+    G, alpha, radius, rate = 800.0, 0.2, 0.005, 3e-5
+    sphere = Sphere(radius)
+    times = np.linspace(0.0, 2.0, 4001)
+    force = 4.0 / 3.0 * math.sqrt(radius) * G * rate * times ** (1 - alpha) / math.gamma(2 - alpha)
+    integral = FractionalIntegral([alpha])
+    integral.start(0.0)
+    for value in (force * sphere.stress_per_force)[1:]:
+        result = integral.advance(times[1], float(value))
+    strain = sphere.strain((rate * times[-1]) ** (2 / 3) / sphere.length)
+    # Only the curved first samples of t^0.8 are not linear between samples.
+    assert result[0] == pytest.approx(G * strain, rel=1e-5)
+
+
+def test_sphere_above_the_surface_has_no_strain():
+    assert Sphere(0.005).strain(-0.1) == 0.0
+    assert Sphere(0.005).strain_slope(-0.1) == 0.0
+
+
+def test_torsional_rheometer_is_the_mean_of_the_sample_by_appendix_a():
+    # Outer stress 2 T/(pi R^3) and outer strain R theta/d, halved.
+    radius, height, torque, angle = 0.01, 0.005, 2e-4, 0.05
+    rheometer = TorsionalRheometer(radius, height)
+    assert torque * rheometer.stress_per_force == pytest.approx(
+        0.5 * 2.0 * torque / (math.pi * radius**3)
+    )
+    assert rheometer.strain(angle / rheometer.length) == pytest.approx(
+        0.5 * radius * angle / height
+    )
+
+
+def test_sample_of_20_mm_diameter_is_not_of_20_mm_radius():
+    # The paper's slip: a factor of 8 in stress.
+    ratio = (
+        TorsionalRheometer(0.01, 0.005).stress_per_force
+        / TorsionalRheometer(0.02, 0.005).stress_per_force
+    )
+    assert ratio == pytest.approx(8.0)
+
+
+def test_pass_through_changes_nothing():
+    assert PassThrough().stress_per_force == 1.0
+    assert PassThrough().length == 1.0
+    assert PassThrough().strain(0.123) == 0.123
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES, ids=lambda g: type(g).__name__)
+@steady
+@given(compression=st.floats(1e-3, 0.9))
+def test_slope_is_the_derivative_of_the_strain(geometry, compression):
+    step = 1e-6 * compression
+    difference = geometry.strain(compression + step) - geometry.strain(compression - step)
+    assert difference / (2.0 * step) == pytest.approx(geometry.strain_slope(compression), rel=1e-6)
