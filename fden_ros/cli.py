@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from fden_ros import __version__
 from fden_ros.errors import InputError
 
-COMMANDS = ("bag", "replay", "play", "demo")
+COMMANDS = ("bag", "replay", "play", "demo", "parameters")
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
@@ -19,6 +19,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden replay /tmp/ramp               estimate G and Gn from a bag
   fden play /tmp/ramp                 publish a bag on live topics
   fden demo -o demo                   all of it, live, with a picture at the end
+  fden parameters > probe.yaml       every parameter of the identifier, explained
 """
 
 

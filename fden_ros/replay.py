@@ -10,7 +10,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
+from fden_ros.core.pipeline import ContactSummary, Flag, Output, Pipeline
 from fden_ros.errors import InputError
 from fden_ros.messages import DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
 from fden_ros.parameters import pipeline_config
@@ -195,7 +195,7 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
         "complete": summary.complete,
-        "flags": [flag.name.lower() for flag in summary.flags if flag.name],
+        "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
         "max_stress": summary.max_stress,
         "max_force": summary.max_force,

@@ -746,6 +746,8 @@ def stale(state: TissueState) -> TissueState:
     """Return `state` as no longer current, with nothing in it to act on."""
     return replace(
         state,
+        # A stamp of its own, and before that of any sample to come.
+        stamp_ns=state.stamp_ns + 1,
         status=Status.STALE,
         phase=Phase.NONE,
         estimate=None,

@@ -128,7 +128,7 @@ class Identifier(LifecycleNode):
             "autostart",
             False,
             ParameterDescriptor(
-                description="Configure and activate at start-up, without a lifecycle manager.",
+                description="Configure and activate at start-up, without a lifecycle manager [1]",
                 read_only=True,
             ),
         )

@@ -1,0 +1,80 @@
+"""``fden parameters``: every parameter of the identifier, as a parameter file or a table."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+
+from fden_ros.parameters import PARAMETERS, Parameter, Value
+
+DESCRIPTION = """\
+Print a parameter file with every parameter of the identifier at its default, each explained. Copy it,
+keep what differs for your probe, and give it to the node (--params-file) or to `fden replay --config`.
+"""
+
+_HEADER = """\
+# Parameters of the identifier, all at their defaults. Keep what differs for your probe.
+/**:
+  ros__parameters:
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "parameters",
+        help="print every parameter of the identifier, explained",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--markdown", action="store_true", help="print a table instead")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the parameters; return the exit code."""
+    print(parameter_table() if args.markdown else parameter_file(), end="")
+    return 0
+
+
+def parameter_file() -> str:
+    """Return a commented parameter file with every parameter at its default."""
+    lines: list[str] = []
+    group = ""
+    for parameter in PARAMETERS:
+        head, _, name = parameter.name.partition(".")
+        if head != group:
+            lines.append(f"    {head}:")
+            group = head
+        comment = f"{parameter.description} [{parameter.unit}]"
+        if parameter.constraint:
+            comment += f" Allowed: {parameter.constraint}."
+        lines += textwrap.wrap(
+            comment, 95, initial_indent="      # ", subsequent_indent="      # "
+        )
+        lines.append(f"      {name}: {_yaml(parameter.default)}")
+    return _HEADER + "\n".join(lines) + "\n"
+
+
+def parameter_table() -> str:
+    """Return every parameter as a table in Markdown."""
+    rows = ["| parameter | default | unit | meaning |", "| --- | --- | --- | --- |"]
+    rows += [
+        f"| `{p.name}` | `{_yaml(p.default)}` | {p.unit} | {_meaning(p)} |" for p in PARAMETERS
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def _meaning(parameter: Parameter) -> str:
+    if not parameter.constraint:
+        return parameter.description
+    return f"{parameter.description} ({parameter.constraint})"
+
+
+def _yaml(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    # YAML 1.1 takes 1e-05 for a text.
+    return f"{value:.1e}" if isinstance(value, float) and 0 < value < 1e-3 else str(value)
