@@ -1,0 +1,304 @@
+"""Pairing two streams by stamp: the same pairs however samples arrive, every rejection counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fden_ros.core.synchronize import SynchronizeConfig, Synchronizer
+
+#: No test depends on the time it takes, nor on chance.
+steady = settings(deadline=None, derandomize=True, max_examples=200)
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+FORCE, DISPLACEMENT = "force", "displacement"
+
+
+class Run:
+    """A synchronizer with what it gave."""
+
+    def __init__(self, **config):
+        self.pairs = []
+        self.rejected = Counter()
+        self.synchronizer = Synchronizer(
+            SynchronizeConfig(**config), self.pairs.append, self.rejected
+        )
+
+    def add(self, stream, stamp_ns, value=0.0, position=None):
+        if stream == FORCE:
+            self.synchronizer.add_force(stamp_ns, value)
+        else:
+            self.synchronizer.add_displacement(stamp_ns, value, position)
+        return self
+
+    def both(self, stamp_ns, force=0.0, displacement=0.0):
+        return self.add(DISPLACEMENT, stamp_ns, displacement).add(FORCE, stamp_ns, force)
+
+    @property
+    def stamps(self):
+        return [(pair.stamp_ns - START) / MS for pair in self.pairs]
+
+    @property
+    def waiting(self):
+        return len(self.synchronizer._forces) + len(self.synchronizer._displacements)
+
+
+def steps():
+    """Steps between stamps [ns]: mostly sound ones, and everything that goes wrong."""
+    return st.one_of(
+        st.integers(MS // 10, 20 * MS),
+        st.integers(MS // 10, 20 * MS),
+        st.sampled_from([0, 1000, -1000, 9_999, 10_000]),
+        st.integers(-400 * MS, -MS),
+        st.integers(-3000 * MS, -600 * MS),
+        st.integers(300 * MS, 3000 * MS),
+    )
+
+
+def stream(name):
+    return st.lists(
+        st.tuples(steps(), st.one_of(st.floats(-5.0, 5.0), st.sampled_from([np.nan, 1e9]))),
+        max_size=60,
+    ).map(lambda rows: samples(name, rows))
+
+
+def samples(name, rows):
+    stamp, result = START, []
+    for step, value in rows:
+        stamp += step
+        result.append((name, stamp, value))
+    return result
+
+
+def merged(a, b, choices):
+    """Interleave two lists, each in its own order."""
+    a, b, result = list(a), list(b), []
+    while a or b:
+        first = bool(a) and (not b or choices.random() < 0.5)
+        result.append((a if first else b).pop(0))
+    return result
+
+
+@steady
+@given(forces=stream(FORCE), displacements=stream(DISPLACEMENT), choices=st.randoms())
+def test_pairs_do_not_depend_on_how_the_streams_are_interleaved(forces, displacements, choices):
+    # A window that holds everything: what waits too long is another test's matter.
+    orders = [
+        forces + displacements,
+        displacements + forces,
+        merged(forces, displacements, choices),
+    ]
+    runs = [Run(pairing_window=1e6) for _ in orders]
+    for run, order in zip(runs, orders, strict=True):
+        for sample in order:
+            run.add(*sample)
+    assert runs[0].pairs == runs[1].pairs == runs[2].pairs
+    assert runs[0].rejected == runs[1].rejected == runs[2].rejected
+
+
+@settings(steady, max_examples=40)
+@given(
+    jumps=st.lists(st.integers(-8000 * MS, -700 * MS), max_size=3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_arrival_within_the_window_does_not_matter_either_when_the_clock_jumps(jumps, seed):
+    rng = np.random.default_rng(seed)
+    true_ns, offsets = 20_000 * MS, np.cumsum([0, *jumps])
+    rows = []
+    for name, period in ((FORCE, 20), (DISPLACEMENT, 50)):
+        for part, offset in enumerate(offsets):
+            for n in range(3000 // period):
+                instant = (3000 * part + n * period) * MS
+                rows.append((instant, name, START + true_ns + instant + int(offset), 1e-3 * n))
+    results = []
+    for _ in range(3):
+        lag = {FORCE: rng.uniform(0, 1000), DISPLACEMENT: rng.uniform(0, 1000)}
+        run = Run()
+        for _, name, stamp, value in sorted(rows, key=lambda r: r[0] + lag[r[1]] * MS):
+            run.add(name, stamp, value)
+        results.append((run.pairs, run.rejected))
+    assert results[0] == results[1] == results[2]
+    assert {pair.epoch for pair in results[0][0]} == set(range(len(offsets)))
+
+
+@steady
+@given(
+    start=st.floats(-1.0, 1.0),
+    speed=st.floats(-1.0, 1.0),
+    force_ms=st.lists(st.integers(1, 999), min_size=1, max_size=30, unique=True).map(sorted),
+    delay_ms=st.integers(-50, 50),
+)
+def test_interpolation_of_a_linear_motion_is_exact(start, speed, force_ms, delay_ms):
+    run = Run(displacement_delay=delay_ms * 1e-3)
+    for ms in range(-100, 1101, 50):
+        value = start + speed * ms * 1e-3
+        run.add(DISPLACEMENT, START + (ms + delay_ms) * MS, value, (value, -value, 1.0))
+    for ms in force_ms:
+        run.add(FORCE, START + ms * MS, 1.0)
+    assert run.stamps == force_ms
+    for pair, ms in zip(run.pairs, force_ms, strict=True):
+        exact = start + speed * ms * 1e-3
+        assert pair.displacement == pytest.approx(exact, abs=1e-14)
+        assert pair.position == pytest.approx((exact, -exact, 1.0), abs=1e-14)
+
+
+def test_displacement_with_the_force_s_own_stamp_is_taken_as_it_is():
+    run = Run().both(START, 1.0, 0.1).both(START + MS, 2.0, 0.3)
+    assert [(p.force, p.displacement) for p in run.pairs] == [(1.0, 0.1), (2.0, 0.3)]
+
+
+def test_force_waits_for_the_displacement_after_it():
+    run = Run().add(DISPLACEMENT, START, 0.0).add(FORCE, START + 4 * MS)
+    assert run.pairs == []
+    run.add(DISPLACEMENT, START + 10 * MS, 1.0)
+    assert run.pairs[0].displacement == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [(np.nan, "non_finite"), (-np.inf, "non_finite"), (1001.0, "out_of_range")],
+)
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+def test_values_that_cannot_be_are_rejected_and_counted(name, value, reason):
+    run = Run().both(START).add(name, START + MS, value).both(START + 2 * MS)
+    assert run.rejected == {f"{name}.{reason}": 1}
+    assert run.stamps == [0, 2]
+
+
+def test_position_that_is_not_finite_is_rejected():
+    run = Run().add(DISPLACEMENT, START, 0.0, (0.0, np.nan, 0.0))
+    assert run.rejected == {"displacement.non_finite": 1}
+
+
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+@pytest.mark.parametrize("stamp_ns", [0, -5])
+def test_stamp_that_was_never_set_is_rejected(name, stamp_ns):
+    run = Run().add(name, stamp_ns, 0.0)
+    assert run.rejected == {f"{name}.zero_stamp": 1}
+
+
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+@pytest.mark.parametrize("step_ns", [0, 9_999, -9_999])
+def test_stamps_closer_than_the_shortest_step_are_one_sample(name, step_ns):
+    run = Run().both(START).both(START + MS).add(name, START + MS + step_ns, 7.0)
+    run.both(START + 2 * MS)
+    assert run.rejected == {f"{name}.duplicate_stamp": 1}
+    assert run.stamps == [0, 1, 2]
+
+
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+def test_stamp_a_little_back_is_late_and_rejected(name):
+    run = Run().both(START).both(START + 400 * MS).add(name, START + 1 * MS, 7.0)
+    run.both(START + 401 * MS)
+    assert run.rejected == {f"{name}.late_stamp": 1}
+    assert run.stamps == [0, 400, 401]
+
+
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+def test_single_stamp_far_back_is_late_and_rejected(name):
+    run = Run().both(START + 5000 * MS).add(name, START, 7.0).both(START + 5001 * MS)
+    assert run.rejected == {f"{name}.late_stamp": 1}
+    assert run.stamps == [5000, 5001]
+    assert {pair.epoch for pair in run.pairs} == {0}
+
+
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+def test_single_stamp_far_ahead_is_rejected(name):
+    run = Run().both(START).add(name, START + 60_000 * MS, 7.0).both(START + MS)
+    assert run.rejected == {f"{name}.future_stamp": 1}
+    assert run.stamps == [0, 1]
+
+
+def test_stamps_far_ahead_that_go_on_there_are_a_pause():
+    run = Run().both(START)
+    for ms in (5000, 5001, 5002):
+        run.both(START + ms * MS)
+    assert run.rejected.total() == 0
+    assert run.stamps == [0, 5000, 5001, 5002]
+    assert {pair.epoch for pair in run.pairs} == {0}
+
+
+def test_forces_before_the_first_displacement_are_unpaired():
+    run = Run().add(FORCE, START).add(FORCE, START + MS).both(START + 2 * MS)
+    assert run.rejected == {"force.unpaired": 2}
+    assert run.stamps == [2]
+
+
+def test_no_interpolation_over_a_gap_longer_than_allowed():
+    run = Run(max_gap=0.25)
+    run.add(DISPLACEMENT, START, 0.0)
+    for ms in (0, 100, 200, 251):
+        run.add(FORCE, START + ms * MS)
+    run.add(DISPLACEMENT, START + 251 * MS, 1.0)
+    assert run.rejected == {"force.displacement_gap": 2}
+    assert run.stamps == [0, 251]
+    run.add(FORCE, START + 400 * MS).add(DISPLACEMENT, START + 501 * MS, 1.0)
+    assert run.stamps == [0, 251, 400]
+
+
+@pytest.mark.parametrize("first", [FORCE, DISPLACEMENT])
+def test_clock_that_jumps_back_begins_a_new_epoch_whichever_stream_says_so_first(first):
+    second = DISPLACEMENT if first == FORCE else FORCE
+    run = Run()
+    for ms in range(5000, 5100):
+        run.both(START + ms * MS)
+    for ms in range(50):
+        run.add(first, START + ms * MS, 1.0)
+    for ms in range(50):
+        run.add(second, START + ms * MS, 1.0)
+    assert run.rejected.total() == 0
+    assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 50
+    assert run.stamps == [*range(5000, 5100), *range(50)]
+
+
+def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
+    # A bag that loops after 0.4 s: each stamp is late by less than a jump.
+    run = Run()
+    for ms in range(0, 400, 4):
+        run.both(START + ms * MS)
+    for ms in range(0, 400, 4):
+        run.both(START + ms * MS)
+    # The first 19 of a run of 20 are taken for late ones.
+    assert run.rejected == {"force.late_stamp": 19, "displacement.late_stamp": 19}
+    assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 81
+
+
+@pytest.mark.parametrize("jumping", [FORCE, DISPLACEMENT])
+def test_stream_that_jumps_alone_is_followed_after_a_window(jumping):
+    staying = DISPLACEMENT if jumping == FORCE else FORCE
+    run = Run()
+    for ms in range(20_000, 20_100):
+        run.both(START + ms * MS)
+    # From here on the stamps of one stream are 2 s younger than those of the other.
+    for ms in range(20_100, 36_100, 4):
+        run.add(jumping, START + (ms - 2000) * MS)
+        run.add(staying, START + ms * MS)
+    recovered = [stamp for stamp, pair in zip(run.stamps, run.pairs, strict=True) if pair.epoch]
+    # A window of 5 s until samples are given up, one more until the other stream follows, and 2 s
+    # until the stamps overlap again.
+    assert recovered[0] <= 20_100 + 12_000
+    assert np.diff(recovered) == pytest.approx(4.0)
+    assert recovered[-1] == 34_096
+    assert run.waiting < 1000
+
+
+def test_delay_of_the_displacement_is_taken_off_its_stamps():
+    run = Run(displacement_delay=0.02)
+    for ms in range(0, 100):
+        run.add(DISPLACEMENT, START + ms * MS, ms * 1e-3)
+    run.add(FORCE, START + 50 * MS)
+    assert run.pairs[0].displacement == pytest.approx(0.070)
+
+
+@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
+def test_one_stream_alone_does_not_fill_the_memory(name):
+    run = Run(pairing_window=1.0)
+    for ms in range(10_000):
+        run.add(name, START + ms * MS)
+    assert run.waiting <= 1001
+    assert run.rejected["force.unpaired"] == (8999 if name == FORCE else 0)
