@@ -19,7 +19,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden replay /tmp/ramp               estimate G and Gn from a bag
   fden play /tmp/ramp                 publish a bag on live topics
   fden demo -o demo                   all of it, live, with a picture at the end
-  fden parameters > probe.yaml       every parameter of the identifier, explained
+  fden parameters > probe.yaml        every parameter of the identifier, explained
 """
 
 

@@ -137,7 +137,7 @@ def floats(data: bytes) -> np.ndarray:
 def test_estimates_hold_against_the_truth_over_several_seeds(tmp_path: Path) -> None:
     """Sum of squared normalised errors: chi-squared, within its 0.1 to 99.9 % range times 1.3.
 
-    The factor allows for the origin that is found from the force (measured NEES per dimension 1.1 to 1.2).
+    The factor allows for the origin that is found from the force: the measured NEES is 1.1 to 1.2.
     """
     squared, count = 0.0, 0
     for seed in (21, 22, 23):

@@ -8,8 +8,9 @@ import textwrap
 from fden_ros.parameters import PARAMETERS, Parameter, Value
 
 DESCRIPTION = """\
-Print a parameter file with every parameter of the identifier at its default, each explained. Copy it,
-keep what differs for your probe, and give it to the node (--params-file) or to `fden replay --config`.
+Print a parameter file with every parameter of the identifier at its default, each explained.
+Keep what differs for your probe, and give it to the node (--params-file) or to `fden replay
+--config`.
 """
 
 _HEADER = """\

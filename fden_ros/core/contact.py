@@ -9,6 +9,7 @@ replays those samples, so nothing of the contact is lost.
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -434,8 +435,8 @@ class _Bins:
         """Return the standard deviation of the surface [m] from the curvature of the misfit."""
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
-        noise = max(middle, 0.0) / max(self.time.size - 2, 1)
+        noise = max(float(middle), 0.0) / max(self.time.size - 2, 1)
         steps = np.interp(near, self.time, self.displacement)
-        step = max(0.5 * abs(float(steps[2] - steps[0])), np.finfo(float).tiny)
-        curvature = max(low + high - 2.0 * middle, np.finfo(float).tiny)
+        step = max(0.5 * abs(float(steps[2] - steps[0])), sys.float_info.min)
+        curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)
         return min(step * math.sqrt(2.0 * noise / curvature), float(np.ptp(self.displacement)))

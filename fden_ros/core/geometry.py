@@ -187,8 +187,8 @@ def hayes_factor(aspect_ratio: float, poisson_ratio: float) -> float:
         Poisson's ratio nu [1], 0 to 0.5.
     """
     nodes, weights = np.polynomial.legendre.leggauss(64)
-    wave, wave_weights = np.polynomial.legendre.leggauss(400)
-    wave, wave_weights = 15.0 * (wave + 1.0), 15.0 * wave_weights
+    unit_wave, unit_weights = np.polynomial.legendre.leggauss(400)
+    wave, wave_weights = 15.0 * (unit_wave + 1.0), 15.0 * unit_weights
     kolosov = 3.0 - 4.0 * poisson_ratio
     # Divided by e^(2u) throughout, so that nothing overflows.
     decay, decay2 = np.exp(-2.0 * wave), np.exp(-4.0 * wave)

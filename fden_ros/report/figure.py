@@ -144,7 +144,7 @@ def _draw_characteristics(axes: Axes, session: Session) -> None:
         ]
         if points:
             axes.plot(*np.array(points).T, ".", color=colour, markersize=3, alpha=0.5)
-        strain = np.linspace(0.0, max(summary.max_strain, 1e-6), 200)
+        strain = np.linspace(0.0, max(summary.max_strain, 1e-6), 200, dtype=np.float64)
         if summary.estimate is not None:
             axes.plot(
                 strain,

@@ -263,7 +263,7 @@ def _across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = start - (start @ axis) * axis
     first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
+    second: FloatArray = np.cross(axis, first).astype(np.float64)
     return first, second if second.sum() >= 0.0 else -second
 
 
