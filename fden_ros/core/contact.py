@@ -103,6 +103,10 @@ class _Air(NamedTuple):
 _CHUNK_NS = 20_000_000
 _CHUNK_SAMPLES = 3
 _MIN_CHUNKS = 5
+#: The air's noise is known from so many samples, or chunks of a slow sensor: from fewer it may
+#: come out so small that noise looks like a contact.
+_MIN_AIR_SAMPLES = 48
+_ENOUGH_CHUNKS = 12
 #: The newest chunks may hold the beginning of a slow contact: they do not count as air yet.
 _LAG_NS = NANOSECONDS
 #: The air's force is measured anew after this many chunks.
@@ -219,13 +223,24 @@ class ContactDetector:
     def _air_before(self, chunk: _Chunk) -> _Air | None:
         """Return what the air's force was before `chunk`, None while it is not known."""
         count = len(self._chunks)
-        if count < _MIN_CHUNKS:
-            return None if self._config.measure_bias else _air_of(tuple(self._chunks))
+        if not self._is_air_known():
+            config = self._config
+            told = not config.measure_bias and (config.force_noise or config.force_threshold)
+            return _air_of(tuple(self._chunks)) if told else None
         if self._air is None or self._chunks_in_air % _AIR_EVERY == 0:
             newest_ns = chunk.start_ns - _LAG_NS
             old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
             self._air = _air_of(max(old, tuple(self._chunks)[: -(-count // 2)], key=len))
         return self._air
+
+    def _is_air_known(self) -> bool:
+        count = len(self._chunks)
+        if count < _MIN_CHUNKS:
+            return False
+        return (
+            count >= _ENOUGH_CHUNKS
+            or sum(chunk.size for chunk in self._chunks) >= _MIN_AIR_SAMPLES
+        )
 
     def _watch_below_baseline(self, below: bool) -> None:
         self._low_chunks = self._low_chunks + 1 if below and self._config.measure_bias else 0
