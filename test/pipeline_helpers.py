@@ -1,0 +1,144 @@
+"""Simulated recordings straight into the pipeline, without a bag in between."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation.simulate import Recording, simulate
+
+FORCE, DISPLACEMENT = 0, 1
+
+
+class Item(NamedTuple):
+    """One sample of either stream, as it arrives."""
+
+    stream: int  #: FORCE or DISPLACEMENT
+    stamp_ns: int
+    value: float
+    position: tuple[float, float, float] | None = None
+
+
+def items_of(recording: Recording) -> list[Item]:
+    """Return both streams of a recording in the order of their stamps, displacement first."""
+    force, displacement = recording.force, recording.displacement
+    positions: Iterable[Any] = (
+        map(tuple, displacement.position.tolist())
+        if displacement.position is not None
+        else [None] * displacement.value.size
+    )
+    streams = [
+        Item(DISPLACEMENT, *sample)
+        for sample in zip(
+            displacement.stamp_ns.tolist(), displacement.value.tolist(), positions, strict=True
+        )
+    ]
+    streams += [
+        Item(FORCE, *sample)
+        for sample in zip(force.stamp_ns.tolist(), force.value.tolist(), strict=True)
+    ]
+    return sorted(streams, key=lambda item: item.stamp_ns)
+
+
+def feed(pipeline: Pipeline, items: Iterable[Item]) -> None:
+    for stream, stamp_ns, value, position in items:
+        if stream == FORCE:
+            pipeline.add_force(stamp_ns, value)
+        else:
+            pipeline.add_displacement(stamp_ns, value, position)
+
+
+def identified(
+    items: Iterable[Item], parameters: Mapping[str, object]
+) -> tuple[Pipeline, list[Output]]:
+    """Return the pipeline after all samples, and everything it put out."""
+    outputs: list[Output] = []
+    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    feed(pipeline, items)
+    pipeline.finish()
+    return pipeline, outputs
+
+
+def parameters_of(recording: Recording, *, given_origin: bool = False) -> dict[str, object]:
+    """Return the identifier's parameters that fit a recording."""
+    parameters: dict[str, object] = dict(recording.truth["identifier_parameters"])
+    if given_origin:
+        parameters["origin.source"] = "given"
+        parameters["origin.displacement"] = recording.truth["surface_displacement_m"]
+    return parameters
+
+
+def summaries_of(outputs: Iterable[Output]) -> list[ContactSummary]:
+    return [output for output in outputs if isinstance(output, ContactSummary)]
+
+
+class Errors(NamedTuple):
+    """One contact held against the truth, for ln G and ln Gn in turn; NaN without an estimate."""
+
+    converged: bool
+    error: tuple[float, float]
+    sd: tuple[float, float]
+
+
+def contact_errors(scenario: Any, seed: int, **parameters: object) -> list[Errors]:
+    """Simulate a scenario with one seed, identify it, and hold every contact against the truth.
+
+    ``given_origin=True`` gives the strain origin; other keywords are parameters, with ``__`` for
+    the dot.
+    """
+    given_origin = bool(parameters.pop("given_origin", False))
+    recording = simulate(scenario, seed)
+    own = {name.replace("__", "."): value for name, value in parameters.items()}
+    _, outputs = identified(
+        items_of(recording), parameters_of(recording, given_origin=given_origin) | own
+    )
+    found = summaries_of(outputs)
+    contacts, sites = recording.truth["contacts"], recording.truth["sites"]
+    assert len(found) == len(contacts), f"seed {seed}: {len(found)} contacts"
+    errors = []
+    for summary, contact in zip(found, contacts, strict=True):
+        truth, estimate = sites[contact["site"] - 1], summary.estimate
+        if estimate is None:
+            errors.append(Errors(False, (math.nan, math.nan), (math.nan, math.nan)))
+            continue
+        errors.append(
+            Errors(
+                summary.converged,
+                (
+                    estimate.log_linear_stiffness - math.log(truth["linear_stiffness"]),
+                    estimate.log_nonlinear_stiffness - math.log(truth["nonlinear_stiffness"]),
+                ),
+                (
+                    math.sqrt(estimate.covariance[0, 0]),
+                    math.sqrt(estimate.covariance[1, 1]),
+                ),
+            )
+        )
+    return errors
+
+
+class Accuracy(NamedTuple):
+    """Figures over the converged contacts, each for ln G and ln Gn."""
+
+    share_converged: float
+    rms: np.ndarray
+    bias: np.ndarray
+    coverage: np.ndarray  #: share of contacts whose two standard deviations hold the truth
+
+
+def accuracy_of(errors: Iterable[Errors]) -> Accuracy:
+    errors = list(errors)
+    converged = [e for e in errors if e.converged]
+    error = np.array([e.error for e in converged])
+    sd = np.array([e.sd for e in converged])
+    return Accuracy(
+        len(converged) / len(errors),
+        np.sqrt(np.mean(error**2, axis=0)),
+        np.mean(error, axis=0),
+        np.mean(np.abs(error) <= 2.0 * sd, axis=0),
+    )

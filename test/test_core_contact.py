@@ -1,0 +1,291 @@
+"""Contact: onset, origin, bias and noise; release; and no contact where there is none."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pipeline_helpers import items_of
+
+from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.synchronize import Pair, SynchronizeConfig, Synchronizer
+from fden_ros.simulation.scenario import Tissue, load_scenario, ramp_scenario
+from fden_ros.simulation.simulate import START_NS, simulate
+
+MS = 1_000_000
+ORDER = 0.131
+LIVER = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=ORDER)
+THICKNESS = 0.02
+AREA = np.pi * 0.01**2
+NOISE = 3.0 * AREA
+
+
+def pairs_of(recording):
+    pairs = []
+    synchronizer = Synchronizer(SynchronizeConfig(), pairs.append, Counter())
+    for stream, stamp_ns, value, _ in items_of(recording):
+        if stream == 0:
+            synchronizer.add_force(stamp_ns, value)
+        else:
+            synchronizer.add_displacement(stamp_ns, value)
+    return pairs
+
+
+def made(force, displacement, rate_hz=1000.0):
+    """Pairs of two arrays on an even clock."""
+    period = round(1e9 / rate_hz)
+    return [
+        Pair(0, START_NS + n * period, float(f), float(d), None)
+        for n, (f, d) in enumerate(zip(force, displacement, strict=True))
+    ]
+
+
+def events_of(pairs, **config):
+    detector = ContactDetector(ContactConfig(**config), ORDER)
+    events = [(pair.stamp_ns, event) for pair in pairs if (event := detector.add(pair))]
+    return detector, events
+
+
+def onsets(events):
+    return [event for _, event in events if isinstance(event, Onset)]
+
+
+def press(rng, *, before=2.0, pressing=1.0, after=2.0, peak=1.0, bias=0.3, noise=0.01):
+    """Force and displacement of a soft spring that is pressed 5 mm and left, at 1 kHz."""
+    count = [round(1000 * part) for part in (before, pressing, after)]
+    rise = np.linspace(0.0, 1.0, count[1] // 2, endpoint=False)
+    depth = np.concatenate(
+        [np.linspace(-0.2, 0.0, count[0]), rise, 1.0 - rise, np.linspace(0.0, -0.2, count[2])]
+    )
+    force = peak * np.maximum(depth, 0.0) + bias + noise * rng.standard_normal(depth.size)
+    return force, 0.005 * depth
+
+
+# Root mean square error of the strain origin, as a strain; measured 0.0002, 0.0006, 0.0006. Of 10
+# and 20 contacts such a figure scatters by 22 and 16 %. An error of 0.003 would cost 2.4 % in G
+# (design, section 2), and the filter refines the origin further.
+@pytest.mark.parametrize(("strain_rate", "bound"), [(0.01, 0.0005), (0.1, 0.0012), (1.0, 0.0012)])
+def test_surface_is_found_where_the_probe_touched(strain_rate, bound):
+    errors, standard = [], []
+    for seed in range(20 if strain_rate >= 0.1 else 10):
+        scenario = ramp_scenario(strain_rate=strain_rate, tissue=LIVER)
+        if strain_rate < 0.1:
+            scenario = replace(
+                scenario, approach=replace(scenario.approach, slow_distance_m=0.0005)
+            )
+        (onset,) = onsets(events_of(pairs_of(simulate(scenario, seed)))[1])
+        assert onset.seen
+        errors.append(onset.displacement / THICKNESS)
+        standard.append(onset.displacement_sd / THICKNESS)
+    errors = np.array(errors)
+    assert np.sqrt(np.mean(errors**2)) < bound
+    # The stated deviation is widened threefold before it is used (pipeline): that must hold it.
+    assert np.mean(errors**2 / (3.0 * np.array(standard)) ** 2) < 1.0
+
+
+@pytest.mark.parametrize("name", ["ramp", "slow_ramp", "fast_ramp"])
+def test_every_contact_of_the_scenario_is_found_once_and_ends(name):
+    recording = simulate(load_scenario(name), 3)
+    _, events = events_of(pairs_of(recording))
+    contacts = recording.truth["contacts"]
+    assert [type(event) for _, event in events] == [Onset, Release] * len(contacts)
+    for (_, onset), (_, release), contact in zip(events[::2], events[1::2], contacts, strict=True):
+        # 0.1 of strain at the slow ramp's rate is 10 s; the samples handed over begin near the
+        # touch, 0.005 of strain or 5 ms away.
+        away_ns = abs(onset.samples[0].stamp_ns - contact["start_ns"])
+        assert away_ns < {"ramp": 100, "slow_ramp": 800, "fast_ramp": 15}[name] * MS
+        # Two chunks of 20 ms, and what the threshold leaves of the unloading.
+        assert abs(release.stamp_ns - contact["end_ns"]) < 60 * MS
+
+
+def test_bias_and_noise_are_those_of_the_air():
+    biases, noises, stated = [], [], []
+    for seed in range(20):
+        scenario = ramp_scenario(strain_rate=0.5, tissue=LIVER)
+        scenario = replace(scenario, force=replace(scenario.force, bias_n=0.7))
+        (onset,) = onsets(events_of(pairs_of(simulate(scenario, seed)))[1])
+        biases.append(onset.bias - 0.7)
+        stated.append(onset.bias_sd)
+        noises.append(onset.noise_sd)
+    # Noise from some 2000 samples: 1/sqrt(4000) = 1.6 % each; 20 seeds, five deviations.
+    assert noises == pytest.approx([NOISE] * 20, rel=0.08)
+    # Mean square of 20 normalised errors: 1 +- 0.32; four deviations.
+    assert 0.1 < np.mean((np.array(biases) / np.array(stated)) ** 2) < 2.3
+
+
+def test_force_noise_that_is_given_is_taken():
+    force, displacement = press(np.random.default_rng(0))
+    (onset,) = onsets(events_of(made(force, displacement), force_noise=0.02)[1])
+    assert onset.noise_sd == 0.02
+
+
+def test_noise_free_force_is_believed_no_better_than_the_floor():
+    force, displacement = press(np.random.default_rng(0), noise=0.0)
+    (onset,) = onsets(events_of(made(force, displacement), noise_floor=1e-3)[1])
+    assert onset.noise_sd == 1e-3
+
+
+def test_samples_handed_over_are_the_contact_without_a_hole():
+    force, displacement = press(np.random.default_rng(1))
+    pairs = made(force, displacement)
+    _, events = events_of(pairs)
+    detected_ns, onset = events[0]
+    first = pairs.index(onset.samples[0])
+    assert list(onset.samples) == pairs[first : first + len(onset.samples)]
+    assert onset.samples[-1].stamp_ns == detected_ns
+    # A ramp of 2 N/s and noise of 0.01 N: 20 ms or so.
+    assert abs(first - 2000) < 25
+
+
+@pytest.mark.parametrize("rate_hz", [50, 100, 1000])
+def test_noise_of_a_slow_sensor_is_no_contact_while_its_noise_is_hardly_known(rate_hz):
+    # 2 s after the start, from a handful of samples: 0.2 % of such starts were a contact once,
+    # so 1,000 of them show it with a probability of 0.87.
+    for seed in range(1000 if rate_hz < 1000 else 50):
+        force = 0.01 * np.random.default_rng(seed).standard_normal(2 * rate_hz)
+        _, events = events_of(made(force, np.zeros(force.size), rate_hz))
+        assert events == []
+
+
+def test_noise_of_a_trusted_force_is_measured_before_a_contact_is_seen_in_it():
+    for seed in range(10):
+        force = 0.01 * np.random.default_rng(seed).standard_normal(500)
+        _, events = events_of(made(force, np.zeros(force.size)), measure_bias=False)
+        assert events == []
+
+
+def test_bias_is_not_subtracted_where_the_force_is_trusted():
+    force, displacement = press(np.random.default_rng(1), bias=0.0)
+    (onset,) = onsets(events_of(made(force, displacement), measure_bias=False)[1])
+    assert (onset.bias, onset.bias_sd) == (0.0, 0.0)
+
+
+def test_threshold_that_is_given_must_be_passed():
+    force, displacement = press(np.random.default_rng(2), peak=1.0)
+    assert onsets(events_of(made(force, displacement), force_threshold=1.2)[1]) == []
+    assert len(onsets(events_of(made(force, displacement), force_threshold=0.8)[1])) == 1
+
+
+def test_compliance_of_the_tool_is_taken_off_the_displacement():
+    rng = np.random.default_rng(3)
+    force, displacement = press(rng, bias=0.0, noise=0.001)
+    compliance = 2e-3
+    pairs = made(force, displacement + compliance * force)
+    detector, events = events_of(pairs, series_compliance=compliance)
+    (onset,) = onsets(events)
+    # The surface lies at 0; 5 mm/0.5 s and 1 ms give 0.01 mm a sample.
+    assert abs(onset.displacement) < 1e-4
+    assert detector.compliance_free(pairs[2200], 0.5) == pytest.approx(
+        pairs[2200].displacement - 1e-3
+    )
+
+
+def test_brief_dip_of_the_force_does_not_end_a_contact():
+    force, displacement = press(np.random.default_rng(4))
+    force[2500:2515] = 0.3  # less than a chunk
+    _, events = events_of(made(force, displacement))
+    assert [type(event) for _, event in events] == [Onset, Release]
+
+
+def test_probe_behind_the_surface_is_off_the_tissue_in_spite_of_the_sensor_s_drift():
+    rng = np.random.default_rng(5)
+    force, displacement = press(rng)
+    force[2500:] += 0.3  # as after an overload: the force never falls below the threshold again
+    _, events = events_of(made(force, displacement))
+    assert [type(event) for _, event in events] == [Onset, Release]
+    # It moves 1 mm in 2 s: a fifth of 5 mm below the surface is reached at the very end.
+    displacement = np.where(np.arange(force.size) > 3000, displacement * 5.0, displacement)
+    _, events = events_of(made(force, displacement))
+    released = (events[1][0] - START_NS) / MS
+    assert 3000 < released < 3000 + 2000 / 5 + 60
+
+
+def test_next_contact_after_such_drift_is_found_with_the_new_bias():
+    rng = np.random.default_rng(6)
+    first, path = press(rng)
+    path = np.where(path < 0.0, path * 8.0, path)
+    second, _ = press(rng, bias=0.6)
+    first[2500:] += 0.3
+    _, events = events_of(made(np.concatenate([first, second]), np.concatenate([path, path])))
+    found = onsets(events)
+    assert len(found) == 2
+    assert found[1].bias == pytest.approx(0.6, abs=0.01)
+
+
+def test_contact_present_at_the_start_is_not_seen():
+    rng = np.random.default_rng(7)
+    force, displacement = press(rng, before=0.0, bias=0.0)
+    # Trusted force, data that begin in the middle of a press.
+    _, events = events_of(
+        made(force[200:], displacement[200:]), measure_bias=False, force_noise=0.01
+    )
+    assert onsets(events)
+    assert not any(onset.seen for onset in onsets(events))
+
+
+def test_baseline_taken_within_a_contact_is_noticed_and_measured_anew():
+    rng = np.random.default_rng(8)
+    held = 1.0 + 0.3 + 0.01 * rng.standard_normal(3000)
+    force, displacement = press(rng)
+    detector, events = events_of(
+        made(np.concatenate([held, force]), np.concatenate([np.full(3000, 0.005), displacement]))
+    )
+    assert detector.below_baseline == 1
+    (onset,) = onsets(events)
+    assert onset.seen
+    assert onset.bias == pytest.approx(0.3, abs=0.01)
+
+
+def test_pure_noise_is_no_contact():
+    # 200 s at 1 kHz, 10,000 chunks: the threshold of four deviations of a *sample* is 18 of a
+    # chunk's mean, so that even one false onset means something is wrong.
+    rng = np.random.default_rng(9)
+    count = 200_000
+    force = 0.2 + 0.01 * rng.standard_normal(count)
+    displacement = 0.01 * np.sin(np.arange(count) * 1e-3)
+    detector, events = events_of(made(force, displacement))
+    assert events == []
+    assert detector.below_baseline == 0
+    assert detector.mean_air_force() == pytest.approx(0.2, abs=1e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [100, 1000])
+def test_slow_drift_of_the_sensor_is_no_contact(rate_hz):
+    # 0.1 noise deviations a second: in 5 s of lookback half a deviation, far from four.
+    rng = np.random.default_rng(10)
+    seconds = np.arange(60 * rate_hz) / rate_hz
+    force = 0.001 * seconds + 0.01 * rng.standard_normal(seconds.size)
+    _, events = events_of(made(force, np.zeros(seconds.size), rate_hz))
+    assert events == []
+
+
+def test_air_is_known_only_after_some_chunks_and_not_in_contact():
+    rng = np.random.default_rng(11)
+    force, displacement = press(rng)
+    detector = ContactDetector(ContactConfig(), ORDER)
+    assert detector.mean_air_force() is None
+    for pair in made(force, displacement)[:2400]:
+        detector.add(pair)
+    assert detector.in_contact
+    assert detector.mean_air_force() is None
+    detector.reset()
+    assert not detector.in_contact
+
+
+def test_memory_in_the_air_is_bounded_by_the_lookback():
+    detector = ContactDetector(ContactConfig(lookback=1.0), ORDER)
+    rng = np.random.default_rng(12)
+    for pair in made(0.01 * rng.standard_normal(20_000), np.zeros(20_000)):
+        detector.add(pair)
+    assert len(detector._samples) <= 1001
+    # A chunk lasts 20 ms.
+    assert len(detector._chunks) <= 52
+
+
+def test_quantised_force_gives_a_contact_all_the_same():
+    rng = np.random.default_rng(13)
+    force, displacement = press(rng, noise=0.0)
+    _, events = events_of(made(np.round(force, 1), displacement))
+    assert [type(event) for _, event in events] == [Onset, Release]
