@@ -149,6 +149,12 @@ _LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)
 _MEMBER_SPACING = 0.1125
 _MEMBER_SD = 0.06
 _GRID_HALF_WIDTH = 2.25
+#: A member whose weight is below e to the minus this beside the best one is dropped: it counts
+#: nothing, costs time, and may wander to where its numbers lose all meaning.
+_HOPELESS = 1000.0
+#: ln G and ln Gn of a member that runs away stop here.
+_LOG_LIMIT = 50.0
+_TINY_DEVIATION = 1e-12
 #: Share of the white-noise variance that remains in f' where the information is, measured on
 #: simulated ramps.
 _NOISE_SHARE = 0.9
@@ -220,7 +226,12 @@ class FractionalStressEstimator:
                 for w, m in zip(weights, members, strict=True)
             )
         )
+        self._drop_hopeless_members()
         return Innovation(predicted, block.fractional_stress - predicted, variance)
+
+    def _drop_hopeless_members(self) -> None:
+        least = max(member.log_weight for member in self._members) - _HOPELESS
+        self._members = [member for member in self._members if member.log_weight >= least]
 
     def _update_member(
         self, member: _Member, block: Block, bias_gain: float, noise: float
@@ -241,12 +252,14 @@ class FractionalStressEstimator:
                 ]
             ]
         )
+        _keep_positive(member.filter, jacobian[0])
         member.filter.update(
             np.array([block.fractional_stress]),
             lambda _: jacobian,
             lambda _: np.array([predicted]),
             R=noise,
         )
+        _keep_finite(member.filter)
         innovation = float(member.filter.y[0])
         variance = float(member.filter.S[0, 0])
         member.log_weight -= 0.5 * (innovation**2 / variance + math.log(variance))
@@ -271,6 +284,7 @@ class FractionalStressEstimator:
         centred = means - mean
         covariance = np.einsum("i,ijk->jk", weights, covariances)
         covariance += np.einsum("i,ij,ik->jk", weights, centred, centred)
+        covariance = 0.5 * (covariance + covariance.T)
         sensitivity = self._sensitivity(weights, centred)
         order_variance = prior.fractional_order_sd**2
         covariance += np.outer(sensitivity, sensitivity) * order_variance
@@ -307,6 +321,25 @@ class FractionalStressEstimator:
         for weight, mean, covariance in zip(weights, means, covariances, strict=True):
             strain = self._geometry.strain(self._max_compression - mean[_ORIGIN])
             if strain > 0.0:
-                deviation = math.sqrt(covariance[_LOG_GN, _LOG_GN])
+                deviation = math.sqrt(covariance[_LOG_GN, _LOG_GN]) + _TINY_DEVIATION
                 total += weight * float(ndtr((math.log(strain) + mean[_LOG_GN]) / deviation))
         return min(total, 1.0)
+
+
+def _keep_positive(kalman: ExtendedKalmanFilter, jacobian: Array) -> None:
+    """Drop the correlations of a covariance that rounding has made indefinite.
+
+    That happens where a stiffness far beyond tissue makes the Jacobian enormous: such a member
+    loses its weight, but must not stop the others.
+    """
+    variances = kalman.P.diagonal()
+    if variances.min() < 0.0 or jacobian @ kalman.P @ jacobian < 0.0:
+        kalman.P = np.diag(np.maximum(variances, 0.0))
+
+
+def _keep_finite(kalman: ExtendedKalmanFilter) -> None:
+    """Keep a member that runs away within numbers."""
+    logs = kalman.x[: _LOG_GN + 1]
+    np.clip(logs, -_LOG_LIMIT, _LOG_LIMIT, out=logs)
+    if kalman.P.diagonal().min() < 0.0:
+        kalman.P = np.diag(np.maximum(kalman.P.diagonal(), 0.0))
