@@ -1,0 +1,283 @@
+"""The Gaussian sum of Kalman filters on the fractional stress."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import gamma
+
+from fden_ros.core.estimator import Block, EstimatorConfig, FractionalStressEstimator, Prior
+from fden_ros.core.geometry import PassThrough, Sphere
+
+#: No test depends on the time it takes, nor on chance.
+steady = settings(deadline=None, derandomize=True, max_examples=30)
+
+PRIOR = Prior(fractional_order_sd=0.0)
+ORDER = PRIOR.fractional_order
+
+
+def phi(x, G, Gn):
+    x = np.asarray(x, dtype=float)
+    beyond = np.sign(x) * G / Gn * np.exp(np.minimum(Gn * np.abs(x), 700.0) - 1.0)
+    return np.where(np.abs(x) <= 1.0 / Gn, G * x, beyond)
+
+
+def noise_sd(time, sigma, size, order=ORDER):
+    """Standard deviation of a block's fractional stress as the estimator takes it."""
+    return math.sqrt(0.9 / (1 + 2 * order) / size) * sigma * time**order / gamma(1 + order)
+
+
+def ramp_blocks(
+    rng, G, Gn, *, sigma=3.0, size=10, count=300, max_strain=0.3, bias=0.0, origin=0.0
+):
+    """Blocks of a ramp at 100 a second whose noise is exactly what the filter assumes."""
+    blocks = []
+    for n in range(1, count + 1):
+        time = 0.01 * n
+        u = max_strain * n / count
+        value = float(phi(u - origin, G, Gn)) + bias * time**ORDER / gamma(1 + ORDER)
+        value += noise_sd(time, sigma, size) * rng.standard_normal()
+        blocks.append(Block(u, 0.0, value, 0.0, time, size))
+    return blocks
+
+
+def fed(estimator, blocks):
+    for block in blocks:
+        estimator.update(block)
+    return estimator.estimate()
+
+
+def estimator_of(prior=PRIOR, geometry=None, sigma=3.0, **options):
+    return FractionalStressEstimator(
+        EstimatorConfig(prior), geometry or PassThrough(), sigma, **options
+    )
+
+
+@pytest.mark.parametrize("geometry", [PassThrough(), Sphere(0.005)], ids=["flat", "sphere"])
+def test_one_member_is_the_plain_extended_kalman_filter(geometry):
+    # A spread of 0 leaves one member; this filter is written out from the equations alone.
+    prior = replace(PRIOR, nonlinear_stiffness_log_sd=0.0)
+    sigma, origin_sd, bias_sd = 3.0, 0.005, 0.4
+    estimator = estimator_of(prior, geometry, sigma, origin_sd=origin_sd, bias_sd=bias_sd)
+    plain = ExtendedKalmanFilter(dim_x=4, dim_z=1)
+    plain.x = np.array([math.log(520.0), math.log(8.4), 0.0, 0.0])
+    plain.P = np.diag([0.3**2, 0.06**2, origin_sd**2, bias_sd**2])
+    blocks = ramp_blocks(np.random.default_rng(0), 600.0, 9.0, max_strain=0.4)
+    for block in blocks:
+        growth = block.memory_time**ORDER / gamma(1 + ORDER)
+
+        def strain(u):
+            return geometry.strain(u)
+
+        def h(x, block=block, growth=growth):
+            return phi(strain(block.compression - x[2]), math.exp(x[0]), math.exp(x[1])) + (
+                growth * x[3]
+            )
+
+        def jacobian(x, h=h):
+            columns = []
+            for i, step in enumerate((1e-5, 1e-5, 1e-7, 1e-3)):
+                e = np.zeros(4)
+                e[i] = step
+                columns.append((h(x + e) - h(x - e)) / (2 * step))
+            return np.array([columns])
+
+        plain.update(
+            np.array([block.fractional_stress]),
+            jacobian,
+            lambda x, h=h: np.array([h(x)]),
+            R=noise_sd(block.memory_time, sigma, block.size) ** 2,
+        )
+        estimator.update(block)
+    estimate = estimator.estimate()
+    # The written-out filter differentiates numerically, where the law has a kink in its slope's
+    # slope: 1e-6 of the value, and as much of a standard deviation.
+    assert estimate.log_linear_stiffness == pytest.approx(plain.x[0], rel=1e-6)
+    assert estimate.log_nonlinear_stiffness == pytest.approx(plain.x[1], rel=1e-6)
+    assert estimate.strain_origin == pytest.approx(plain.x[2], abs=1e-7)
+    assert estimate.covariance[:2, :2] == pytest.approx(plain.P[:2, :2], rel=1e-4)
+
+
+numbers = st.floats(-1.0, 1.0)
+
+
+@steady
+@given(
+    rows=st.lists(
+        st.tuples(st.floats(-2.0, 2.0), st.floats(-1e6, 1e6), numbers, st.integers(1, 100)),
+        max_size=40,
+    ),
+    bias_sd=st.sampled_from([0.0, 0.5]),
+    origin_sd=st.sampled_from([0.0, 0.01]),
+    spread=st.sampled_from([0.2, 2.0]),
+)
+def test_covariance_is_positive_whatever_the_blocks(rows, bias_sd, origin_sd, spread):
+    prior = replace(
+        PRIOR,
+        fractional_order_sd=0.01,
+        nonlinear_stiffness_log_sd=spread,
+        linear_stiffness_log_sd=2.5 * spread,
+    )
+    estimator = estimator_of(prior, bias_sd=bias_sd, origin_sd=origin_sd)
+    for n, (u, stress, by_order, size) in enumerate(rows, start=1):
+        innovation = estimator.update(Block(u, 0.0, stress, 1e3 * by_order, 0.01 * n, size))
+        assert innovation.variance > 0.0
+    estimate = estimator.estimate()
+    assert np.all(np.isfinite(estimate.covariance))
+    assert np.array_equal(estimate.covariance, estimate.covariance.T)
+    assert np.linalg.eigvalsh(estimate.covariance)[0] > -1e-12 * np.trace(estimate.covariance)
+    assert np.all(np.diag(estimate.covariance) > 0.0)
+    assert math.isfinite(estimate.strain_origin)
+    assert 0.0 <= estimate.probability_beyond_boundary <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "origin_sd", "bias_sd"),
+    [({}, 0.0, 0.0), ({"origin_sd": 0.003, "bias_sd": 0.3}, 0.003, 0.3)],
+    ids=["known", "nuisances"],
+)
+def test_stated_covariance_is_that_of_the_errors(options, origin_sd, bias_sd):
+    # Truth drawn from the prior, blocks as the filter assumes them: error' P^-1 error / 2 has mean
+    # 1 and, over 60 runs, a standard deviation of sqrt(1 / 60) = 0.13; four of them.
+    scores, converged = [], 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        log_g = math.log(520.0) + 0.3 * rng.standard_normal()
+        log_gn = math.log(8.4) + 0.2 * rng.standard_normal()
+        blocks = ramp_blocks(
+            rng,
+            math.exp(log_g),
+            math.exp(log_gn),
+            bias=bias_sd * rng.standard_normal(),
+            origin=origin_sd * rng.standard_normal(),
+            count=100,
+        )
+        estimate = fed(estimator_of(**options), blocks)
+        error = np.array(
+            [
+                estimate.log_linear_stiffness - log_g,
+                estimate.log_nonlinear_stiffness - log_gn,
+            ]
+        )
+        scores.append(0.5 * error @ np.linalg.solve(estimate.covariance[:2, :2], error))
+        converged += estimate.converged
+    assert 0.48 < np.mean(scores) < 1.52
+    assert converged == 60
+
+
+def test_without_data_the_estimate_is_the_prior():
+    estimate = estimator_of(replace(PRIOR, fractional_order_sd=0.011)).estimate()
+    assert estimate.log_linear_stiffness == pytest.approx(math.log(520.0))
+    assert estimate.log_nonlinear_stiffness == pytest.approx(math.log(8.4))
+    assert estimate.covariance[0, 0] == pytest.approx(0.3**2)
+    # Nine members of deviation 0.06 stand for a normal distribution of 0.2, cut at 2.25.
+    assert math.sqrt(estimate.covariance[1, 1]) == pytest.approx(0.2, rel=0.05)
+    assert estimate.covariance[2, 2] == pytest.approx(0.011**2)
+    assert not estimate.converged
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_never_converged_before_the_strain_passed_the_boundary(seed):
+    rng = np.random.default_rng(seed)
+    Gn = 8.4 * math.exp(0.2 * rng.standard_normal())
+    estimator = estimator_of()
+    states = []
+    for block in ramp_blocks(rng, 520.0, Gn, sigma=0.3):
+        estimator.update(block)
+        states.append((block.compression, estimator.estimate()))
+    early = [e for u, e in states if u < 1.0 / Gn]
+    assert early
+    assert not any(e.converged for e in early)
+    assert states[-1][1].converged
+    for u, e in states:
+        if e.converged:
+            assert e.probability_beyond_boundary >= 0.99
+            assert math.sqrt(e.covariance[1, 1]) <= 0.05
+            assert u > 1.0 / Gn
+
+
+def test_far_below_the_boundary_nothing_is_learned_of_the_nonlinear_stiffness():
+    blocks = ramp_blocks(np.random.default_rng(3), 520.0, 12.0, max_strain=0.04)
+    estimate = fed(estimator_of(), blocks)
+    assert estimate.log_nonlinear_stiffness == pytest.approx(math.log(8.4), abs=0.02)
+    assert math.sqrt(estimate.covariance[1, 1]) == pytest.approx(0.2, rel=0.1)
+    assert math.exp(estimate.log_linear_stiffness) == pytest.approx(520.0, rel=0.03)
+
+
+@pytest.mark.parametrize("options", [{}, {"origin_sd": 0.003, "bias_sd": 0.3}])
+def test_sensitivity_to_the_order_is_the_derivative_of_the_estimate(options):
+    # The observation moves by df'/dalpha * d; the noise's level is kept, as the filter keeps it.
+    rng = np.random.default_rng(4)
+    blocks = [
+        b._replace(fractional_stress_by_order=b.fractional_stress * (0.5 + 0.3 * b.memory_time))
+        for b in ramp_blocks(rng, 560.0, 9.0)
+    ]
+    sd, step = 0.01, 1e-5
+    prior = replace(PRIOR, fractional_order_sd=sd)
+    sensitivity = fed(estimator_of(prior, **options), blocks).covariance[:2, 2] / sd**2
+
+    def means(shift):
+        moved = [
+            b._replace(
+                fractional_stress=b.fractional_stress + shift * b.fractional_stress_by_order
+            )
+            for b in blocks
+        ]
+        return np.array(fed(estimator_of(**options), moved)[:2])
+
+    difference = (means(step) - means(-step)) / (2.0 * step)
+    # The gains are held in the sensitivity, but move with the estimate in the difference.
+    assert sensitivity == pytest.approx(difference, rel=0.05, abs=0.05)
+
+
+def test_uncertain_order_widens_the_covariance_by_its_sensitivity():
+    blocks = [
+        b._replace(fractional_stress_by_order=0.5 * b.fractional_stress)
+        for b in ramp_blocks(np.random.default_rng(5), 560.0, 9.0)
+    ]
+    sure = fed(estimator_of(PRIOR), blocks)
+    unsure = fed(estimator_of(replace(PRIOR, fractional_order_sd=0.02)), blocks)
+    assert unsure[:2] == sure[:2]
+    sensitivity = unsure.covariance[:2, 2] / 0.02**2
+    assert unsure.covariance[:2, :2] - sure.covariance[:2, :2] == pytest.approx(
+        np.outer(sensitivity, sensitivity) * 0.02**2, rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.2, 0.5, 1.0])
+def test_wider_prior_takes_more_members_and_not_wider_ones(spread):
+    estimator = estimator_of(replace(PRIOR, nonlinear_stiffness_log_sd=spread))
+    centres = np.array([m.filter.x[1] for m in estimator._members])
+    assert np.max(np.diff(centres)) <= 0.1125 + 1e-12
+    assert {m.filter.P[1, 1] for m in estimator._members} == {0.06**2}
+    assert centres[-1] - centres[0] == pytest.approx(4.5 * spread)
+
+
+def test_wide_prior_finds_a_tissue_far_from_its_median():
+    prior = replace(PRIOR, nonlinear_stiffness_log_sd=0.6, linear_stiffness_log_sd=1.0)
+    estimate = fed(estimator_of(prior), ramp_blocks(np.random.default_rng(6), 2000.0, 20.0))
+    assert estimate.converged
+    assert math.exp(estimate.log_linear_stiffness) == pytest.approx(2000.0, rel=0.05)
+    assert math.exp(estimate.log_nonlinear_stiffness) == pytest.approx(20.0, rel=0.05)
+
+
+def test_innovations_are_normalised_by_their_own_variance():
+    # White noise of the filter's own R: the mean of 600 squares is 1 +- 0.06; five deviations.
+    estimator = estimator_of()
+    squares = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        estimator = estimator_of()
+        squares += [estimator.update(b).normalized_squared for b in ramp_blocks(rng, 530.0, 8.6)]
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
+
+
+def test_samples_are_counted():
+    estimate = fed(estimator_of(), ramp_blocks(np.random.default_rng(7), 520.0, 8.4, count=30))
+    assert estimate.sample_count == 300
