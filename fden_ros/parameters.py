@@ -431,17 +431,18 @@ def read_parameter_file(path: str | Path, node: str = "identifier") -> dict[str,
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no mapping of parameter names to values")
     values: dict[str, object] = {}
+    is_ros_file = any(isinstance(b, dict) and "ros__parameters" in b for b in content.values())
     sections = [
-        body
+        (name, body["ros__parameters"])
         for name, body in content.items()
         if isinstance(body, dict) and _is_for(name, node, body)
     ]
-    is_ros_file = any(isinstance(b, dict) and "ros__parameters" in b for b in content.values())
-    for section in sections if is_ros_file else [{"ros__parameters": content}]:
-        _flatten(section["ros__parameters"] or {}, "", values)
-    own = {k: v for k, v in values.items() if k.split(".")[0] not in NODE_PARAMETERS}
+    # What is said to this node outdoes what is said to all, wherever it stands.
+    sections.sort(key=lambda section: str(section[0]).endswith(node))
     try:
-        return check(own)
+        for _, section in sections if is_ros_file else [("", content)]:
+            _flatten(section or {}, "", values)
+        return check({k: v for k, v in values.items() if k.split(".")[0] not in NODE_PARAMETERS})
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

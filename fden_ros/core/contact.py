@@ -112,6 +112,17 @@ _LAG_NS = NANOSECONDS
 #: The air's force is measured anew after this many chunks.
 _AIR_EVERY = 8
 _RELEASE_CHUNKS = 2
+#: The force lately, over so long, and so many standard deviations above the air's, is a contact
+#: perhaps: then the air before it is remembered for so many times the lookback.
+_RECENT_NS = 400_000_000
+_RISE_DEVIATIONS = 6.0
+_SLOW_LOOKBACKS = 4
+#: A trend of the force in the air counts from this many standard deviations.
+_DRIFT_DEVIATIONS = 4.0
+#: Less chi-squared in favour of a contact, and a rise of the force is taken for a drift ...
+_MIN_EVIDENCE = 12.0
+#: ... and looked at again when it has grown by this factor.
+_RETRY = 1.25
 _BELOW_BASELINE_CHUNKS = 10
 _THRESHOLD_DEVIATIONS = 4.0
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
@@ -137,6 +148,7 @@ class ContactDetector:
         self._lookback_ns = round(config.lookback * NANOSECONDS)
         self.in_contact = False
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
+        self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
         self.release_threshold = 0.0  #: force below which the probe is no longer pressing [N]
         self.reset()
@@ -152,6 +164,8 @@ class ContactDetector:
         self._open_start_ns = 0
         self._low_chunks = 0
         self._low_start_ns = 0
+        self._doubted_rise = 0.0
+        self._suspected = False
         self._surface = self._deepest = 0.0
 
     def compliance_free(self, pair: Pair, force: float) -> float:
@@ -176,9 +190,13 @@ class ContactDetector:
     def _remember(self, pair: Pair) -> None:
         samples = self._samples
         samples.append(pair)
-        oldest_allowed = pair.stamp_ns - self._lookback_ns
+        oldest_allowed = pair.stamp_ns - self._reach_ns()
         while samples[0].stamp_ns < oldest_allowed:
             samples.popleft()
+
+    def _reach_ns(self) -> int:
+        """Return how far back the air is remembered: longer while a slow contact may be on."""
+        return self._lookback_ns * (_SLOW_LOOKBACKS if self._suspected else 1)
 
     def _close_chunk(self, pair: Pair) -> _Chunk | None:
         values = self._open
@@ -207,9 +225,17 @@ class ContactDetector:
         threshold = max(self._config.force_threshold, _THRESHOLD_DEVIATIONS * noise)
         bias = air.mean if self._config.measure_bias else 0.0
         rise = chunk.mean - bias
-        if rise > threshold:
-            return self._begin(bias, threshold)
+        if rise > max(threshold, _RETRY * self._doubted_rise):
+            onset = self._begin(bias, threshold)
+            if onset is not None:
+                return onset
+            # A force that rises in a straight line, whatever the probe does, is a drift.
+            self.drifts += self._doubted_rise == 0.0
+            self._doubted_rise = rise
+        elif rise < threshold:
+            self._doubted_rise = 0.0
         self._keep(chunk)
+        self._suspected = self._doubted_rise == 0.0 and self._is_rising(bias, noise)
         self._watch_below_baseline(rise < -threshold)
         return None
 
@@ -217,8 +243,21 @@ class ContactDetector:
         chunks = self._chunks
         chunks.append(chunk)
         self._chunks_in_air += 1
-        while chunk.start_ns - chunks[0].start_ns > self._lookback_ns:
+        while chunk.start_ns - chunks[0].start_ns > self._reach_ns():
             chunks.popleft()
+
+    def _is_rising(self, bias: float, noise: float) -> bool:
+        """Whether the force has lately been above the air's by more than chance."""
+        newest_ns = self._chunks[-1].end_ns
+        size, total = 0, 0.0
+        for chunk in reversed(self._chunks):
+            if newest_ns - chunk.start_ns > _RECENT_NS:
+                break
+            size += chunk.size
+            total += chunk.size * chunk.mean
+        if size == 0:
+            return False
+        return total / size - bias > noise * max(1.0, _RISE_DEVIATIONS / math.sqrt(size))
 
     def _air_before(self, chunk: _Chunk) -> _Air | None:
         """Return what the air's force was before `chunk`, None while it is not known."""
@@ -227,7 +266,8 @@ class ContactDetector:
             config = self._config
             told = not config.measure_bias and (config.force_noise or config.force_threshold)
             return _air_of(tuple(self._chunks)) if told else None
-        if self._air is None or self._chunks_in_air % _AIR_EVERY == 0:
+        # Not while a slow contact may be on, or the baseline would creep along with it.
+        if self._air is None or (not self._suspected and self._chunks_in_air % _AIR_EVERY == 0):
             newest_ns = chunk.start_ns - _LAG_NS
             old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
             self._air = _air_of(max(old, tuple(self._chunks)[: -(-count // 2)], key=len))
@@ -246,8 +286,7 @@ class ContactDetector:
         self._low_chunks = self._low_chunks + 1 if below and self._config.measure_bias else 0
         if self._low_chunks < _BELOW_BASELINE_CHUNKS:
             return
-        # What was taken for air was a contact, or the force has the wrong sign: measure the
-        # baseline anew.
+        # What was taken for air was a contact, or the force has the wrong sign.
         self.below_baseline += 1
         self._low_chunks = 0
         recent = tuple(self._chunks)[-_MIN_CHUNKS:]
@@ -256,7 +295,7 @@ class ContactDetector:
         self._chunks.extend(recent)
         self._samples.clear()
 
-    def _begin(self, bias: float, threshold: float) -> Onset:
+    def _begin(self, bias: float, threshold: float) -> Onset | None:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -264,6 +303,8 @@ class ContactDetector:
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         surface = find_surface(time, force, displacement, self._order)
+        if self._config.measure_bias and surface.evidence < _MIN_EVIDENCE:
+            return None
         self._forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
         bias, bias_sd, noise = self._bias_and_noise(bias)
         # A little before the onset, so that the memory begins with the air.
@@ -282,6 +323,7 @@ class ContactDetector:
         self.release_threshold = 0.5 * threshold
         self._samples.clear()
         self._low_chunks = 0
+        self._suspected = False
         self._surface = self._deepest = surface.displacement
         return onset
 
@@ -295,12 +337,14 @@ class ContactDetector:
     def _bias_and_noise(self, bias: float) -> tuple[float, float, float]:
         """Return the force's bias, its deviation and the noise per sample [N], as in the air."""
         air = _air_of(tuple(self._chunks))
-        noise = self._config.force_noise or max(air.noise, self._config.noise_floor)
-        if not self._config.measure_bias:
-            return 0.0, 0.0, noise
+        config = self._config
+        if not config.measure_bias:
+            return 0.0, 0.0, config.force_noise or max(air.noise, config.noise_floor)
+        level = _level_at_end(tuple(self._chunks), air)
+        noise = config.force_noise or max(level.noise, config.noise_floor)
         if air.size == 0:
             return bias, noise, noise
-        return air.mean, noise / math.sqrt(air.size), noise
+        return level.value, max(level.sd, noise / math.sqrt(air.size)), noise
 
     def _in_contact(self, chunk: _Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
@@ -337,12 +381,40 @@ def _air_of(chunks: tuple[_Chunk, ...]) -> _Air:
     return _Air(mean, noise, math.sqrt(within / max(count - len(chunks), 1)), count)
 
 
+class _Level(NamedTuple):
+    value: float  #: [N]
+    sd: float  #: standard deviation of `value` [N]
+    noise: float  #: standard deviation per sample [N]
+
+
+def _level_at_end(chunks: tuple[_Chunk, ...], air: _Air) -> _Level:
+    """Return the air's force when the last chunk ended: its mean or, if it drifts, its trend."""
+    level = _Level(air.mean, air.noise / math.sqrt(max(air.size, 1)), air.noise)
+    if len(chunks) < 2 * _MIN_CHUNKS:
+        return level
+    end_ns = chunks[-1].end_ns
+    time = np.array([0.5 * (c.start_ns + c.end_ns) - end_ns for c in chunks]) / NANOSECONDS
+    weight = np.array([float(c.size) for c in chunks])
+    force = np.array([c.mean for c in chunks])
+    centre = float(weight @ time / weight.sum())
+    spread = float(weight @ (time - centre) ** 2)
+    slope = float(weight @ ((time - centre) * (force - air.mean)) / spread)
+    slope_sd = air.fast_noise / math.sqrt(spread)
+    if abs(slope) < _DRIFT_DEVIATIONS * slope_sd:
+        return level
+    variance = air.noise**2 - slope**2 * spread / weight.sum()
+    noise = math.sqrt(max(variance, air.fast_noise**2))
+    sd = math.hypot(noise / math.sqrt(air.size), slope_sd * centre)
+    return _Level(air.mean - slope * centre, sd, noise)
+
+
 class Surface(NamedTuple):
     """Where an approach met the tissue."""
 
     first: int  #: of the first sample in contact
     displacement: float  #: [m]
     displacement_sd: float  #: [m]
+    evidence: float  #: chi-squared by which a contact explains the force better than a drift does
 
 
 _MAX_BINS = 96
@@ -393,7 +465,7 @@ def find_surface(
     onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
     index = int(np.searchsorted(time, onset_time))
-    return Surface(index, surface, bins.deviation(onset_time, spacing))
+    return Surface(index, surface, bins.deviation(onset_time, spacing), bins.evidence(onset_time))
 
 
 @dataclass(frozen=True)
@@ -445,6 +517,14 @@ class _Bins:
 
     def best(self, onset_times: Array) -> float:
         return float(onset_times[np.argmin(self.misfit(onset_times))])
+
+    def evidence(self, onset_time: float) -> float:
+        """Return the chi-squared by which a contact fits better than a line in time."""
+        contact = float(self.misfit(np.array([onset_time]))[0])
+        line = np.polynomial.Polynomial.fit(self.time, self.force, 1)
+        drift = float(np.sum((self.force - line(self.time)) ** 2))
+        noise = max(min(contact, drift), sys.float_info.min) / max(self.time.size - 3, 1)
+        return (drift - contact) / noise
 
     def deviation(self, onset_time: float, spacing: float) -> float:
         """Return the standard deviation of the surface [m] from the curvature of the misfit."""

@@ -285,7 +285,7 @@ class Pipeline:
     def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
         self.config = config
         self.rejected: Counter[str] = Counter()
-        self.warnings: Counter[str] = Counter()
+        self._clock_jumps = 0
         self.pair_count = 0
         self.contact_count = 0
         self.site_count = 0
@@ -357,6 +357,18 @@ class Pipeline:
         """No more samples come: report the contact that is still open."""
         self._end_contact(self._previous_ns, complete=False)
 
+    @property
+    def warnings(self) -> dict[str, int]:
+        """What was odd about the input, in words, and how often."""
+        detector = self._detector
+        counts = {
+            "the clock jumped back: everything learned was reset": self._clock_jumps,
+            "the force fell below its value in the air: does it have the wrong sign, "
+            "or did the data begin in contact?": detector.below_baseline,
+            "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
+        }
+        return {words: count for words, count in counts.items() if count}
+
     # Pairs
 
     def _on_pair(self, pair: Pair) -> None:
@@ -376,7 +388,7 @@ class Pipeline:
             self._end_contact(event.stamp_ns, complete=True)
 
     def _clock_jumped(self, epoch: int) -> None:
-        self.warnings["the clock jumped back: everything learned was reset"] += 1
+        self._clock_jumps += 1
         self._end_contact(self._previous_ns, complete=False)
         in_contact = self._detector.in_contact
         if not in_contact:
