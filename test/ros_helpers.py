@@ -188,3 +188,5 @@ def identifier(
         finally:
             assert process.stdout is not None
             process.output = process.stdout.read()  # type: ignore[attr-defined]
+            # Shown by pytest if the test fails.
+            print(process.output)  # type: ignore[attr-defined]

@@ -51,7 +51,7 @@ def test_estimate_that_is_not_sure_softens_the_answer():
     sharp = classify(LIBRARY, estimate_of(stiff, (0.01, 0.01, 0.01)), False)
     soft = classify(LIBRARY, estimate_of(stiff, (1.5, 0.7, 0.01)), False)
     assert probability(sharp, UNKNOWN) > 0.95
-    assert 0.2 < probability(soft, UNKNOWN) < probability(sharp, UNKNOWN) - 0.2
+    assert 0.05 < probability(soft, UNKNOWN) < 0.5
 
 
 def test_order_counts_only_if_it_was_learned():

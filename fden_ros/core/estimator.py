@@ -323,7 +323,7 @@ class FractionalStressEstimator:
             if strain > 0.0:
                 deviation = math.sqrt(covariance[_LOG_GN, _LOG_GN]) + _TINY_DEVIATION
                 total += weight * float(ndtr((math.log(strain) + mean[_LOG_GN]) / deviation))
-        return min(total, 1.0)
+        return float(min(total, 1.0))
 
 
 def _keep_positive(kalman: ExtendedKalmanFilter, jacobian: Array) -> None:

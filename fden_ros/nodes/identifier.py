@@ -137,7 +137,7 @@ class Identifier(LifecycleNode):
             0.5,
             ParameterDescriptor(
                 description="Time without a usable pair of samples after which the estimate is "
-                "stale [s].",
+                "stale [s]",
                 floating_point_range=[FloatingPointRange(from_value=0.01, to_value=60.0)],
             ),
         )
