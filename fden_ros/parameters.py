@@ -180,7 +180,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "Take the force's bias from each approach through the air; false: trust the force "
         "after any tare.",
     ),
-    Parameter("force.limit", 1e3, "N", "Forces of larger magnitude are rejected.", _TINY, 1e9),
+    Parameter("force.limit", 1e5, "N", "Forces of larger magnitude are rejected.", _TINY, 1e9),
     Parameter(
         "displacement.axis",
         [0.0, 0.0, 1.0],

@@ -20,7 +20,7 @@ from scipy.stats import binom
 from fden_ros.simulation.scenario import load_scenario
 
 CONTACTS = 200
-SLOW_CONTACTS = int(os.environ.get("FDEN_TEST_CONTACTS", "24"))
+SLOW_CONTACTS = int(os.environ.get("FDEN_TEST_CONTACTS", "8"))
 #: Probability of two standard deviations of a normal distribution.
 TWO_SIGMA = 0.9545
 

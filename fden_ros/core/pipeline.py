@@ -298,6 +298,8 @@ class Pipeline:
         self._timeout_ns = round(config.contact.site_timeout * NANOSECONDS)
         order = config.estimator.prior.fractional_order
         self._orders = (order, order + _ORDER_STEP, max(order - _ORDER_STEP, 1e-6))
+        # The kernel's weights take a moment to compute: now, not at the first touch.
+        FractionalIntegral(self._orders)
         self._detector = ContactDetector(config.contact, order)
         self._sums = _Sums()
         self._epoch = 0
@@ -705,11 +707,11 @@ class Pipeline:
         contact, site = self._contact, self._site
         if contact is None or site is None or end_ns is None:
             return
-        left = complete
         if not contact.ended:
             contact.ended = True
             self._emit(self._summary(contact, site, end_ns, complete))
-        if left:
+        # An incomplete contact may go on: the probe has not left.
+        if complete:
             self._contact = None
             self._sums.clear()
 
@@ -718,6 +720,7 @@ class Pipeline:
     ) -> ContactSummary:
         estimate = site.estimate if site.usable else None
         converged = estimate is not None and estimate.converged
+        rejected = self.rejected.total() - contact.rejected_before
         classes = None
         if estimate is not None and converged:
             learned = self.config.order_source is OrderSource.LEARNED
@@ -728,17 +731,17 @@ class Pipeline:
             end_ns=end_ns,
             site_id=site.site_id,
             contact_id=contact.contact_id,
-            flags=contact.flags,
+            flags=contact.flags | (Flag.INPUT_REJECTED if rejected else Flag.NONE),
             converged=converged,
             complete=complete,
             position=contact.position,
-            order_source=self.config.order_source,
+            order_source=self.config.order_source if estimate is not None else OrderSource.NONE,
             estimate=estimate,
             max_strain=contact.max_strain,
             max_stress=contact.max_stress,
             max_force=contact.max_force,
             sample_count=contact.sample_count,
-            rejected_count=self.rejected.total() - contact.rejected_before,
+            rejected_count=rejected,
             classes=classes,
         )
 

@@ -7,6 +7,7 @@ is in :mod:`fden_ros.core`.
 
 from __future__ import annotations
 
+import copy
 import difflib
 import signal
 import sys
@@ -228,7 +229,11 @@ class Identifier(LifecycleNode):
             (PalpationSummary, "~/palpation", LATCHED_QOS),
         ):
             publisher = self.create_lifecycle_publisher(
-                kind, topic, qos, qos_overriding_options=_OVERRIDABLE
+                # rclpy writes the overrides into the profile that it is given.
+                kind,
+                topic,
+                copy.copy(qos),
+                qos_overriding_options=_OVERRIDABLE,
             )
             self._publishers_made[kind] = publisher
             self._made.append(lambda p=publisher: self.destroy_publisher(p))  # type: ignore[misc]
@@ -265,7 +270,7 @@ class Identifier(LifecycleNode):
             kind,
             topic,
             callback,
-            INPUT_QOS,
+            copy.copy(INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event)
             ),
