@@ -13,17 +13,18 @@ setup(
     maintainer_email="maintainers@fden.example",
     python_requires=">=3.10",
     packages=find_packages(include=["fden_ros", "fden_ros.*"]),
-    package_data={"fden_ros": ["py.typed", "*.yaml", "*/*.yaml"]},
+    package_data={"fden_ros": ["py.typed", "*.yaml", "*/*.yaml", "report/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fden_ros"]),
         ("share/fden_ros", ["package.xml"]),
         ("share/fden_ros/launch", sorted(glob("launch/*.launch.py"))),
-        ("share/fden_ros/config", sorted(glob("config/*.yaml"))),
+        ("share/fden_ros/config", sorted(glob("config/*.*"))),
         ("share/fden_ros/bags", sorted(glob("bags/*.yaml"))),
     ],
     zip_safe=False,
     # The lower bounds are what Ubuntu 24.04, the platform of ROS 2 Jazzy, has.
     install_requires=[
+        "Jinja2>=3.1",
         "PyYAML>=6.0",
         "filterpy>=1.4.5",
         "lz4>=4.0",
@@ -53,6 +54,8 @@ setup(
             "ros-jazzy-domain-coordinator",
             "rosbags",
         ],
+        # `fden batch` alone. rosdep has no keys for these, so a robot does without them.
+        "batch": ["bokeh>=3.1", "dask>=2024.2", "distributed>=2024.2", "pyarrow>=15.0"],
         "lint": ["mypy", "ruff"],
     },
     entry_points={

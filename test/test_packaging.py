@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROSDEP_KEYS = {
     "filterpy": "python3-filterpy-pip",
     "hypothesis": "python3-hypothesis",
+    "jinja2": "python3-jinja2",
     "lz4": "mcap-ros2-support",
     "matplotlib": "python3-matplotlib",
     "mcap": "mcap-ros2-support",
@@ -107,7 +108,7 @@ def test_no_plain_requirement_brings_a_second_ros() -> None:
 
 
 def test_every_import_is_declared() -> None:
-    python = {IMPORT_NAMES.get(name, name) for name in requirements()}
+    python = {IMPORT_NAMES.get(name, name) for name in requirements() | requirements("batch")}
     ros = {key for key in dependencies("exec_depend") if "-" not in key}
     assert imported_modules("fden_ros", "launch") <= python | ros
 
@@ -184,7 +185,7 @@ def test_colcon_builds_both_packages_into_a_workspace_that_ros_finds(tmp_path: P
         assert os.access(install / "fden_ros" / "lib" / "fden_ros" / program, os.X_OK)
     share = install / "fden_ros" / "share"
     assert (share / "ament_index/resource_index/packages/fden_ros").is_file()
-    for folder, pattern in (("launch", "*.launch.py"), ("config", "*.yaml"), ("bags", "*.yaml")):
+    for folder, pattern in (("launch", "*.launch.py"), ("config", "*.*"), ("bags", "*.yaml")):
         shipped = {path.name for path in (share / "fden_ros" / folder).glob(pattern)}
         assert shipped == {path.name for path in (ROOT / folder).glob(pattern)} != set()
 
