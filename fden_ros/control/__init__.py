@@ -1,0 +1,4 @@
+"""For controllers: what may be relied on, what will happen, and a force controller that uses it.
+
+Free of ROS, like :mod:`fden_ros.core`.
+"""

@@ -1,0 +1,278 @@
+"""The latest estimate with its age, or the reason why there is none to rely on.
+
+What :class:`fden_ros.tissue_feed.TissueFeed` does with messages this does with states, so that a
+closed loop can be simulated without ROS and by the same rules.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from fden_ros.control.prediction import Prediction, Predictor, StressMemory
+from fden_ros.core.estimator import Estimate
+from fden_ros.core.fractional_integral import SHORTEST_STEP
+from fden_ros.core.geometry import FlatPunch, Geometry
+from fden_ros.core.pipeline import Flag, Status, TissueState
+from fden_ros.core.synchronize import NANOSECONDS
+
+#: With one of these the numbers may be wrong in a way that their deviations do not tell.
+REFUSED_FLAGS = (
+    Flag.GAP
+    | Flag.MODEL_MISMATCH
+    | Flag.ORIGIN_UNCERTAIN
+    | Flag.TISSUE_CHANGED
+    | Flag.SATURATED
+)
+#: The stress between two estimates farther apart than this is not known.
+_LONGEST_STEP = 0.05
+#: How fast the least delay seen is forgotten, as clocks drift [s/s].
+_DELAY_LEAK = 1e-4
+
+
+class Refusal(enum.Enum):
+    """Why there is no estimate to rely on."""
+
+    NEVER_HEARD = "no estimate has come yet: is the identifier active?"
+    LOST = "no estimate within the deadline: the identifier is frozen, killed or unreachable"
+    LATE = "the estimates come later than the deadline: the identifier is overloaded"
+    STALE = "the identifier has no input: are force and displacement published?"
+    UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
+    NO_CONTACT = "the probe is in the air"
+    NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
+    REJECTED = "the estimate carries a flag that makes it unreliable"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """An estimate that may be relied on at the time it was asked for."""
+
+    state: TissueState
+    estimate: Estimate
+    age: float  #: [s] since it arrived, and how much later than usual it did
+
+    @property
+    def linear_stiffness(self) -> float:
+        """G [Pa s^alpha]."""
+        return math.exp(self.estimate.log_linear_stiffness)
+
+    @property
+    def nonlinear_stiffness(self) -> float:
+        """Gn [1]."""
+        return math.exp(self.estimate.log_nonlinear_stiffness)
+
+    def stiffness(self, time_scale: float) -> tuple[float, float]:
+        """Return dF/dd and its deviation [N/m] for a small motion of `time_scale` seconds."""
+        apparent = self.state.apparent_stiffness
+        assert apparent is not None
+        ratio = (time_scale / apparent.time_scale) ** -self.estimate.fractional_order
+        return apparent.value * ratio, apparent.sd * ratio
+
+
+class LiveTissue:
+    """What is known now, from estimates as they arrive.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        As the identifier's: for forces and displacements of predictions.
+    deadline : float
+        An estimate older than this is refused [s].
+    refused_flags : Flag
+        Estimates with one of these are refused.
+    change : float
+        `on_change` is called when the apparent stiffness has moved by more than this share.
+    real_time : bool
+        The stamps advance with the clock; false for bags played at another pace: then an estimate
+        that was held up on its way is not told from a fresh one.
+    on_change, on_loss : callable or None
+        Called with a :class:`Reading`; with the :class:`Refusal`, once per loss.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry | None = None,
+        *,
+        deadline: float = 0.1,
+        refused_flags: Flag = REFUSED_FLAGS,
+        change: float = 0.05,
+        real_time: bool = True,
+        on_change: Callable[[Reading], None] | None = None,
+        on_loss: Callable[[Refusal], None] | None = None,
+    ) -> None:
+        self.geometry = geometry if geometry is not None else FlatPunch(area=1e-4, thickness=0.02)
+        self.deadline = deadline
+        self.on_change = on_change
+        self.on_loss = on_loss
+        self.restarts = 0
+        self._refused_flags = refused_flags
+        self._change = change
+        self._real_time = real_time
+        self._state: TissueState | None = None
+        self._arrival = -math.inf
+        self._lag = 0.0
+        self._least_delay = math.inf
+        self._alive = True
+        self._told: Reading | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._memory = StressMemory()
+        self._memory_site: int | None = None
+        self._memory_ns = 0
+        self._memory_whole = False
+
+    # Input
+
+    def add(self, state: TissueState, now: float) -> None:
+        """Take an estimate that arrived at `now` [s], on a clock that never jumps."""
+        before = self._state
+        if before is not None and _started_again(before, state):
+            self.restarts += 1
+            self._least_delay = math.inf
+            self._forget()
+        self._alive = True
+        self._watch_delay(state, now)
+        self._state, self._arrival = state, now
+        if state.status is not Status.STALE:
+            self._remember(state)
+        self.check(now)
+
+    def lose(self, now: float) -> None:
+        """Take note that the identifier is gone: until the next estimate."""
+        self._alive = False
+        self.check(now)
+
+    def check(self, now: float) -> None:
+        """Call back where something has changed; to be called at least once per deadline."""
+        reading = self.reading(now)
+        told = self._told
+        if reading is None:
+            if told is not None:
+                self._told = None
+                refusal = self.refusal(now)
+                if self.on_loss is not None and refusal is not None:
+                    self.on_loss(refusal)
+            return
+        if told is None or self._has_changed(told, reading):
+            self._told = reading
+            if self.on_change is not None:
+                self.on_change(reading)
+
+    # Output
+
+    def refusal(self, now: float) -> Refusal | None:
+        """Return why there is no estimate to rely on, or None if there is one."""
+        state = self._state
+        if state is None:
+            return Refusal.NEVER_HEARD
+        if not self._alive or now - self._arrival > self.deadline:
+            return Refusal.LOST
+        if self._lag > self.deadline:
+            return Refusal.LATE
+        by_status = {
+            Status.UNKNOWN: Refusal.UNKNOWN,
+            Status.STALE: Refusal.STALE,
+            Status.NO_CONTACT: Refusal.NO_CONTACT,
+            Status.CONVERGING: Refusal.NOT_CONVERGED,
+        }
+        if state.flags & self._refused_flags:
+            return Refusal.REJECTED
+        if state.status in by_status:
+            return by_status[state.status]
+        if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
+            return Refusal.NOT_CONVERGED
+        return None
+
+    def reading(self, now: float) -> Reading | None:
+        """Return the latest estimate if it may be relied on."""
+        state = self._state
+        if self.refusal(now) is not None or state is None or state.estimate is None:
+            return None
+        return Reading(state, state.estimate, max(now - self._arrival, 0.0) + self._lag)
+
+    def predictor(self, now: float) -> Predictor | None:
+        """Return the tissue as it is at the latest estimate, for several predictions.
+
+        None if there is no estimate to rely on, or if its contact was not heard from the touch on:
+        the memory is not known then.
+        """
+        reading = self.reading(now)
+        if reading is None or not self._memory_whole:
+            return None
+        signals, innovation = reading.state.signals, reading.state.innovation
+        assert signals is not None
+        return Predictor(
+            self.geometry,
+            reading.estimate,
+            self._memory.copy(),
+            signals.strain,
+            signals.stress,
+            innovation.variance if innovation is not None else 0.0,
+        )
+
+    def predict_force(
+        self, times: ArrayLike, displacements: ArrayLike, now: float
+    ) -> Prediction | None:
+        """Return the force of a planned motion; see :meth:`Predictor.force`."""
+        predictor = self.predictor(now)
+        return None if predictor is None else predictor.force(times, displacements)
+
+    def predict_motion(self, times: ArrayLike, forces: ArrayLike, now: float) -> Prediction | None:
+        """Return the motion that makes a planned force; see :meth:`Predictor.motion`."""
+        predictor = self.predictor(now)
+        return None if predictor is None else predictor.motion(times, forces)
+
+    # Inside
+
+    def _watch_delay(self, state: TissueState, now: float) -> None:
+        """Measure how much later than the quickest one an estimate has come."""
+        if not self._real_time or state.status is Status.STALE:
+            return
+        delay = now - state.stamp_ns / NANOSECONDS
+        idle = now - self._arrival if math.isfinite(self._arrival) else 0.0
+        self._least_delay = min(self._least_delay + _DELAY_LEAK * idle, delay)
+        self._lag = delay - self._least_delay
+
+    def _has_changed(self, old: Reading, new: Reading) -> bool:
+        if old.state.contact_id != new.state.contact_id:
+            return True
+        before, after = old.stiffness(0.1)[0], new.stiffness(0.1)[0]
+        return abs(after - before) > self._change * before
+
+    def _remember(self, state: TissueState) -> None:
+        """Follow the stress of the present site; nothing touches it between contacts."""
+        if state.site_id != self._memory_site:
+            # Heard from the air on, nothing of a new site is missed.
+            heard = self._memory_site is not None or state.status is Status.NO_CONTACT
+            self._memory = StressMemory()
+            self._memory.start(0.0)
+            self._memory_site = state.site_id
+            self._memory_whole = heard and (
+                state.site_id == 0 or self._memory_ns > 0 or state.contact_id == 0
+            )
+            if self._memory_ns == 0:
+                self._memory_ns = state.stamp_ns
+                return
+        step = (state.stamp_ns - self._memory_ns) / NANOSECONDS
+        if step < SHORTEST_STEP:
+            return
+        in_contact = state.status in (Status.CONVERGING, Status.CONVERGED)
+        if step > _LONGEST_STEP and (in_contact or self._memory.last_value > 0.0):
+            self._memory_whole = False
+        stress = state.signals.stress if state.signals is not None and in_contact else 0.0
+        self._memory.advance(step, stress)
+        self._memory_ns = state.stamp_ns
+
+
+def _started_again(before: TissueState, after: TissueState) -> bool:
+    """Return whether the counts or the stamps began anew."""
+    return (
+        after.contact_id < before.contact_id
+        or after.site_id < before.site_id
+        or after.stamp_ns < before.stamp_ns
+    )

@@ -1,0 +1,257 @@
+r"""Force of a planned motion, and motion for a planned force, with their intervals.
+
+From the law :math:`\varphi(x) = D^{-\alpha} f`, at a time t after the present:
+
+.. math:: \varphi(x(t)) + c = M(t) + \frac{1}{\Gamma(\alpha)} \int_0^t (t-s)^{\alpha-1} f(s)\,ds
+
+M is what the past force still says, one exponential sum of the memory; the integral is over what
+is to come. With f linear between the points of the plan this is one lower triangular system: solved
+for f it gives the force, multiplied out the motion. The constant c makes the plan begin at what is
+measured now, so it takes up the origin's and the sensor's error.
+
+The interval is first-order: derivatives by (ln G, ln Gn, alpha, c) under the estimate's covariance
+and the variance of the last innovation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from fden_ros.core.estimator import Estimate
+from fden_ros.core.fractional_integral import FractionalIntegral, kernel_weights
+from fden_ros.core.geometry import Geometry, Sphere
+from fden_ros.errors import InputError
+
+Array = NDArray[np.float64]
+
+#: Points of a plan are this close at most, as a share of its length.
+_FINEST_SHARE = 40
+_DERIVATIVE_STEP = 1e-4
+#: Orders are rounded to this, so that the kernel's weights are found once and kept.
+_ORDER_GRID = 1e-4
+_MAX_EXPONENT = 60.0
+
+
+class StressMemory(FractionalIntegral):
+    """The whole past of the stress at one site, for every order at once."""
+
+    def __init__(self) -> None:
+        super().__init__([0.131])
+
+    def copy(self) -> StressMemory:
+        """Return the memory as it is now."""
+        other = StressMemory()
+        other._memory = self._memory.copy()
+        other.last_value = self.last_value
+        return other
+
+    def remembered(self, elapsed: Array, order: float) -> Array:
+        """Return D^-order of the past alone, shape of `elapsed` (n,), so many seconds from now."""
+        decay = np.exp(-np.outer(elapsed, self._rates))
+        result: Array = decay @ (kernel_weights(order) * self._memory)
+        return result
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What will happen, with its deviation."""
+
+    times: Array  #: [s] from the present, shape (n,)
+    value: Array  #: force [N] or change of displacement [m], shape (n,)
+    sd: Array  #: its standard deviation, shape (n,)
+
+    def interval(self, deviations: float = 2.0) -> tuple[Array, Array]:
+        """Return lower and upper bound at so many standard deviations, each of shape (n,)."""
+        return self.value - deviations * self.sd, self.value + deviations * self.sd
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """The tissue as it is now: parameters, memory, present strain and stress.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    estimate : Estimate
+    memory : StressMemory
+        The stress of the site up to now.
+    strain, stress : float
+        Present values [1], [Pa].
+    innovation_variance : float
+        Of the fractional stress [(Pa s^alpha)^2].
+    """
+
+    geometry: Geometry
+    estimate: Estimate
+    memory: StressMemory
+    strain: float
+    stress: float
+    innovation_variance: float = 0.0
+
+    def force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction:
+        """Return the force on the tissue while the probe follows a plan.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            Seconds from the present, positive, increasing.
+        displacements : array_like, shape (n,)
+            Way further into the tissue by then [m], linear in between; negative: back.
+
+        Raises
+        ------
+        InputError
+            If the plan has no shape, or its times do not increase from 0.
+        """
+        wanted, moves = _plan(times, displacements, "displacements")
+        grid = _grid(wanted)
+        way = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
+        strains = self._strains(way)
+        scale = 1.0 / self.geometry.stress_per_force
+
+        def forces(logs: Array, order: float, shift: float) -> Array:
+            known, gains = self._known(grid, order)
+            rest = self._phi(strains, logs) + self._shift(logs, order) + shift - known
+            stress = solve_triangular(gains, rest, lower=True)
+            # Contact pushes and does not pull.
+            return np.maximum(np.interp(wanted, grid, stress), 0.0) * scale
+
+        return self._with_deviation(wanted, forces)
+
+    def motion(self, times: ArrayLike, forces: ArrayLike) -> Prediction:
+        """Return the way further into the tissue that makes a planned force.
+
+        Parameters
+        ----------
+        times : array_like, shape (n,)
+            Seconds from the present, positive, increasing.
+        forces : array_like, shape (n,)
+            Force on the tissue by then [N], linear in between from the present one.
+
+        Raises
+        ------
+        InputError
+            If the plan has no shape, or its times do not increase from 0.
+        """
+        wanted, planned = _plan(times, forces, "forces")
+        grid = _grid(wanted)
+        present = self.stress / self.geometry.stress_per_force
+        stress = (
+            np.interp(grid, np.append(0.0, wanted), np.append(present, planned))
+            * self.geometry.stress_per_force
+        )
+
+        def moves(logs: Array, order: float, shift: float) -> Array:
+            known, gains = self._known(grid, order)
+            phi = known + gains @ stress - self._shift(logs, order) - shift
+            strain = _strain_of_phi(np.interp(wanted, grid, phi), logs)
+            start = _compression(self.geometry, np.array([self.strain]))
+            return (_compression(self.geometry, strain) - start) * self.geometry.length
+
+        return self._with_deviation(wanted, moves)
+
+    def _known(self, grid: Array, order: float) -> tuple[Array, Array]:
+        """Return D^-order f of what is known, (n,), and the gains of the stress to come, (n, n)."""
+        gains = _gains(np.append(0.0, grid), order)
+        return self.memory.remembered(grid, order) + gains[:, 0] * self.stress, gains[:, 1:]
+
+    def _shift(self, logs: Array, order: float) -> float:
+        """Return c: measured less modelled fractional stress at the present."""
+        # The memory just after the present: the newest step holds its own error otherwise.
+        measured = self.memory.remembered(np.array([1e-5]), order)[0]
+        measured += 1e-5**order / math.gamma(1.0 + order) * self.stress
+        return float(measured - self._phi(np.array([self.strain]), logs)[0])
+
+    def _phi(self, strains: Array, logs: Array) -> Array:
+        return _phi(strains, logs)
+
+    def _strains(self, way: Array) -> Array:
+        start = _compression(self.geometry, np.array([self.strain]))[0]
+        compressions = start + way / self.geometry.length
+        return np.array([self.geometry.strain(float(u)) for u in compressions])
+
+    def _with_deviation(self, times: Array, function: object) -> Prediction:
+        assert callable(function)
+        estimate = self.estimate
+        logs = np.array([estimate.log_linear_stiffness, estimate.log_nonlinear_stiffness])
+        order = round(estimate.fractional_order / _ORDER_GRID) * _ORDER_GRID
+        value = function(logs, order, 0.0)
+        step = _DERIVATIVE_STEP
+        wide = 0.005
+        noise = math.sqrt(self.innovation_variance)
+        by_g = (function(logs + [step, 0.0], order, 0.0) - value) / step
+        by_gn = (function(logs + [0.0, step], order, 0.0) - value) / step
+        by_order = (function(logs, order + wide, 0.0) - value) / wide
+        by_noise = function(logs, order, noise) - value
+        jacobian = np.stack([by_g, by_gn, by_order])
+        variance = np.einsum("in,ij,jn->n", jacobian, estimate.covariance, jacobian)
+        return Prediction(times, value, np.sqrt(np.maximum(variance, 0.0) + by_noise**2))
+
+
+def _phi(strains: Array, logs: Array) -> Array:
+    linear, nonlinear = np.exp(logs)
+    excess = np.maximum(nonlinear * np.abs(strains) - 1.0, 0.0)
+    limited = np.clip(strains, -1.0 / nonlinear, 1.0 / nonlinear)
+    result: Array = linear * limited * np.exp(np.minimum(excess, _MAX_EXPONENT))
+    return result
+
+
+def _strain_of_phi(phi: Array, logs: Array) -> Array:
+    linear, nonlinear = np.exp(logs)
+    scaled = phi / linear
+    inside = np.clip(scaled, -1.0 / nonlinear, 1.0 / nonlinear)
+    result: Array = inside * (1.0 + np.log(np.maximum(np.abs(scaled) * nonlinear, 1.0)))
+    return result
+
+
+def _compression(geometry: Geometry, strain: Array) -> Array:
+    """Return the compression at a strain: the inverse of ``geometry.strain``."""
+    if isinstance(geometry, Sphere):
+        result: Array = np.maximum(strain, 0.0) ** (2.0 / 3.0)
+        return result
+    return strain
+
+
+def _plan(times: ArrayLike, values: ArrayLike, what: str) -> tuple[Array, Array]:
+    instants = np.atleast_1d(np.asarray(times, dtype=float))
+    planned = np.atleast_1d(np.asarray(values, dtype=float))
+    if instants.ndim != 1 or instants.shape != planned.shape or instants.size == 0:
+        raise InputError(
+            f"plan: {instants.shape} times and {planned.shape} {what}; give as many of each"
+        )
+    steps = np.diff(instants, prepend=0.0)
+    if not (np.all(steps > 1e-5) and np.all(np.isfinite(planned)) and np.all(np.isfinite(steps))):
+        raise InputError(
+            f"plan: times must increase from 0 by more than 10 µs each, and {what} be finite"
+        )
+    return instants, planned
+
+
+def _grid(wanted: Array) -> Array:
+    """Return the plan's times with enough others in between, shape (m,)."""
+    finest = wanted[-1] / _FINEST_SHARE
+    parts = [
+        np.linspace(start, stop, max(int(math.ceil((stop - start) / finest)), 1) + 1)[1:]
+        for start, stop in zip(np.append(0.0, wanted[:-1]), wanted, strict=True)
+    ]
+    return np.concatenate(parts)
+
+
+def _gains(knots: Array, order: float) -> Array:
+    """Return D^-order at knots[1:] by the values at the knots, linear in between: (n, n + 1)."""
+    since = np.maximum(knots[1:, None] - knots[None, :], 0.0)
+    powers = since**order / order
+    higher = since ** (order + 1.0) / (order + 1.0)
+    lengths = np.diff(knots)
+    whole = powers[:, :-1] - powers[:, 1:]
+    moment = higher[:, :-1] - higher[:, 1:]
+    later = (since[:, :-1] * whole - moment) / lengths
+    gains = np.zeros_like(since)
+    gains[:, 1:] += later
+    gains[:, :-1] += whole - later
+    return gains / math.gamma(order)
