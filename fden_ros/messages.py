@@ -195,7 +195,10 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
         message.fractional_stress = state.signals.fractional_stress
     if state.innovation is not None:
         valid |= TissueEstimate.VALID_INNOVATION
-        message.predicted_fractional_stress = state.innovation.predicted
+        message.predicted_fractional_stress = state.innovation.predicted_fractional_stress
+        if state.innovation.predicted_stress is not None:
+            valid |= TissueEstimate.VALID_PREDICTED_STRESS
+            message.predicted_stress = state.innovation.predicted_stress
         message.innovation = state.innovation.innovation
         message.normalized_innovation_squared = state.innovation.normalized_squared
     if state.apparent_stiffness is not None:
@@ -294,6 +297,7 @@ def state_of(message: TissueEstimate) -> TissueState:
         else None,
         innovation=Innovation(
             message.predicted_fractional_stress,
+            message.predicted_stress if valid & TissueEstimate.VALID_PREDICTED_STRESS else None,
             message.innovation,
             message.innovation**2 / (message.normalized_innovation_squared or 1.0),
         )

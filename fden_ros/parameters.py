@@ -17,9 +17,9 @@ from typing import Any
 import yaml
 
 from fden_ros.core.contact import ContactConfig
-from fden_ros.core.estimator import EstimatorConfig, Prior
+from fden_ros.core.estimator import EstimatorConfig, Observation, Prior
 from fden_ros.core.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
-from fden_ros.core.pipeline import OrderSource, PipelineConfig
+from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.core.synchronize import SynchronizeConfig
 from fden_ros.errors import InputError
 from fden_ros.library import load_library
@@ -326,12 +326,20 @@ PARAMETERS: tuple[Parameter, ...] = (
         "alpha.source",
         "prior",
         "1",
-        "The order alpha: the tissue prior's, or given; either counts with its standard "
-        "deviation.",
+        "The order alpha: learned from the tissue prior on, or given; either counts with its "
+        "standard deviation.",
         choices=("prior", "given"),
     ),
     Parameter("alpha.value", 0.131, "1", "alpha where it is given.", 0.02, 0.6),
     Parameter("alpha.sd", 0.0, "1", "Standard deviation of an alpha that is given.", 0.0, 0.3),
+    Parameter(
+        "estimator.observation",
+        "stress",
+        "1",
+        "What the filter looks at: the stress, which learns alpha as well, or the fractional "
+        "stress, the paper's way.",
+        choices=("stress", "fractional_stress"),
+    ),
     Parameter(
         "prior.linear_stiffness", 520.0, "Pa s^alpha", "Median of G before the touch.", 1e-3, 1e9
     ),
@@ -509,10 +517,11 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
         ),
         estimator=EstimatorConfig(
             prior=prior,
+            observation=Observation(values["estimator.observation"]),
+            order_given=given,
             converged_log_sd=values["converged.log_sd"],
             converged_probability=values["converged.probability"],
         ),
-        order_source=OrderSource.GIVEN if given else OrderSource.PRIOR,
         strain_origin=(
             values["origin.displacement"] if values["origin.source"] == "given" else None
         ),

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from fden_ros.core.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
-from fden_ros.core.pipeline import OrderSource, PipelineConfig
+from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.errors import InputError
 from fden_ros.library import load_library
 from fden_ros.parameters import (
@@ -208,7 +208,7 @@ def test_geometry_is_made_of_its_parameters(values, geometry):
 def test_defaults_of_the_table_are_those_of_the_core():
     config = pipeline_config(defaults())
     core = PipelineConfig(library=load_library())
-    for part in ("geometry", "synchronize", "contact", "estimator", "order_source"):
+    for part in ("geometry", "synchronize", "contact", "estimator"):
         assert getattr(config, part) == getattr(core, part)
     assert config.strain_origin is None
     assert config.block_duration == core.block_duration
@@ -226,7 +226,7 @@ def test_given_order_and_origin_reach_the_estimator():
             }
         )
     )
-    assert config.order_source is OrderSource.GIVEN
+    assert config.estimator.order_given
     assert config.estimator.prior.fractional_order == 0.3
     assert config.estimator.prior.fractional_order_sd == 0.02
     assert config.strain_origin == -0.1

@@ -69,6 +69,8 @@ class Onset(NamedTuple):
     samples: tuple[Pair, ...]  #: from just before the onset to the detection
     bias: float  #: of the force, already subtracted from the samples [N]
     bias_sd: float  #: its standard deviation [N]
+    drift: float  #: of the force in the air, where it can be told from none [N/s]
+    drift_sd: float  #: its standard deviation; 0 where there is no drift [N/s]
     noise_sd: float  #: of the force, per sample [N]
     displacement: float  #: at the onset, compliance removed [m]
     displacement_sd: float  #: its standard deviation [m]
@@ -117,6 +119,8 @@ _RELEASE_CHUNKS = 2
 _RECENT_NS = 400_000_000
 _RISE_DEVIATIONS = 6.0
 _SLOW_LOOKBACKS = 4
+#: The noise counts as coloured when the chunks' means differ by so much more than chance.
+_COLOUR_DEVIATIONS = 4.0
 #: A trend of the force in the air counts from this many standard deviations.
 _DRIFT_DEVIATIONS = 4.0
 #: Less chi-squared in favour of a contact, and a rise of the force is taken for a drift ...
@@ -306,20 +310,22 @@ class ContactDetector:
         if self._config.measure_bias and surface.evidence < _MIN_EVIDENCE:
             return None
         self._forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
-        bias, bias_sd, noise = self._bias_and_noise(bias)
+        level = self._level(bias)
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0)
         onset = Onset(
             samples=tuple(pairs)[first:],
-            bias=bias,
-            bias_sd=bias_sd,
-            noise_sd=noise,
+            bias=level.value,
+            bias_sd=level.sd,
+            drift=level.slope,
+            drift_sd=level.slope_sd,
+            noise_sd=level.noise,
             displacement=surface.displacement,
             displacement_sd=surface.displacement_sd,
             seen=surface.first > 0 and float(force[0]) < threshold,
         )
         self.in_contact = True
-        self.force_bias = bias
+        self.force_bias = level.value
         self.release_threshold = 0.5 * threshold
         self._samples.clear()
         self._low_chunks = 0
@@ -334,17 +340,17 @@ class ContactDetector:
             chunks.pop()
         self._air = None
 
-    def _bias_and_noise(self, bias: float) -> tuple[float, float, float]:
-        """Return the force's bias, its deviation and the noise per sample [N], as in the air."""
-        air = _air_of(tuple(self._chunks))
+    def _level(self, bias: float) -> _Level:
+        """Return what the force is without contact, from the air before it."""
         config = self._config
+        chunks = tuple(self._chunks)
+        air = _air_of(chunks)
+        noise = config.force_noise or max(_noise_of_means(chunks, air), config.noise_floor)
         if not config.measure_bias:
-            return 0.0, 0.0, config.force_noise or max(air.noise, config.noise_floor)
-        level = _level_at_end(tuple(self._chunks), air)
-        noise = config.force_noise or max(level.noise, config.noise_floor)
+            return _Level(0.0, 0.0, noise)
         if air.size == 0:
-            return bias, noise, noise
-        return level.value, max(level.sd, noise / math.sqrt(air.size)), noise
+            return _Level(bias, noise, noise)
+        return _level_at_end(chunks, air, noise)
 
     def _in_contact(self, chunk: _Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
@@ -382,14 +388,33 @@ def _air_of(chunks: tuple[_Chunk, ...]) -> _Air:
 
 
 class _Level(NamedTuple):
+    """The force without contact, when the last chunk ended."""
+
     value: float  #: [N]
     sd: float  #: standard deviation of `value` [N]
     noise: float  #: standard deviation per sample [N]
+    slope: float = 0.0  #: [N/s]
+    slope_sd: float = 0.0  #: [N/s]
 
 
-def _level_at_end(chunks: tuple[_Chunk, ...], air: _Air) -> _Level:
-    """Return the air's force when the last chunk ended: its mean or, if it drifts, its trend."""
-    level = _Level(air.mean, air.noise / math.sqrt(max(air.size, 1)), air.noise)
+def _noise_of_means(chunks: tuple[_Chunk, ...], air: _Air) -> float:
+    """Return the noise per sample [N] that means over a chunk show.
+
+    More than that within the chunks where the noise is coloured (half the mean square of the
+    means' differences: Allan's variance), since then averaging helps less.
+    """
+    if len(chunks) < _MIN_CHUNKS:
+        return air.noise
+    means = np.array([chunk.mean for chunk in chunks])
+    size = air.size / len(chunks)
+    by_means = math.sqrt(0.5 * size * float(np.mean(np.diff(means) ** 2)))
+    chance = 1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / len(chunks))
+    return by_means if by_means > chance * air.fast_noise else air.fast_noise
+
+
+def _level_at_end(chunks: tuple[_Chunk, ...], air: _Air, noise: float) -> _Level:
+    """Return the mean of the air's force or, where it drifts, its trend."""
+    level = _Level(air.mean, noise / math.sqrt(air.size), noise)
     if len(chunks) < 2 * _MIN_CHUNKS:
         return level
     end_ns = chunks[-1].end_ns
@@ -399,13 +424,11 @@ def _level_at_end(chunks: tuple[_Chunk, ...], air: _Air) -> _Level:
     centre = float(weight @ time / weight.sum())
     spread = float(weight @ (time - centre) ** 2)
     slope = float(weight @ ((time - centre) * (force - air.mean)) / spread)
-    slope_sd = air.fast_noise / math.sqrt(spread)
+    slope_sd = noise / math.sqrt(spread)
     if abs(slope) < _DRIFT_DEVIATIONS * slope_sd:
         return level
-    variance = air.noise**2 - slope**2 * spread / weight.sum()
-    noise = math.sqrt(max(variance, air.fast_noise**2))
-    sd = math.hypot(noise / math.sqrt(air.size), slope_sd * centre)
-    return _Level(air.mean - slope * centre, sd, noise)
+    sd = math.hypot(level.sd, slope_sd * centre)
+    return _Level(air.mean - slope * centre, sd, noise, slope, slope_sd)
 
 
 class Surface(NamedTuple):

@@ -29,6 +29,7 @@ Determination, 2004, ch. 6).
 
 from __future__ import annotations
 
+import enum
 import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -66,13 +67,24 @@ class Prior:
     fractional_order_sd: float = 0.011
 
 
+class Observation(enum.Enum):
+    """What an estimator looks at."""
+
+    STRESS = "stress"
+    FRACTIONAL_STRESS = "fractional_stress"
+
+
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """Prior, and what counts as converged.
+    """Prior, observation, and what counts as converged.
 
     Parameters
     ----------
     prior : Prior
+    observation : Observation
+        STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
+    order_given : bool
+        alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
     converged_log_sd : float
         Converged only while the standard deviation of ln Gn is below this [1].
     converged_probability : float
@@ -80,6 +92,8 @@ class EstimatorConfig:
     """
 
     prior: Prior = Prior()
+    observation: Observation = Observation.STRESS
+    order_given: bool = False
     converged_log_sd: float = 0.05
     converged_probability: float = 0.99
 
@@ -98,9 +112,10 @@ class Block(NamedTuple):
 class Innovation(NamedTuple):
     """How one block compared with its prediction."""
 
-    predicted: float  #: [Pa s^alpha]
-    innovation: float  #: observed less predicted [Pa s^alpha]
-    variance: float  #: of the innovation [(Pa s^alpha)^2]
+    predicted_fractional_stress: float  #: [Pa s^alpha]
+    predicted_stress: float | None  #: [Pa]; None where the fractional stress is observed
+    innovation: float  #: observed less predicted [Pa, or Pa s^alpha]
+    variance: float  #: of the innovation, in its unit squared
 
     @property
     def normalized_squared(self) -> float:
@@ -124,6 +139,18 @@ class Estimate(NamedTuple):
 
 class Estimator(Protocol):
     """An observation model with its filter; the pipeline asks for nothing else."""
+
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
+
+    def press(self, step: float, compression: float) -> None:
+        """Take the motion of a sample in contact, `step` seconds after the last."""
+
+    def rest(self, step: float, free_response: Array) -> None:
+        """Take a step in the air, with D^-alpha of the stress at each of the order nodes."""
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by."""
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the prediction."""
@@ -170,8 +197,6 @@ class FractionalStressEstimator:
         For the strain at a compression.
     noise_sd : float
         Standard deviation of the stress per sample [Pa].
-    bias_sd : float
-        Standard deviation of the stress's bias [Pa]; 0: known.
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
     """
@@ -181,7 +206,6 @@ class FractionalStressEstimator:
         config: EstimatorConfig,
         geometry: Geometry,
         noise_sd: float,
-        bias_sd: float = 0.0,
         origin_sd: float = 0.0,
     ) -> None:
         self._config = config
@@ -195,9 +219,7 @@ class FractionalStressEstimator:
         spread = prior.nonlinear_stiffness_log_sd
         half_width = _GRID_HALF_WIDTH * spread
         count = 2 * math.ceil(half_width / _MEMBER_SPACING) + 1
-        variance = np.diag(
-            [prior.linear_stiffness_log_sd**2, _MEMBER_SD**2, origin_sd**2, bias_sd**2]
-        )
+        variance = np.diag([prior.linear_stiffness_log_sd**2, _MEMBER_SD**2, origin_sd**2, 0.0])
         centre = math.log(prior.nonlinear_stiffness)
         self._members = [
             _Member(
@@ -210,6 +232,21 @@ class FractionalStressEstimator:
         self._max_compression = 0.0
         self._sample_count = 0
 
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Let the bias be as uncertain as that of the first contact; the drift is left out."""
+        if self._sample_count == 0:
+            for member in self._members:
+                member.filter.P[_BIAS, _BIAS] = bias_sd**2
+
+    def press(self, step: float, compression: float) -> None:
+        """Do nothing: the fractional stress holds all of the past."""
+
+    def rest(self, step: float, free_response: Array) -> None:
+        """Do nothing."""
+
+    def skip(self) -> None:
+        """Do nothing."""
+
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""
         growth = block.memory_time**self._order
@@ -219,15 +256,17 @@ class FractionalStressEstimator:
         members = [self._update_member(m, block, bias_gain, noise) for m in self._members]
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
-        predicted = float(sum(w * m.predicted for w, m in zip(weights, members, strict=True)))
+        predicted = float(
+            sum(w * m.predicted_fractional_stress for w, m in zip(weights, members, strict=True))
+        )
         variance = float(
             sum(
-                w * (m.variance + (m.predicted - predicted) ** 2)
+                w * (m.variance + (m.predicted_fractional_stress - predicted) ** 2)
                 for w, m in zip(weights, members, strict=True)
             )
         )
         self._drop_hopeless_members()
-        return Innovation(predicted, block.fractional_stress - predicted, variance)
+        return Innovation(predicted, None, block.fractional_stress - predicted, variance)
 
     def _drop_hopeless_members(self) -> None:
         least = max(member.log_weight for member in self._members) - _HOPELESS
@@ -266,7 +305,7 @@ class FractionalStressEstimator:
         by_order = block.fractional_stress_by_order - float(jacobian[0] @ member.sensitivity)
         member.sensitivity = member.sensitivity + member.filter.K[:, 0] * by_order
         member.log_weight_sensitivity -= innovation / variance * by_order
-        return Innovation(predicted, innovation, variance)
+        return Innovation(predicted, None, innovation, variance)
 
     def _weights(self) -> Array:
         log_weights = np.array([member.log_weight for member in self._members])

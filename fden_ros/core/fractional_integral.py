@@ -46,7 +46,8 @@ _SERIES_LIMIT = 1e-2
 
 
 @functools.cache
-def _rates() -> Array:
+def relaxation_rates() -> Array:
+    """Return the rates s_j of the exponentials [1/s], shape (76,), the first one 0."""
     slowest, fastest = 10**-0.25 / LONGEST_MEMORY, 10**1.25 / SHORTEST_STEP
     rates = np.concatenate([[0.0], np.geomspace(slowest, fastest, _EXPONENTIALS - 1)])
     rates.flags.writeable = False
@@ -68,7 +69,7 @@ def kernel_weights(order: float) -> Array:
         raise ValueError(f"order of integration is {order}, must be in (0, 1]")
     times = np.logspace(np.log10(SHORTEST_STEP), np.log10(LONGEST_MEMORY), _FIT_POINTS)
     kernel = times ** (order - 1.0) / gamma(order)
-    design = np.exp(-np.outer(times, _rates())) / kernel[:, None]
+    design = np.exp(-np.outer(times, relaxation_rates())) / kernel[:, None]
     scale = np.sqrt(np.sum(design**2, axis=0))
     solution = np.linalg.lstsq(design / scale, np.ones(_FIT_POINTS), rcond=1e-16)[0]
     weights: Array = solution / scale
@@ -101,7 +102,7 @@ class FractionalIntegral:
         self._weights = np.vstack([kernel_weights(order) for order in self.orders])
         self._order_array = np.array(self.orders)
         self._local_scale = 1.0 / gamma(self._order_array + 2.0)
-        self._rates = _rates()
+        self._rates = relaxation_rates()
         size = self._rates.size
         self._memory = np.zeros(size)
         self._decayed = np.empty(size)

@@ -26,10 +26,13 @@ from fden_ros.core.estimator import (
     EstimatorConfig,
     FractionalStressEstimator,
     Innovation,
+    Observation,
 )
 from fden_ros.core.fractional_integral import SHORTEST_STEP, FractionalIntegral
 from fden_ros.core.geometry import FlatPunch, Geometry
 from fden_ros.core.model import apparent_stiffness_factor, elastic_response
+from fden_ros.core.stress_basis import order_interpolation, order_nodes
+from fden_ros.core.stress_estimator import StressEstimator
 from fden_ros.core.synchronize import (
     NANOSECONDS,
     Pair,
@@ -103,8 +106,6 @@ class PipelineConfig:
         From force and displacement to stress and strain.
     synchronize, contact, estimator
         Configuration of those steps.
-    order_source : OrderSource
-        GIVEN or PRIOR: where the estimator's alpha comes from.
     strain_origin : float or None
         Displacement at which the tissue is free of load [m]; None: found from the force.
     block_duration : float
@@ -120,7 +121,6 @@ class PipelineConfig:
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    order_source: OrderSource = OrderSource.PRIOR
     strain_origin: float | None = None
     block_duration: float = 0.01
     block_compression: float = 0.005
@@ -210,8 +210,14 @@ _GAP_STEPS = 10.0
 _GAP_TIME = 0.02
 _CLASSIFY_EVERY = 10
 _PROBABILITY_CHANGE = 0.01
+#: alpha is learned when its standard deviation is below this share of its prior's.
+_LEARNED_SHARE = 0.5
 #: Half the distance between the orders whose difference is df'/dalpha.
 _ORDER_STEP = 0.005
+#: The orders of the integral before the nodes: alpha itself and the two for the derivative.
+_EXACT_ORDERS = 3
+#: Steps, ever longer, in which the tissue's relaxation between two contacts is followed.
+_REST_STEPS = 40
 #: The surface found at the touch starts the filter; its deviation is widened, since the filter
 #: sees those samples again.
 _ORIGIN_WIDENING = 3.0
@@ -241,6 +247,7 @@ class _Contact:
     contact_id: int
     start_ns: int
     bias: float
+    drift: float
     release_force: float
     rejected_before: int
     position: Position | None
@@ -249,6 +256,7 @@ class _Contact:
     max_stress: float = 0.0
     max_force: float = 0.0
     sample_count: int = 0
+    is_pressed: bool = False
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
     classes: ClassProbabilities | None = None
     decision: Decision = Decision.NONE
@@ -264,7 +272,7 @@ class _Sums:
     compression: float = 0.0
     stress: float = 0.0
     force: float = 0.0
-    fractional: Array = field(default_factory=lambda: np.zeros(3))
+    fractional: Array = field(default_factory=lambda: np.zeros(len(order_nodes()) + 3))
 
     def clear(self) -> None:
         self.count = 0
@@ -297,7 +305,8 @@ class Pipeline:
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._timeout_ns = round(config.contact.site_timeout * NANOSECONDS)
         order = config.estimator.prior.fractional_order
-        self._orders = (order, order + _ORDER_STEP, max(order - _ORDER_STEP, 1e-6))
+        self._orders = (order, order + _ORDER_STEP, max(order - _ORDER_STEP, 1e-6), *order_nodes())
+        self._order_interpolation = order_interpolation()
         # The kernel's weights take a moment to compute: now, not at the first touch.
         FractionalIntegral(self._orders)
         self._detector = ContactDetector(config.contact, order)
@@ -429,6 +438,7 @@ class Pipeline:
             contact_id=self.contact_count,
             start_ns=first.stamp_ns,
             bias=onset.bias,
+            drift=onset.drift,
             release_force=self._detector.release_threshold,
             rejected_before=self.rejected.total(),
             position=first.position,
@@ -438,16 +448,12 @@ class Pipeline:
             site.usable = False
             site.flags |= Flag.ORIGIN_UNCERTAIN
             contact.flags |= Flag.ORIGIN_UNCERTAIN
+        scale = self.config.geometry.stress_per_force
         if site.usable and site.estimator is None:
-            scale = self.config.geometry.stress_per_force
-            site.estimator = FractionalStressEstimator(
-                self.config.estimator,
-                self.config.geometry,
-                noise_sd=onset.noise_sd * scale,
-                bias_sd=onset.bias_sd * scale,
-                origin_sd=site.origin_sd,
-            )
+            site.estimator = self._new_estimator(onset.noise_sd * scale, site.origin_sd)
         self._rest_until(site, first.stamp_ns)
+        if site.estimator is not None:
+            site.estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
         self._sums.clear()
         self._block_end_ns = first.stamp_ns
         self._recent.clear()
@@ -457,6 +463,12 @@ class Pipeline:
             self._press(pair)
         self._muted = False
         self._press(onset.samples[-1])
+
+    def _new_estimator(self, noise_sd: float, origin_sd: float) -> Estimator:
+        config = self.config
+        if config.estimator.observation is Observation.STRESS:
+            return StressEstimator(config.estimator, config.geometry, noise_sd, origin_sd)
+        return FractionalStressEstimator(config.estimator, config.geometry, noise_sd, origin_sd)
 
     def _new_site(self, onset: Onset) -> _Site:
         self.site_count += 1
@@ -498,15 +510,19 @@ class Pipeline:
         step = (stamp_ns - site.last_ns) / NANOSECONDS
         if step < 4.0 * SHORTEST_STEP:
             return
-        site.integral.advance(SHORTEST_STEP, 0.0)
-        site.integral.advance(step - 2.0 * SHORTEST_STEP, 0.0)
+        elapsed = np.geomspace(SHORTEST_STEP, step - SHORTEST_STEP, _REST_STEPS)
+        for rest in np.diff(elapsed, prepend=0.0):
+            free = site.integral.advance(float(rest), 0.0)
+            if site.estimator is not None:
+                site.estimator.rest(float(rest), free[_EXACT_ORDERS:])
         site.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
     def _press(self, pair: Pair) -> None:
         contact, site = self._contact, self._site
         assert contact is not None and site is not None
         geometry = self.config.geometry
-        force = pair.force - contact.bias
+        elapsed = (pair.stamp_ns - contact.start_ns) / NANOSECONDS
+        force = pair.force - contact.bias - contact.drift * elapsed
         stress = force * geometry.stress_per_force
         displacement = self._detector.compliance_free(pair, force)
         compression = (displacement - site.origin) / geometry.length
@@ -514,6 +530,8 @@ class Pipeline:
         step_ns = pair.stamp_ns - site.last_ns
         if step_ns > 0:
             sums.fractional += site.integral.advance(step_ns / NANOSECONDS, stress)
+        if site.estimator is not None and not contact.ended:
+            site.estimator.press(step_ns / NANOSECONDS, compression)
         site.last_ns = pair.stamp_ns
         if sums.count == 0:
             sums.start_ns, sums.start_compression = pair.stamp_ns, compression
@@ -547,9 +565,7 @@ class Pipeline:
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,
                 estimate=estimate,
-                order_source=self.config.order_source
-                if estimate is not None
-                else OrderSource.NONE,
+                order_source=self._order_source(estimate),
             )
         )
 
@@ -564,7 +580,7 @@ class Pipeline:
         block = Block(
             compression=compression,
             stress=stress,
-            fractional_stress=float(fractional[0]),
+            fractional_stress=self._fractional_stress(site, fractional),
             fractional_stress_by_order=float(fractional[1] - fractional[2])
             / (self._orders[1] - self._orders[2]),
             memory_time=0.5 * (sums.start_ns + stamp_ns - 2 * site.start_ns) / NANOSECONDS,
@@ -577,11 +593,30 @@ class Pipeline:
         if site.estimator is not None and site.usable and not contact.ended:
             # Without contact the law does not hold; near the surface the origin's error is not
             # small.
-            if force > contact.release_force and compression > site.origin_sd:
+            if self._is_informative(block, force, contact, site):
                 innovation = site.estimator.update(block)
+            else:
+                site.estimator.skip()
             if not self._muted:
                 site.estimate = site.estimator.estimate()
         self._report(stamp_ns, contact, site, block, innovation)
+
+    def _fractional_stress(self, site: _Site, fractional: Array) -> float:
+        """Return D^-alpha f at the order that is known by now."""
+        estimate = site.estimate
+        order = self._orders[0] if estimate is None else estimate.fractional_order
+        if order == self._orders[0]:
+            return float(fractional[0])
+        return float(self._order_interpolation(order)[0] @ fractional[_EXACT_ORDERS:])
+
+    def _is_informative(self, block: Block, force: float, contact: _Contact, site: _Site) -> bool:
+        """Whether the law holds for a block: not behind the surface, nor while letting go."""
+        if self.config.estimator.observation is Observation.STRESS:
+            # The first touch says where the origin is; later ones meet a relaxing surface.
+            is_first = contact.start_ns == site.start_ns
+            contact.is_pressed |= force > 2.0 * contact.release_force
+            return force > contact.release_force or (is_first and not contact.is_pressed)
+        return force > contact.release_force and block.compression > site.origin_sd
 
     def _report(
         self,
@@ -611,9 +646,7 @@ class Pipeline:
                 site_id=site.site_id,
                 contact_id=contact.contact_id,
                 phase=phase,
-                order_source=self.config.order_source
-                if estimate is not None
-                else OrderSource.NONE,
+                order_source=self._order_source(estimate),
                 estimate=estimate,
                 signals=Signals(strain, block.stress, block.fractional_stress),
                 innovation=innovation,
@@ -659,6 +692,19 @@ class Pipeline:
         sd = value * math.sqrt(max(float(gradient @ estimate.covariance @ gradient), 0.0))
         return ApparentStiffness(value, sd, tau)
 
+    def _order_source(self, estimate: Estimate | None) -> OrderSource:
+        if estimate is None:
+            return OrderSource.NONE
+        if self.config.estimator.order_given:
+            return OrderSource.GIVEN
+        return OrderSource.LEARNED if self._is_order_learned(estimate) else OrderSource.PRIOR
+
+    def _is_order_learned(self, estimate: Estimate) -> bool:
+        config = self.config.estimator
+        variance = float(estimate.covariance[2, 2])
+        known = (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
+        return not config.order_given and variance < known
+
     # Classification and summary
 
     def _classify(
@@ -671,8 +717,7 @@ class Pipeline:
         if self._blocks % _CLASSIFY_EVERY and contact.classes is not None:
             return
         library = self.config.library
-        learned = self.config.order_source is OrderSource.LEARNED
-        classes = classify(library, estimate, learned)
+        classes = classify(library, estimate, self._is_order_learned(estimate))
         previous = contact.classes
         changed = previous is None or any(
             abs(new - old) > _PROBABILITY_CHANGE
@@ -723,8 +768,7 @@ class Pipeline:
         rejected = self.rejected.total() - contact.rejected_before
         classes = None
         if estimate is not None and converged:
-            learned = self.config.order_source is OrderSource.LEARNED
-            classes = classify(self.config.library, estimate, learned)
+            classes = classify(self.config.library, estimate, self._is_order_learned(estimate))
         return ContactSummary(
             stamp_ns=end_ns,
             start_ns=contact.start_ns,
@@ -735,7 +779,7 @@ class Pipeline:
             converged=converged,
             complete=complete,
             position=contact.position,
-            order_source=self.config.order_source if estimate is not None else OrderSource.NONE,
+            order_source=self._order_source(estimate),
             estimate=estimate,
             max_strain=contact.max_strain,
             max_stress=contact.max_stress,

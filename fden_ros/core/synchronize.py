@@ -52,7 +52,7 @@ class SynchronizeConfig:
     displacement_delay: float = 0.0
     max_gap: float = 0.25
     pairing_window: float = 5.0
-    force_limit: float = 1e3
+    force_limit: float = 1e5
     displacement_limit: float = 10.0
 
 

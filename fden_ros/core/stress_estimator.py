@@ -1,0 +1,430 @@
+r"""Recursive estimation on the stress itself: relinearised at every block, in constant memory.
+
+The observation is the mean stress of a block,
+
+.. math::
+    f_k = \bigl(D^\alpha \varphi(x(u - o); G, G_n)\bigr)_k + b + c\,(t_k - t_0) + v_k,
+
+with white :math:`v_k`, the strain origin o, and the force's bias b and drift c as nuisances.
+:mod:`fden_ros.core.stress_basis` gives the response at nodes of ln Gn, alpha and o, so the sum of
+squares of any parameters is a quadratic form in what was accumulated at the nodes. From it follows
+the maximum of the posterior by Gauss-Newton steps, started at the last one: an iterated extended
+Kalman filter in information form whose linearisation is never out of date.
+
+While Gn is not yet observable, its posterior is not normal. Then the other parameters are solved
+for at every node of ln Gn, and the nodes weighed by their evidence (Laplace's approximation at
+each node): a Gaussian sum.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from fden_ros.core.estimator import Block, Estimate, EstimatorConfig, Innovation
+from fden_ros.core.geometry import Geometry
+from fden_ros.core.model import elastic_response
+from fden_ros.core.stress_basis import (
+    HIGHEST_ORDER,
+    LOG_SPACING,
+    LOWEST_ORDER,
+    Lagrange,
+    LogStiffnessGrid,
+    StressBasis,
+    order_interpolation,
+    order_nodes,
+)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+#: Parameters, in this order everywhere.
+_LOG_G, _LOG_GN, _ORDER, _ORIGIN, _BIAS, _DRIFT = range(6)
+_SIZE = 6
+#: Columns beside the law's: the free response at each order, bias, drift, and the stress itself.
+_ORDERS = len(order_nodes())
+_BIAS_COLUMN, _DRIFT_COLUMN, _STRESS_COLUMN = _ORDERS, _ORDERS + 1, _ORDERS + 2
+_COLUMNS = _ORDERS + 3
+
+#: The nodes cover so many prior standard deviations of ln Gn.
+_GRID_DEVIATIONS = 4.0
+_WIDEST_GRID = 2.0
+_STENCIL = 6
+#: Nodes of the origin stand so many standard deviations from 0, and at least so far [1].
+_ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
+#: Below this standard deviation of ln Gn the posterior is normal and narrower than the nodes'
+#: distance; above the other one it is not.
+_NARROW, _WIDE = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
+#: A step changes no parameter by more than this.
+_LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf])
+_STEPS = 2
+#: A node of less weight adds nothing to the covariance.
+_LEAST_WEIGHT = 1e-6
+_TINY = 1e-12
+
+
+class StressEstimator:
+    """The posterior on the stress.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    geometry : Geometry
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    origin_sd : float
+        Standard deviation of the strain origin [1]; 0: known.
+    """
+
+    def __init__(
+        self,
+        config: EstimatorConfig,
+        geometry: Geometry,
+        noise_sd: float,
+        origin_sd: float = 0.0,
+    ) -> None:
+        prior = config.prior
+        self._config = config
+        self._geometry = geometry
+        self._noise_variance = noise_sd**2
+        self._grid = LogStiffnessGrid(
+            math.log(prior.nonlinear_stiffness),
+            min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
+        )
+        reach = max(_ORIGIN_REACH * origin_sd, _LEAST_ORIGIN_REACH)
+        origins: Array = np.linspace(-reach, reach, 3) if origin_sd > 0.0 else np.zeros(1)
+        self._origin_interpolation = Lagrange(origins)
+        self._order_interpolation = order_interpolation()
+        self._basis = StressBasis(geometry, self._grid.nodes, origins)
+        nodes, inner = self._grid.nodes.size, origins.size * _ORDERS
+        # Sums of products of responses: of neighbouring nodes, with the columns, of the columns.
+        self._law = np.zeros((_STENCIL, nodes, inner, inner))
+        self._cross = np.zeros((nodes, inner, _COLUMNS))
+        self._columns = np.zeros((_COLUMNS, _COLUMNS))
+        self._mean = np.array(
+            [
+                math.log(prior.linear_stiffness),
+                math.log(prior.nonlinear_stiffness),
+                prior.fractional_order,
+                0.0,
+                0.0,
+                0.0,
+            ]
+        )
+        deviations = [
+            prior.linear_stiffness_log_sd,
+            prior.nonlinear_stiffness_log_sd,
+            prior.fractional_order_sd,
+            origin_sd,
+            0.0,
+            0.0,
+        ]
+        self._prior_deviations = np.array(deviations)
+        self._state = self._mean.copy()
+        self._covariance = np.diag(self._prior_deviations**2)
+        self._node_states = np.tile(self._mean, (nodes, 1))
+        self._node_states[:, _LOG_GN] = self._grid.nodes
+        self._is_narrow = False
+        self._is_solved = True
+        self._node_weights = np.exp(
+            -0.5 * ((self._grid.nodes - self._mean[_LOG_GN]) / (deviations[_LOG_GN] or 1.0)) ** 2
+        )
+        self._node_weights /= self._node_weights.sum()
+        self._max_compression = 0.0
+        self._sample_count = 0
+        self._contact_start: float | None = None
+
+    # Samples
+
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Start a contact with its own bias [Pa] and drift [Pa/s] of the force."""
+        self._forget_nuisances()
+        self._contact_start = None
+        for index, deviation in ((_BIAS, bias_sd), (_DRIFT, drift_sd)):
+            self._prior_deviations[index] = deviation
+            self._state[index] = 0.0
+            self._node_states[:, index] = 0.0
+            self._covariance[index, :] = self._covariance[:, index] = 0.0
+            self._covariance[index, index] = deviation**2
+        self._basis.discard_block()
+
+    def press(self, step: float, compression: float) -> None:
+        """Take a sample in contact."""
+        self._basis.press(step, compression)
+
+    def rest(self, step: float, free_response: Array) -> None:
+        """Take a step in the air."""
+        self._basis.rest(step, free_response)
+
+    def skip(self) -> None:
+        """Let a block go by."""
+        self._basis.discard_block()
+
+    def update(self, block: Block) -> Innovation:
+        """Take one block; return how it compared with the prediction."""
+        law, free = self._basis.take_block()
+        if self._contact_start is None:
+            self._contact_start = block.memory_time
+        columns = np.concatenate(
+            [free, [1.0, block.memory_time - self._contact_start, block.stress]]
+        )
+        noise = self._noise_variance / block.size
+        innovation = self._innovation(law, columns, block, noise)
+        weight = 1.0 / noise
+        scaled = law * weight
+        for distance in range(_STENCIL):
+            self._law[distance, : law.shape[0] - distance] += (
+                scaled[: law.shape[0] - distance, :, None] * law[distance:, None, :]
+            )
+        self._cross += scaled[:, :, None] * columns
+        self._columns += weight * np.outer(columns, columns)
+        self._max_compression = max(self._max_compression, block.compression)
+        self._sample_count += block.size
+        self._is_solved = False
+        return innovation
+
+    # Solution
+
+    def _innovation(self, law: Array, columns: Array, block: Block, noise: float) -> Innovation:
+        first, directions = self._directions(self._state)
+        responses = np.concatenate([law[first : first + _STENCIL].ravel(), columns])
+        residual, *gradient = directions @ responses
+        jacobian = np.array(gradient)
+        variance = noise + float(jacobian @ self._covariance @ jacobian)
+        strain = self._geometry.strain(block.compression - float(self._state[_ORIGIN]))
+        response = elastic_response(
+            strain, math.exp(self._state[_LOG_G]), math.exp(self._state[_LOG_GN])
+        )
+        return Innovation(
+            predicted_fractional_stress=response.value,
+            predicted_stress=block.stress + float(residual),
+            innovation=-float(residual),
+            variance=variance,
+        )
+
+    def _directions(self, state: Array) -> tuple[int, Array]:
+        """Return the first node of the stencil, and rows of coefficients of stencil and columns.
+
+        The first row gives the predicted less the observed stress, the others its derivatives by
+        the parameters, shape (7, ...).
+        """
+        first, in_gn, by_gn = self._grid.stencil(float(state[_LOG_GN]))
+        in_order, by_order = self._order_interpolation(float(state[_ORDER]))
+        in_origin, by_origin = self._origin_interpolation(float(state[_ORIGIN]))
+        g = math.exp(state[_LOG_G])
+        inner = np.outer(in_origin, in_order).ravel()
+        size = _STENCIL * inner.size
+        directions = np.zeros((_SIZE + 1, size + _COLUMNS))
+        law, columns = directions[:, :size], directions[:, size:]
+        law[0] = law[1 + _LOG_G] = np.outer(g * in_gn, inner).ravel()
+        law[1 + _LOG_GN] = np.outer(g * by_gn, inner).ravel()
+        law[1 + _ORDER] = np.outer(g * in_gn, np.outer(in_origin, by_order)).ravel()
+        law[1 + _ORIGIN] = np.outer(g * in_gn, np.outer(by_origin, in_order)).ravel()
+        self._fill_columns(columns, state, in_order, by_order)
+        return first, directions
+
+    def _stencil_products(self, first: int) -> Array:
+        inner = self._cross.shape[1]
+        size = _STENCIL * inner
+        products = np.empty((size + _COLUMNS, size + _COLUMNS))
+        for i in range(_STENCIL):
+            rows = slice(i * inner, (i + 1) * inner)
+            for j in range(i, _STENCIL):
+                block = self._law[j - i, first + i]
+                products[rows, j * inner : (j + 1) * inner] = block
+                if j > i:
+                    products[j * inner : (j + 1) * inner, rows] = block.T
+            cross = self._cross[first + i]
+            products[rows, size:] = cross
+            products[size:, rows] = cross.T
+        products[size:, size:] = self._columns
+        return products
+
+    @property
+    def _free(self) -> Indices:
+        """Indices of the parameters that are learned."""
+        learned = self._prior_deviations > 0.0
+        if self._config.order_given:
+            learned[_ORDER] = False
+        indices: Indices = np.flatnonzero(learned)
+        return indices
+
+    def _solve(self) -> None:
+        if not self._is_narrow:
+            self._solve_nodes()
+        if self._is_narrow:
+            self._solve_narrow()
+
+    def _solve_narrow(self) -> None:
+        free = self._free
+        for _ in range(_STEPS):
+            first, directions = self._directions(self._state)
+            quadratic = directions @ self._stencil_products(first) @ directions.T
+            step, hessian = self._step(self._state[None], quadratic[None], free)
+            self._state = self._bounded(self._state + step[0])
+            if np.all(np.abs(step[0]) <= 0.01 * np.sqrt(self._covariance.diagonal()) + _TINY):
+                break
+        self._covariance = self._full_covariance(hessian[0], quadratic, free)
+        if self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
+            self._is_narrow = False
+            nodes = self._grid.nodes
+            self._node_states[:] = self._state
+            self._node_states[:, _LOG_GN] = nodes
+
+    def _step(self, states: Array, quadratics: Array, free: Indices) -> tuple[Array, Array]:
+        """Return Gauss-Newton steps, shape (n, 6), and Hessians, shape (n, free, free)."""
+        precision = self._prior_deviations[free] ** -2.0
+        hessian = quadratics[:, 1 + free[:, None], 1 + free] + np.diag(precision)
+        gradient = quadratics[:, 0, 1 + free] + precision * (states - self._mean)[:, free]
+        steps = np.zeros_like(states)
+        steps[:, free] = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
+        return np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP), hessian
+
+    def _bounded(self, state: Array) -> Array:
+        state[..., _ORDER] = np.clip(state[..., _ORDER], LOWEST_ORDER, HIGHEST_ORDER)
+        state[..., _LOG_GN] = np.clip(state[..., _LOG_GN], self._grid.lowest, self._grid.highest)
+        return state
+
+    def _full_covariance(self, hessian: Array, quadratic: Array, free: Indices) -> Array:
+        covariance = np.zeros((_SIZE, _SIZE))
+        inverse: Array = np.linalg.inv(hessian)
+        covariance[np.ix_(free, free)] = 0.5 * (inverse + inverse.T)
+        if self._config.order_given:
+            self._consider_order(covariance, inverse, quadratic, free)
+        return covariance
+
+    def _consider_order(
+        self, covariance: Array, inverse: Array, quadratic: Array, free: Indices
+    ) -> None:
+        """Add what the given order's own uncertainty does (consider analysis)."""
+        sensitivity = np.zeros(_SIZE)
+        sensitivity[free] = -inverse @ quadratic[1 + free, 1 + _ORDER]
+        sensitivity[_ORDER] = 1.0
+        variance = self._prior_deviations[_ORDER] ** 2
+        covariance += variance * np.outer(sensitivity, sensitivity)
+
+    def _solve_nodes(self) -> None:
+        """Solve at every node of ln Gn, and take the moments of all."""
+        free = self._free
+        free = free[free != _LOG_GN]
+        states = self._node_states
+        quadratics = self._node_quadratics(states)
+        for _ in range(_STEPS):
+            steps, hessians = self._step(states, quadratics, free)
+            states = self._node_states = self._bounded_nodes(states + steps)
+            quadratics = self._node_quadratics(states)
+        deviation = (states - self._mean)[:, free] / self._prior_deviations[free]
+        log_evidence = -0.5 * (
+            quadratics[:, 0, 0]
+            + np.sum(deviation**2, axis=1)
+            + np.linalg.slogdet(hessians)[1]
+            + ((self._grid.nodes - self._mean[_LOG_GN]) / self._prior_deviations[_LOG_GN]) ** 2
+        )
+        weights = np.exp(log_evidence - log_evidence.max())
+        weights /= weights.sum()
+        self._node_weights = weights
+        self._state = weights @ states
+        centred = states - self._state
+        covariance = (weights[:, None] * centred).T @ centred
+        for node in np.flatnonzero(weights > _LEAST_WEIGHT):
+            covariance += weights[node] * self._full_covariance(
+                hessians[node], quadratics[node], free
+            )
+        self._covariance = covariance
+        self._is_narrow = bool(covariance[_LOG_GN, _LOG_GN] < _NARROW**2)
+
+    def _bounded_nodes(self, states: Array) -> Array:
+        states = self._bounded(states)
+        states[:, _LOG_GN] = self._grid.nodes
+        return states
+
+    def _node_quadratics(self, states: Array) -> Array:
+        """Products of residual and derivatives with ln Gn at a node, shape (nodes, 7, 7)."""
+        inner = self._cross.shape[1]
+        products = np.empty((states.shape[0], inner + _COLUMNS, inner + _COLUMNS))
+        products[:, :inner, :inner] = self._law[0]
+        products[:, :inner, inner:] = self._cross
+        products[:, inner:, :inner] = self._cross.transpose(0, 2, 1)
+        products[:, inner:, inner:] = self._columns
+        in_order, by_order = self._order_interpolation(states[:, _ORDER])
+        in_origin, by_origin = self._origin_interpolation(states[:, _ORIGIN])
+        in_origin = np.exp(states[:, _LOG_G])[:, None] * in_origin
+        by_origin = np.exp(states[:, _LOG_G])[:, None] * by_origin
+        directions = np.zeros((states.shape[0], _SIZE + 1, inner + _COLUMNS))
+        law, columns = directions[:, :, :inner], directions[:, :, inner:]
+        law[:, 0] = law[:, 1 + _LOG_G] = _outer(in_origin, in_order)
+        law[:, 1 + _ORDER] = _outer(in_origin, by_order)
+        law[:, 1 + _ORIGIN] = _outer(by_origin, in_order)
+        self._fill_columns(columns.transpose(1, 2, 0), states.T, in_order.T, by_order.T)
+        result: Array = directions @ products @ directions.transpose(0, 2, 1)
+        return result
+
+    @staticmethod
+    def _fill_columns(columns: Array, state: Array, in_order: Array, by_order: Array) -> None:
+        columns[0, :_ORDERS] = in_order
+        columns[0, _BIAS_COLUMN] = state[_BIAS]
+        columns[0, _DRIFT_COLUMN] = state[_DRIFT]
+        columns[0, _STRESS_COLUMN] = -1.0
+        columns[1 + _ORDER, :_ORDERS] = by_order
+        columns[1 + _BIAS, _BIAS_COLUMN] = 1.0
+        columns[1 + _DRIFT, _DRIFT_COLUMN] = 1.0
+
+    def _forget_nuisances(self) -> None:
+        """Take what bias and drift of the last contact explain out of the sums."""
+        for column, index in ((_BIAS_COLUMN, _BIAS), (_DRIFT_COLUMN, _DRIFT)):
+            deviation = self._prior_deviations[index]
+            own = self._columns[column, column] + (deviation**-2 if deviation > 0.0 else 0.0)
+            if deviation > 0.0 and own > 0.0:
+                by_law = self._cross[:, :, column].copy()
+                by_column = self._columns[column].copy()
+                for distance in range(_STENCIL):
+                    end = by_law.shape[0] - distance
+                    self._law[distance, :end] -= (
+                        by_law[:end, :, None] * by_law[distance:, None, :] / own
+                    )
+                self._cross -= by_law[:, :, None] * by_column / own
+                self._columns -= np.outer(by_column, by_column) / own
+            self._cross[:, :, column] = 0.0
+            self._columns[column, :] = self._columns[:, column] = 0.0
+
+    # Result
+
+    def estimate(self) -> Estimate:
+        """Return the present estimate."""
+        if not self._is_solved:
+            self._solve()
+            self._is_solved = True
+        config = self._config
+        covariance = self._covariance
+        beyond = self._probability_beyond_boundary()
+        return Estimate(
+            log_linear_stiffness=float(self._state[_LOG_G]),
+            log_nonlinear_stiffness=float(self._state[_LOG_GN]),
+            fractional_order=float(self._state[_ORDER]),
+            covariance=covariance[:3, :3].copy(),
+            strain_origin=float(self._state[_ORIGIN]),
+            strain_origin_sd=math.sqrt(covariance[_ORIGIN, _ORIGIN]),
+            probability_beyond_boundary=beyond,
+            converged=beyond >= config.converged_probability
+            and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
+            sample_count=self._sample_count,
+        )
+
+    def _probability_beyond_boundary(self) -> float:
+        strain = self._geometry.strain(self._max_compression - float(self._state[_ORIGIN]))
+        if strain <= 0.0:
+            return 0.0
+        if self._is_narrow:
+            deviation = math.sqrt(self._covariance[_LOG_GN, _LOG_GN]) + _TINY
+            return float(ndtr((math.log(strain) + self._state[_LOG_GN]) / deviation))
+        beyond = ndtr((math.log(strain) + self._grid.nodes) / (0.5 * LOG_SPACING))
+        return float(min(self._node_weights @ beyond, 1.0))
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """Return the outer products of rows, flattened, shape (n, a.size * b.size)."""
+    products: Array = (a[:, :, None] * b[:, None, :]).reshape(a.shape[0], -1)
+    return products
