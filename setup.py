@@ -30,6 +30,7 @@ setup(
         "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.1",
+        "mcap-ros2-support>=0.5",
         "numpy>=1.26",
         "rich>=13.7",
         "scipy>=1.11",

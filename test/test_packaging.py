@@ -25,6 +25,7 @@ ROSDEP_KEYS = {
     "lz4": "mcap-ros2-support",
     "matplotlib": "python3-matplotlib",
     "mcap": "mcap-ros2-support",
+    "mcap-ros2-support": "mcap-ros2-support",
     "mpmath": "python3-sympy",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
@@ -36,7 +37,7 @@ ROSDEP_KEYS = {
     "scipy": "python3-scipy",
     "zstandard": "mcap-ros2-support",
 }
-IMPORT_NAMES = {"pyyaml": "yaml"}
+IMPORT_NAMES = {"mcap-ros2-support": "mcap_ros2", "pyyaml": "yaml"}
 
 
 def manifest(path: str = "package.xml") -> ElementTree.Element:
