@@ -53,10 +53,12 @@ def fed(estimator, blocks):
     return estimator.estimate()
 
 
-def estimator_of(prior=PRIOR, geometry=None, sigma=3.0, **options):
-    return FractionalStressEstimator(
-        EstimatorConfig(prior), geometry or PassThrough(), sigma, **options
+def estimator_of(prior=PRIOR, geometry=None, sigma=3.0, bias_sd=0.0, origin_sd=0.0):
+    estimator = FractionalStressEstimator(
+        EstimatorConfig(prior), geometry or PassThrough(), sigma, origin_sd
     )
+    estimator.begin_contact(bias_sd, 0.0)
+    return estimator
 
 
 @pytest.mark.parametrize("geometry", [PassThrough(), Sphere(0.005)], ids=["flat", "sphere"])

@@ -243,11 +243,11 @@ def test_millisecond_noise_of_a_minute_equals_the_full_memory():
 
 @pytest.mark.parametrize("order", [*ORDERS, 1.0])
 def test_sum_of_exponentials_is_the_kernel_to_1e_10(order):
-    from fden_ros.core.fractional_integral import _rates
+    from fden_ros.core.fractional_integral import relaxation_rates
 
     times = np.geomspace(SHORTEST_STEP, LONGEST_MEMORY, 4321)
     kernel = times ** (order - 1.0) / gamma(order)
-    sum_of_exponentials = np.exp(-np.outer(times, _rates())) @ kernel_weights(order)
+    sum_of_exponentials = np.exp(-np.outer(times, relaxation_rates())) @ kernel_weights(order)
     assert np.max(np.abs(sum_of_exponentials / kernel - 1.0)) < 1e-10
 
 

@@ -164,6 +164,8 @@ class ContactDetector:
         self._chunks: deque[_Chunk] = deque()
         self._chunks_in_air = 0
         self._air: _Air | None = None
+        self._trend = _Level(0.0, 0.0, 0.0)
+        self._trend_end_ns = 0
         self._open: list[float] = []
         self._open_start_ns = 0
         self._low_chunks = 0
@@ -227,10 +229,10 @@ class ContactDetector:
             return None
         noise = self._config.force_noise or max(air.fast_noise, self._config.noise_floor)
         threshold = max(self._config.force_threshold, _THRESHOLD_DEVIATIONS * noise)
-        bias = air.mean if self._config.measure_bias else 0.0
+        bias = self._bias_at(chunk.end_ns) if self._config.measure_bias else 0.0
         rise = chunk.mean - bias
         if rise > max(threshold, _RETRY * self._doubted_rise):
-            onset = self._begin(bias, threshold)
+            onset = self._begin(bias, threshold, chunk.end_ns)
             if onset is not None:
                 return onset
             # A force that rises in a straight line, whatever the probe does, is a drift.
@@ -274,8 +276,16 @@ class ContactDetector:
         if self._air is None or (not self._suspected and self._chunks_in_air % _AIR_EVERY == 0):
             newest_ns = chunk.start_ns - _LAG_NS
             old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
-            self._air = _air_of(max(old, tuple(self._chunks)[: -(-count // 2)], key=len))
+            old = max(old, tuple(self._chunks)[: -(-count // 2)], key=len)
+            self._air = _air_of(old)
+            self._trend = _level_at_end(old, self._air, _noise_of_means(old, self._air))
+            self._trend_end_ns = old[-1].end_ns
         return self._air
+
+    def _bias_at(self, stamp_ns: int) -> float:
+        """Return the force without contact [N], extrapolated."""
+        elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
+        return self._trend.value + self._trend.slope * elapsed
 
     def _is_air_known(self) -> bool:
         count = len(self._chunks)
@@ -299,11 +309,13 @@ class ContactDetector:
         self._chunks.extend(recent)
         self._samples.clear()
 
-    def _begin(self, bias: float, threshold: float) -> Onset | None:
+    def _begin(self, bias: float, threshold: float, now_ns: int) -> Onset | None:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
         force = np.array([pair.force for pair in pairs]) - bias
+        if self._config.measure_bias:
+            force -= self._trend.slope * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         surface = find_surface(time, force, displacement, self._order)

@@ -62,22 +62,20 @@ class Lagrange:
         self._middle = 0.5 * float(nodes[0] + nodes[-1])
         self._half = 0.5 * float(nodes[-1] - nodes[0]) or 1.0
         scaled = (nodes - self._middle) / self._half
-        self._cardinal = np.linalg.inv(chebyshev.chebvander(scaled, nodes.size - 1))
-        self._slope = chebyshev.chebder(self._cardinal) if nodes.size > 1 else np.zeros((1, 1))
+        cardinal = np.linalg.inv(chebyshev.chebvander(scaled, nodes.size - 1))
+        slope = np.zeros_like(cardinal)
+        slope[: max(nodes.size - 1, 1)] = chebyshev.chebder(cardinal) / self._half
+        self._size = nodes.size
+        self._coefficients = np.hstack([cardinal, slope])
 
     def __call__(self, value: float | Array) -> tuple[Array, Array]:
         """Return the weight of each node at `value` and its derivative, shape (..., n)."""
         x = (value - self._middle) / self._half
-        polynomials = np.empty((*np.shape(value), self._cardinal.shape[0]))
-        polynomials[..., 0] = 1.0
-        if polynomials.shape[-1] > 1:
-            polynomials[..., 1] = x
-        for index in range(2, polynomials.shape[-1]):
-            polynomials[..., index] = (
-                2.0 * x * polynomials[..., index - 1] - polynomials[..., index - 2]
-            )
-        slopes = polynomials[..., : self._slope.shape[0]] @ self._slope
-        return polynomials @ self._cardinal, slopes / self._half
+        polynomials = [np.ones_like(x), x]
+        for _ in range(2, self._size):
+            polynomials.append(2.0 * x * polynomials[-1] - polynomials[-2])
+        both = np.array(polynomials[: self._size]).T @ self._coefficients
+        return both[..., : self._size], both[..., self._size :]
 
 
 def order_interpolation() -> Lagrange:
@@ -159,6 +157,9 @@ class StressBasis:
         self._local_sum = np.zeros((self._orders.size, columns))
         self._last = np.zeros(columns)
         self._signals = np.zeros(columns)
+        self._law_signals = self._signals[: self._signal_count].reshape(self._shape)
+        self._exponent = np.empty(self._shape)
+        self._linear = np.empty(self._shape)
         self._count = 0
         self._step = math.nan
         self._decay = np.empty((self._rates.size, 1))
@@ -167,17 +168,17 @@ class StressBasis:
 
     def press(self, step: float, compression: float) -> None:
         """Take a sample in contact `step` seconds after the last."""
-        strains = np.array(
-            [self._geometry.strain(compression - origin) for origin in self._origins]
-        )
-        magnitude = np.abs(strains)
-        exponent = self._gn * magnitude
-        exponent -= 1.0
-        response = np.exp(np.minimum(exponent, _MAX_EXPONENT))
-        response *= self._inverse_gn
-        response = np.where(exponent > 0.0, response, magnitude)
-        response *= np.sign(strains)
-        self._signals[: self._signal_count] = response.ravel()
+        strains = [self._geometry.strain(compression - origin) for origin in self._origins]
+        # e^(Gn x - 1)/Gn beyond 1/Gn and x below it, both in one.
+        np.multiply(self._gn, np.abs(strains), out=self._exponent)
+        self._exponent -= 1.0
+        np.minimum(self._exponent, 0.0, out=self._linear)
+        np.clip(self._exponent, 0.0, _MAX_EXPONENT, out=self._exponent)
+        np.exp(self._exponent, out=self._exponent)
+        self._exponent += self._linear
+        np.multiply(self._exponent, self._inverse_gn, out=self._law_signals)
+        if min(strains) < 0.0:
+            self._law_signals *= np.sign(strains)
         self._signals[self._signal_count :] = 0.0
         self._count += 1
         if self._advance(step):

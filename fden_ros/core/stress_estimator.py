@@ -61,7 +61,9 @@ _NARROW, _WIDE = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 #: A step changes no parameter by more than this.
 _LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf])
 _STEPS = 2
-#: A node of less weight adds nothing to the covariance.
+#: Steps end when no parameter moves by more than this share of its deviation.
+_CLOSE = 0.05
+#: A node of less weight does not count there.
 _LEAST_WEIGHT = 1e-6
 _TINY = 1e-12
 
@@ -265,9 +267,9 @@ class StressEstimator:
             quadratic = directions @ self._stencil_products(first) @ directions.T
             step, hessian = self._step(self._state[None], quadratic[None], free)
             self._state = self._bounded(self._state + step[0])
-            if np.all(np.abs(step[0]) <= 0.01 * np.sqrt(self._covariance.diagonal()) + _TINY):
+            if np.all(np.abs(step[0]) <= _CLOSE * np.sqrt(self._covariance.diagonal())):
                 break
-        self._covariance = self._full_covariance(hessian[0], quadratic, free)
+        self._covariance = self._covariances(hessian, quadratic[None], free)[0]
         if self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
             self._is_narrow = False
             nodes = self._grid.nodes
@@ -288,23 +290,20 @@ class StressEstimator:
         state[..., _LOG_GN] = np.clip(state[..., _LOG_GN], self._grid.lowest, self._grid.highest)
         return state
 
-    def _full_covariance(self, hessian: Array, quadratic: Array, free: Indices) -> Array:
-        covariance = np.zeros((_SIZE, _SIZE))
-        inverse: Array = np.linalg.inv(hessian)
-        covariance[np.ix_(free, free)] = 0.5 * (inverse + inverse.T)
+    def _covariances(self, hessians: Array, quadratics: Array, free: Indices) -> Array:
+        """Return the covariances of all parameters, shape (n, 6, 6)."""
+        inverses = np.linalg.inv(hessians)
+        covariances = np.zeros((hessians.shape[0], _SIZE, _SIZE))
+        covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
         if self._config.order_given:
-            self._consider_order(covariance, inverse, quadratic, free)
-        return covariance
-
-    def _consider_order(
-        self, covariance: Array, inverse: Array, quadratic: Array, free: Indices
-    ) -> None:
-        """Add what the given order's own uncertainty does (consider analysis)."""
-        sensitivity = np.zeros(_SIZE)
-        sensitivity[free] = -inverse @ quadratic[1 + free, 1 + _ORDER]
-        sensitivity[_ORDER] = 1.0
-        variance = self._prior_deviations[_ORDER] ** 2
-        covariance += variance * np.outer(sensitivity, sensitivity)
+            # What the given order's own uncertainty does (consider analysis).
+            sensitivity = np.zeros((hessians.shape[0], _SIZE))
+            coupling = quadratics[:, 1 + free, 1 + _ORDER]
+            sensitivity[:, free] = -(inverses @ coupling[:, :, None])[:, :, 0]
+            sensitivity[:, _ORDER] = self._prior_deviations[_ORDER]
+            sensitivity[:, free] *= self._prior_deviations[_ORDER]
+            covariances += sensitivity[:, :, None] * sensitivity[:, None, :]
+        return covariances
 
     def _solve_nodes(self) -> None:
         """Solve at every node of ln Gn, and take the moments of all."""
@@ -316,6 +315,9 @@ class StressEstimator:
             steps, hessians = self._step(states, quadratics, free)
             states = self._node_states = self._bounded_nodes(states + steps)
             quadratics = self._node_quadratics(states)
+            close = np.abs(steps) <= _CLOSE * np.sqrt(self._covariance.diagonal())
+            if np.all(close | (self._node_weights < _LEAST_WEIGHT)[:, None]):
+                break
         deviation = (states - self._mean)[:, free] / self._prior_deviations[free]
         log_evidence = -0.5 * (
             quadratics[:, 0, 0]
@@ -329,10 +331,7 @@ class StressEstimator:
         self._state = weights @ states
         centred = states - self._state
         covariance = (weights[:, None] * centred).T @ centred
-        for node in np.flatnonzero(weights > _LEAST_WEIGHT):
-            covariance += weights[node] * self._full_covariance(
-                hessians[node], quadratics[node], free
-            )
+        covariance += np.tensordot(weights, self._covariances(hessians, quadratics, free), 1)
         self._covariance = covariance
         self._is_narrow = bool(covariance[_LOG_GN, _LOG_GN] < _NARROW**2)
 
