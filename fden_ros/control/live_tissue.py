@@ -22,14 +22,15 @@ from fden_ros.core.synchronize import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
 REFUSED_FLAGS = (
-    Flag.GAP
-    | Flag.MODEL_MISMATCH
-    | Flag.ORIGIN_UNCERTAIN
-    | Flag.TISSUE_CHANGED
-    | Flag.SATURATED
+    Flag.GAP | Flag.MODEL_MISMATCH | Flag.ORIGIN_UNCERTAIN | Flag.TISSUE_CHANGED | Flag.SATURATED
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05
+#: So many estimates in a row that are surprised by more than this share of what was predicted and
+#: by five deviations are contradicted by the force.
+_SURPRISING_SHARE = 0.2
+_SURPRISING_NIS = 25.0
+_SURPRISES = 3
 #: How fast the least delay seen is forgotten, as clocks drift [s/s].
 _DELAY_LEAK = 1e-4
 
@@ -44,6 +45,7 @@ class Refusal(enum.Enum):
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
     NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
+    CONTRADICTED = "the force is not what the estimate predicts, for the rest of the contact"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
 
@@ -125,6 +127,8 @@ class LiveTissue:
         self._memory_site: int | None = None
         self._memory_ns = 0
         self._memory_whole = False
+        self._surprises = 0
+        self._contradicted: int | None = None
 
     # Input
 
@@ -140,6 +144,7 @@ class LiveTissue:
         self._state, self._arrival = state, now
         if state.status is not Status.STALE:
             self._remember(state)
+            self._compare(state)
         self.check(now)
 
     def lose(self, now: float) -> None:
@@ -184,6 +189,8 @@ class LiveTissue:
             return Refusal.REJECTED
         if state.status in by_status:
             return by_status[state.status]
+        if self._contradicted == state.contact_id:
+            return Refusal.CONTRADICTED
         if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
             return Refusal.NOT_CONVERGED
         return None
@@ -237,6 +244,23 @@ class LiveTissue:
         idle = now - self._arrival if math.isfinite(self._arrival) else 0.0
         self._least_delay = min(self._least_delay + _DELAY_LEAK * idle, delay)
         self._lag = delay - self._least_delay
+
+    def _compare(self, state: TissueState) -> None:
+        """Take note when a converged estimate is surprised several times in a row."""
+        innovation = state.innovation
+        if state.status is not Status.CONVERGED or innovation is None:
+            self._surprises = 0
+            return
+        predicted = innovation.predicted_stress
+        if predicted is None:
+            predicted = innovation.predicted_fractional_stress
+        surprised = (
+            abs(innovation.innovation) > _SURPRISING_SHARE * abs(predicted)
+            and innovation.normalized_squared > _SURPRISING_NIS
+        )
+        self._surprises = self._surprises + 1 if surprised else 0
+        if self._surprises >= _SURPRISES:
+            self._contradicted = state.contact_id
 
     def _has_changed(self, old: Reading, new: Reading) -> bool:
         if old.state.contact_id != new.state.contact_id:

@@ -5,8 +5,8 @@ From the law :math:`\varphi(x) = D^{-\alpha} f`, at a time t after the present:
 .. math:: \varphi(x(t)) + c = M(t) + \frac{1}{\Gamma(\alpha)} \int_0^t (t-s)^{\alpha-1} f(s)\,ds
 
 M is what the past force still says, one exponential sum of the memory; the integral is over what
-is to come. With f linear between the points of the plan this is one lower triangular system: solved
-for f it gives the force, multiplied out the motion. The constant c makes the plan begin at what is
+is to come. With f linear between the points of the plan this is one lower triangular system:
+solved for f it gives the force, multiplied out the motion. The constant c makes the plan begin at what is
 measured now, so it takes up the origin's and the sensor's error.
 
 The interval is first-order: derivatives by (ln G, ln Gn, alpha, c) under the estimate's covariance
@@ -15,7 +15,9 @@ and the variance of the last innovation.
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +27,7 @@ from scipy.linalg import solve_triangular
 from fden_ros.core.estimator import Estimate
 from fden_ros.core.fractional_integral import FractionalIntegral, kernel_weights
 from fden_ros.core.geometry import Geometry, Sphere
+from fden_ros.core.stress_basis import order_interpolation, order_nodes
 from fden_ros.errors import InputError
 
 Array = NDArray[np.float64]
@@ -32,8 +35,7 @@ Array = NDArray[np.float64]
 #: Points of a plan are this close at most, as a share of its length.
 _FINEST_SHARE = 40
 _DERIVATIVE_STEP = 1e-4
-#: Orders are rounded to this, so that the kernel's weights are found once and kept.
-_ORDER_GRID = 1e-4
+_ORDER_STEP = 0.005
 _MAX_EXPONENT = 60.0
 
 
@@ -52,9 +54,16 @@ class StressMemory(FractionalIntegral):
 
     def remembered(self, elapsed: Array, order: float) -> Array:
         """Return D^-order of the past alone, shape of `elapsed` (n,), so many seconds from now."""
-        decay = np.exp(-np.outer(elapsed, self._rates))
-        result: Array = decay @ (kernel_weights(order) * self._memory)
+        # Interpolated over the orders: their weights are found once, and alpha may be learned.
+        weights = order_interpolation()(order)[0] @ _kernels()
+        result: Array = np.exp(-np.outer(elapsed, self._rates)) @ (weights * self._memory)
         return result
+
+
+@functools.cache
+def _kernels() -> Array:
+    """Return the kernel's weights at the order nodes, shape (orders, exponentials)."""
+    return np.vstack([kernel_weights(order) for order in order_nodes()])
 
 
 @dataclass(frozen=True)
@@ -83,7 +92,7 @@ class Predictor:
     strain, stress : float
         Present values [1], [Pa].
     innovation_variance : float
-        Of the fractional stress [(Pa s^alpha)^2].
+        Of the stress or the fractional stress, which differ little over seconds [Pa^2].
     """
 
     geometry: Geometry
@@ -116,7 +125,7 @@ class Predictor:
 
         def forces(logs: Array, order: float, shift: float) -> Array:
             known, gains = self._known(grid, order)
-            rest = self._phi(strains, logs) + self._shift(logs, order) + shift - known
+            rest = _phi(strains, logs) + self._shift(logs, order) + shift - known
             stress = solve_triangular(gains, rest, lower=True)
             # Contact pushes and does not pull.
             return np.maximum(np.interp(wanted, grid, stress), 0.0) * scale
@@ -156,7 +165,7 @@ class Predictor:
         return self._with_deviation(wanted, moves)
 
     def _known(self, grid: Array, order: float) -> tuple[Array, Array]:
-        """Return D^-order f of what is known, (n,), and the gains of the stress to come, (n, n)."""
+        """Return D^-order f of what is known (n,), and the gains of the stress to come (n, n)."""
         gains = _gains(np.append(0.0, grid), order)
         return self.memory.remembered(grid, order) + gains[:, 0] * self.stress, gains[:, 1:]
 
@@ -165,28 +174,25 @@ class Predictor:
         # The memory just after the present: the newest step holds its own error otherwise.
         measured = self.memory.remembered(np.array([1e-5]), order)[0]
         measured += 1e-5**order / math.gamma(1.0 + order) * self.stress
-        return float(measured - self._phi(np.array([self.strain]), logs)[0])
-
-    def _phi(self, strains: Array, logs: Array) -> Array:
-        return _phi(strains, logs)
+        return float(measured - _phi(np.array([self.strain]), logs)[0])
 
     def _strains(self, way: Array) -> Array:
         start = _compression(self.geometry, np.array([self.strain]))[0]
         compressions = start + way / self.geometry.length
         return np.array([self.geometry.strain(float(u)) for u in compressions])
 
-    def _with_deviation(self, times: Array, function: object) -> Prediction:
-        assert callable(function)
+    def _with_deviation(
+        self, times: Array, function: Callable[[Array, float, float], Array]
+    ) -> Prediction:
         estimate = self.estimate
         logs = np.array([estimate.log_linear_stiffness, estimate.log_nonlinear_stiffness])
-        order = round(estimate.fractional_order / _ORDER_GRID) * _ORDER_GRID
+        order = estimate.fractional_order
         value = function(logs, order, 0.0)
         step = _DERIVATIVE_STEP
-        wide = 0.005
         noise = math.sqrt(self.innovation_variance)
-        by_g = (function(logs + [step, 0.0], order, 0.0) - value) / step
-        by_gn = (function(logs + [0.0, step], order, 0.0) - value) / step
-        by_order = (function(logs, order + wide, 0.0) - value) / wide
+        by_g = (function(logs + np.array([step, 0.0]), order, 0.0) - value) / step
+        by_gn = (function(logs + np.array([0.0, step]), order, 0.0) - value) / step
+        by_order = (function(logs, order + _ORDER_STEP, 0.0) - value) / _ORDER_STEP
         by_noise = function(logs, order, noise) - value
         jacobian = np.stack([by_g, by_gn, by_order])
         variance = np.einsum("in,ij,jn->n", jacobian, estimate.covariance, jacobian)
@@ -236,7 +242,7 @@ def _grid(wanted: Array) -> Array:
     """Return the plan's times with enough others in between, shape (m,)."""
     finest = wanted[-1] / _FINEST_SHARE
     parts = [
-        np.linspace(start, stop, max(int(math.ceil((stop - start) / finest)), 1) + 1)[1:]
+        np.linspace(start, stop, max(math.ceil((stop - start) / finest), 1) + 1)[1:]
         for start, stop in zip(np.append(0.0, wanted[:-1]), wanted, strict=True)
     ]
     return np.concatenate(parts)
