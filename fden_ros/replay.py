@@ -8,144 +8,106 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rclpy.serialization import deserialize_message
-
 from fden_ros.core.pipeline import ContactSummary, Flag, Output, Pipeline
-from fden_ros.errors import InputError
-from fden_ros.messages import DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
 from fden_ros.parameters import pipeline_config
-from fden_ros.recording.definitions import message_class
-from fden_ros.recording.reader import BagReader, Topic
+from fden_ros.recording.reader import RawMessage
+from fden_ros.recording.source import Selection, Sink, open_source
+
+#: A progress bar is told of this many messages at once.
+_PROGRESS_STEP = 500
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What came out of a bag."""
+    """What came out of a recording."""
 
     samples: int  #: pairs of force and displacement that went through the pipeline
     rejected: dict[str, int]
     warnings: tuple[str, ...]
     summaries: tuple[ContactSummary, ...]
+    inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
 
 
 def replay(
     bag: str | Path,
     parameters: Mapping[str, Any],
+    selection: Selection | None = None,
     *,
-    force_topic: str | None = None,
-    displacement_topic: str | None = None,
     progress: bool = False,
     on_output: Callable[[Output, str], None] | None = None,
+    on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
+    tap: Callable[[Sink], Sink] | None = None,
 ) -> Replay:
-    """Run a bag through the pipeline.
+    """Run a recording through the pipeline.
 
     Parameters
     ----------
     bag : path
-        A rosbag2 folder or an ``.mcap`` file.
+        A rosbag2 folder, an ``.mcap`` file, or a table with `selection.columns`.
     parameters : mapping
         Checked parameter values (:func:`fden_ros.parameters.check`).
-    force_topic, displacement_topic : str, optional
-        Topics; without them the only sensible ones of the bag.
+    selection : Selection, optional
+        Topics, fields or columns; without it the only sensible topics of the bag.
     progress : bool
         Show a progress bar on standard error.
     on_output : callable, optional
         Called with every output and the frame of the force.
+    on_input : callable, optional
+        Called before each message or row with its time of recording (ns), the message or None,
+        and the pipeline.
+    tap : callable, optional
+        Given the pipeline, returns what the samples are fed to instead; it must hand them on.
 
     Raises
     ------
     InputError
-        If the bag or its topics cannot be used.
+        If the recording or its topics cannot be used.
     """
-    reader = BagReader(bag)
-    force = find_topic(reader, force_topic, "force", FORCE_MESSAGES.values())
-    displacement = find_topic(
-        reader, displacement_topic, "displacement", DISPLACEMENT_MESSAGES.values(), other=force
-    )
+    source = open_source(bag, parameters, selection)
     summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:
         if isinstance(output, ContactSummary):
             summaries.append(output)
         if on_output is not None:
-            on_output(output, inputs.force_frame)
+            on_output(output, source.frame)
+
+    def before(log_time_ns: int, message: RawMessage | None) -> None:
+        if on_input is not None:
+            on_input(log_time_ns, message, pipeline)
 
     pipeline = Pipeline(pipeline_config(parameters), keep)
-    inputs = Inputs(parameters, pipeline)
-    classes = {t.name: message_class(t.type_name) for t in (force, displacement)}
-    total = force.message_count + displacement.message_count
-    with _progress_bar(progress, total) as advance:
-        for message in reader.messages({force.name, displacement.name}):
-            sample = deserialize_message(message.data, classes[message.topic])
-            if message.topic == force.name:
-                inputs.add_force(sample)
-            if message.topic == displacement.name:
-                inputs.add_displacement(sample)
-            advance()
+    sink: Sink = pipeline if tap is None else tap(pipeline)
+    with _progress_bar(progress, source.total) as show:
+        for done in source.feed(sink, before):
+            if done % _PROGRESS_STEP == 0:
+                show(done)
     pipeline.finish()
     return Replay(
         samples=pipeline.pair_count,
         rejected=dict(sorted(pipeline.rejected.items())),
-        warnings=(*reader.warnings, *_warnings(pipeline, summaries)),
+        warnings=(*source.warnings, *_warnings(pipeline, summaries)),
         summaries=tuple(summaries),
+        inputs=source.inputs,
     )
 
 
-def find_topic(
-    reader: BagReader, name: str | None, what: str, classes: Any, other: Topic | None = None
-) -> Topic:
-    """Return the topic called `name`, or the only one that can carry `what`.
-
-    Raises
-    ------
-    InputError
-        If there is none, several, or one of a type that cannot be read.
-    """
-    usable = {_type_name(kind) for kind in classes}
-    if name is not None:
-        names = {topic.name: topic for topic in reader.topics}
-        topic = names.get(name) or names.get(f"/{name}") or reader.topic(name)
-        if topic.type_name not in usable:
-            raise InputError(
-                f"{name} carries {topic.type_name}, which holds no {what}: "
-                f"must be one of {', '.join(sorted(usable))}"
-            )
-        return topic
-    candidates = [
-        t for t in reader.topics if t.type_name in usable and t.message_count and t != other
-    ]
-    named = [t for t in candidates if t.name.strip("/").split("/")[-1] == what]
-    if what == "force" and not named:
-        # A wrench is a force; joint states usually are not.
-        named = [t for t in candidates if t.type_name == _type_name(FORCE_MESSAGES["wrench"])]
-    chosen = named if len(named) == 1 else candidates
-    if len(chosen) == 1:
-        return chosen[0]
-    listed = ", ".join(f"{t.name} ({t.type_name})" for t in candidates or reader.topics) or "none"
-    problem = "several topics could carry" if candidates else "no topic can carry"
-    raise InputError(f"{reader.path}: {problem} the {what}: {listed}; name it with --{what}-topic")
-
-
-def _type_name(kind: type) -> str:
-    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-
-
 class _progress_bar:  # noqa: N801 - used as a function
-    """Progress on standard error, or none; gives the function to call for each message."""
+    """Progress on standard error, or none; gives the function to call with the steps done."""
 
     def __init__(self, visible: bool, total: int) -> None:
         self._visible, self._total = visible, total
 
-    def __enter__(self) -> Callable[[], object]:
+    def __enter__(self) -> Callable[[int], object]:
         if not self._visible:
-            return lambda: None
+            return lambda done: None
         from rich.console import Console
         from rich.progress import Progress
 
         self._bar = Progress(console=Console(stderr=True), transient=True)
         self._bar.start()
-        task = self._bar.add_task("replaying", total=self._total)
-        return lambda: self._bar.advance(task)
+        task = self._bar.add_task("replaying", total=self._total or None)
+        return lambda done: self._bar.update(task, completed=done)
 
     def __exit__(self, *_: object) -> None:
         if self._visible:
@@ -172,6 +134,7 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
 def result_object(result: Replay) -> dict[str, Any]:
     """Return a replay as what ``fden replay --json`` prints."""
     return {
+        "inputs": result.inputs,
         "samples": result.samples,
         "rejected": result.rejected,
         "warnings": list(result.warnings),

@@ -1,25 +1,35 @@
-"""``fden replay``: estimates from a recorded bag, straight from the file."""
+"""``fden replay``: estimates from a recording, straight from the file."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 from pathlib import Path
 
+from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+
 DESCRIPTION = """\
-Run the identification on a recorded bag, without DDS: the same pipeline as the live node, so the
+Run the identification on a recording, without DDS: the same pipeline as the live node, so the
 numbers are the same to the last bit. Prints a table, or with --json one object on standard output.
+With -o it writes a bag of all that the node would have published.
 """
 
 EPILOG = """\
 examples:
   fden replay ramp_bag --config ramp_bag/identifier.yaml
-  fden replay palpation.mcap --force-topic /ft_sensor --displacement-topic /robot/pose --config
-  probe.yaml fden replay ramp_bag --config probe.yaml --json | jq '.contacts[].g'
+  fden replay ramp_bag --config probe.yaml --json | jq '.contacts[].g'
+  fden replay palpation.mcap --config probe.yaml \\
+      --force-topic /ft_sensor --displacement-topic /robot/pose
+  fden replay palpation.mcap --config probe.yaml \\
+      --force-topic /plc/loads --force-field 'channels[2]'
+  fden replay palpation.mcap --config probe.yaml -o results
+      then: ros2 bag play -i palpation.mcap mcap -i results
+  fden replay press.csv --config probe.yaml --columns 'time_s,force_N,depth_mm*1e-3'
 
-The configuration is the identifier node's own parameter file. Exit codes: 0 done, 1 the input
-cannot be used, 2 wrong usage.
+`fden info BAG` shows what is in a bag and what would be used. The configuration is the identifier
+node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
 
@@ -32,41 +42,70 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="parameter file of the identifier (YAML)"
+        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
     )
-    parser.add_argument("--force-topic", metavar="T", help="topic of the force")
-    parser.add_argument("--displacement-topic", metavar="T", help="topic of the displacement")
+    add_input_options(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT", help="write what the node publishes as a bag"
+    )
+    parser.add_argument(
+        "--with-inputs", action="store_true", help="copy force and displacement into OUT too"
+    )
+    parser.add_argument("--force", action="store_true", help="replace OUT if it is there already")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print; return the exit code."""
-    from rich.console import Console
+    from fden_ros.replay import replay
 
-    from fden_ros.parameters import check, read_parameter_file
-    from fden_ros.replay import replay, result_object
-    from fden_ros.report.table import contact_table
+    if args.output is None and (args.with_inputs or args.force):
+        args.parser.error("--with-inputs and --force are about OUT: give -o OUT too")
+    parameters, selection = parameters_of(args), selection_of(args)
+    progress = sys.stderr.isatty()
+    if args.output is None:
+        _show(replay(args.bag, parameters, selection, progress=progress), args.json)
+        return 0
+    from fden_ros.recording.results import replay_to_bag
 
-    parameters = read_parameter_file(args.config) if args.config else check({})
-    result = replay(
+    # As Ctrl-C does: what was written so far is removed on the way out.
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    result = replay_to_bag(
         args.bag,
         parameters,
-        force_topic=args.force_topic,
-        displacement_topic=args.displacement_topic,
-        progress=sys.stderr.isatty(),
+        selection,
+        args.output,
+        with_inputs=args.with_inputs,
+        overwrite=args.force,
+        progress=progress,
     )
-    if args.json:
+    _show(result, args.json)
+    if not args.json:
+        print(f"wrote {args.output}")
+    return 0
+
+
+def _show(result: object, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
+    from fden_ros.replay import Replay, result_object
+    from fden_ros.report.table import contact_table
+
+    assert isinstance(result, Replay)
+    if as_json:
         json.dump(result_object(result), sys.stdout, allow_nan=False)
         print()
-        return 0
+        return
     console = Console()
     console.print(contact_table(result.summaries))
-    console.print(f"{result.samples} samples, {sum(result.rejected.values())} rejected")
+    used = ", ".join(f"{what} from {name}" for what, name in result.inputs.items())
+    console.print(
+        f"{result.samples} samples, {sum(result.rejected.values())} rejected; {escape(used)}"
+    )
     for reason, count in result.rejected.items():
         console.print(f"  {reason}: {count}")
     for warning in result.warnings:
-        console.print(f"[yellow]warning:[/yellow] {warning}")
-    return 0
+        console.print(f"[yellow]warning:[/yellow] {escape(warning)}")

@@ -72,14 +72,12 @@ class Diagnostics:
         pipeline = self._pipeline
         if pipeline is None:
             return
-        status = DiagnosticStatus()
-        status.name = f"{self._node.get_fully_qualified_name().lstrip('/')}: tissue identification"
-        status.hardware_id = ""
-        problems = self._problems(pipeline)
-        status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
-        status.message = "; ".join(problems) or "identifying"
-        for key, value in self._values(pipeline).items():
-            status.values.append(KeyValue(key=key, value=str(value)))
+        status = diagnostic_status(
+            self._node.get_fully_qualified_name(),
+            self._problems(pipeline),
+            pipeline,
+            self._pairs_before,
+        )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
@@ -121,17 +119,32 @@ class Diagnostics:
             problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
         return problems
 
-    def _values(self, pipeline: Pipeline) -> dict[str, Any]:
-        values: dict[str, Any] = {
-            "pairs": pipeline.pair_count,
-            "pairs per second": pipeline.pair_count - self._pairs_before,
-            "contacts": pipeline.contact_count,
-            "sites": pipeline.site_count,
-            "rejected": pipeline.rejected.total(),
-        }
-        values.update({f"rejected.{k}": n for k, n in sorted(pipeline.rejected.items())})
-        values.update(sorted(pipeline.warnings.items()))
-        return values
+
+def diagnostic_status(
+    node_name: str, problems: Sequence[str], pipeline: Pipeline, pairs_before: int
+) -> DiagnosticStatus:
+    """Return the status of a node called `node_name`, `pairs_before` as of a second ago."""
+    status = DiagnosticStatus()
+    status.name = f"{node_name.lstrip('/')}: tissue identification"
+    status.hardware_id = ""
+    status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
+    status.message = "; ".join(problems) or "identifying"
+    for key, value in _values(pipeline, pairs_before).items():
+        status.values.append(KeyValue(key=key, value=str(value)))
+    return status
+
+
+def _values(pipeline: Pipeline, pairs_before: int) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        "pairs": pipeline.pair_count,
+        "pairs per second": pipeline.pair_count - pairs_before,
+        "contacts": pipeline.contact_count,
+        "sites": pipeline.site_count,
+        "rejected": pipeline.rejected.total(),
+    }
+    values.update({f"rejected.{k}": n for k, n in sorted(pipeline.rejected.items())})
+    values.update(sorted(pipeline.warnings.items()))
+    return values
 
 
 def _type_name(kind: Callable[..., Any]) -> str:

@@ -1,0 +1,100 @@
+"""Options that several commands share: what of a recording is force and displacement."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fden_ros.errors import InputError
+
+_Value = TypeVar("_Value")
+
+
+def add_input_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--config`` and the options that say where force and displacement are."""
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="parameter file of the identifier (YAML)"
+    )
+    group = parser.add_argument_group(
+        "what is force, what is displacement (found where it can be)"
+    )
+    group.add_argument("--force-topic", metavar="T", help="topic of the force")
+    group.add_argument("--displacement-topic", metavar="T", help="topic of the displacement")
+    for what in ("force", "displacement"):
+        group.add_argument(
+            f"--{what}-field",
+            type=as_argument(_field_path),
+            metavar="PATH",
+            help=f"field of that topic's messages, of any type, that is the {what}: a number, or "
+            f"a vector, projected on {what}.axis (wrench.torque.z, data[2])",
+        )
+    group.add_argument(
+        "--columns",
+        type=as_argument(_columns),
+        metavar="T,F,D",
+        help="the recording is a table (CSV): headings or numbers of the columns of time, force "
+        "and displacement, each with an optional factor to s, N and m: "
+        "time_s,force_N,depth_mm*1e-3. @500 as time: rows at 500 Hz",
+    )
+    group.add_argument(
+        "--rows",
+        type=as_argument(_where),
+        metavar="COLUMN=TEXT",
+        help="use only the rows of the table with this text in this column",
+    )
+
+
+def parameters_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the checked parameters of ``--config``."""
+    from fden_ros.parameters import check, read_parameter_file
+
+    return read_parameter_file(args.config) if args.config else check({})
+
+
+def selection_of(args: argparse.Namespace) -> Any:
+    """Return the :class:`~fden_ros.recording.source.Selection` that the options make."""
+    from fden_ros.recording.source import Selection
+
+    if args.rows is not None and args.columns is None:
+        args.parser.error("--rows is for tables: give --columns too")
+    return Selection(
+        force_topic=args.force_topic,
+        displacement_topic=args.displacement_topic,
+        force_field=args.force_field,
+        displacement_field=args.displacement_field,
+        columns=args.columns,
+        where=args.rows,
+    )
+
+
+def as_argument(parse: Callable[[str], _Value]) -> Callable[[str], _Value]:
+    """Return `parse` for argparse: what it refuses is wrong usage."""
+
+    def convert(text: str) -> _Value:
+        try:
+            return parse(text)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return convert
+
+
+def _field_path(text: str) -> str:
+    from fden_ros.recording.fields import FieldPath
+
+    return FieldPath(text).text
+
+
+def _columns(text: str) -> Any:
+    from fden_ros.recording.table import Columns
+
+    return Columns.parse(text)
+
+
+def _where(text: str) -> tuple[str, str]:
+    name, separator, value = text.partition("=")
+    if not name or not separator:
+        raise InputError(f"{text!r} is not COLUMN=TEXT")
+    return name.strip(), value.strip()

@@ -1,0 +1,127 @@
+"""Numbers out of messages of any type, by a path such as ``wrench.torque.z`` or ``data[2]``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mcap.exceptions import McapError
+from mcap.records import Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_ros2.decoder import DecoderFactory
+
+from fden_ros.errors import InputError
+from fden_ros.recording.definitions import message_class, message_definition
+from fden_ros.recording.reader import Topic
+
+Vector = tuple[float, float, float]
+
+_PATH = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*")
+_STEP = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class FieldPath:
+    """Where in a message a number or a vector lies.
+
+    Parameters
+    ----------
+    text : str
+        Names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``.
+
+    Raises
+    ------
+    InputError
+        If `text` is no path.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        if _PATH.fullmatch(self.text) is None:
+            raise InputError(
+                f"{self.text!r} is no path of a field: expected one such as wrench.force.z or "
+                "data[2]"
+            )
+
+    def of(self, message: Any) -> Any:
+        """Return what lies there.
+
+        Raises
+        ------
+        InputError
+            If a name on the way does not exist.
+        IndexError
+            If a sequence on the way is too short.
+        """
+        for name, index in _STEP.findall(self.text):
+            if index:
+                message = message[int(index)]
+                continue
+            if not hasattr(message, name):
+                fields = ", ".join(_field_names(message)) or "no fields"
+                raise InputError(f"there is no {name} on the way to {self.text}: it has {fields}")
+            message = getattr(message, name)
+        return message
+
+
+def as_number_or_vector(value: Any) -> float | Vector | None:
+    """Return a number as float, something with x, y, z or three numbers as vector, else None."""
+    if isinstance(value, (int, float)):
+        return float(value)
+    if all(hasattr(value, axis) for axis in "xyz"):
+        return float(value.x), float(value.y), float(value.z)
+    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 3:
+        x, y, z = value
+        return float(x), float(y), float(z)
+    if getattr(value, "shape", None) == (3,):
+        x, y, z = value.tolist()
+        return float(x), float(y), float(z)
+    return None
+
+
+def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
+    """Return the function that decodes a topic's messages.
+
+    The installed class decodes where its definition is the bag's; else the definition that the
+    bag carries does, so that the type need not be installed.
+
+    Raises
+    ------
+    InputError
+        If the bag carries no definition and none is installed.
+    """
+    carried = topic.schema if topic.schema_encoding == SchemaEncoding.ROS2 else ""
+    try:
+        installed: str | None = message_definition(topic.type_name)
+    except InputError:
+        installed = None
+    if installed is not None and carried.strip() in ("", installed.strip()):
+        from rclpy.serialization import deserialize_message
+
+        kind = message_class(topic.type_name)
+        return lambda data: deserialize_message(data, kind)
+    if not carried:
+        raise InputError(
+            f"{topic.name}: the bag carries no readable definition of {topic.type_name}: install "
+            f"the package {topic.type_name.partition('/')[0]}"
+        )
+    schema = Schema(1, carried.encode(), topic.type_name, SchemaEncoding.ROS2)
+    try:
+        decode = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+    except (McapError, ValueError, LookupError) as error:
+        raise InputError(
+            f"{topic.name}: the definition of {topic.type_name} cannot be read "
+            f"({' '.join(str(error).split())}): install its package"
+        ) from None
+    assert decode is not None
+    return decode
+
+
+def _field_names(message: Any) -> list[str]:
+    if hasattr(message, "get_fields_and_field_types"):
+        return list(message.get_fields_and_field_types())
+    slots = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})
+    return [name for name in slots if not name.startswith("_")]

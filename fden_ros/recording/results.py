@@ -1,0 +1,158 @@
+"""The bag of results: what the node would have published, on the recording's own time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+
+from fden_ros.core.pipeline import Output, Pipeline
+from fden_ros.errors import InputError
+from fden_ros.messages import to_message, to_stamp
+from fden_ros.nodes.diagnostics import diagnostic_status
+from fden_ros.recording.qos import Qos
+from fden_ros.recording.reader import BagReader, RawMessage
+from fden_ros.recording.source import Selection
+from fden_ros.recording.writer import BagWriter
+from fden_ros.replay import Replay, replay
+
+NODE = "/identifier"
+ESTIMATE_TOPIC = f"{NODE}/estimate"
+CLASSIFICATION_TOPIC = f"{NODE}/classification"
+SUMMARY_TOPIC = f"{NODE}/palpation"
+DIAGNOSTICS_TOPIC = "/diagnostics"
+
+_DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+# Topic, type and QoS as the node has them.
+_TOPICS: dict[type, tuple[str, str, Qos]] = {
+    TissueEstimate: (ESTIMATE_TOPIC, "fden_msgs/msg/TissueEstimate", Qos(depth=100)),
+    TissueClassification: (
+        CLASSIFICATION_TOPIC,
+        "fden_msgs/msg/TissueClassification",
+        Qos(durability="transient_local", depth=1),
+    ),
+    PalpationSummary: (
+        SUMMARY_TOPIC,
+        "fden_msgs/msg/PalpationSummary",
+        Qos(durability="transient_local", depth=100),
+    ),
+    DiagnosticArray: (DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", Qos(depth=10)),
+}
+
+
+def replay_to_bag(
+    bag: str | Path,
+    parameters: Mapping[str, Any],
+    selection: Selection | None,
+    folder: str | Path,
+    *,
+    with_inputs: bool = False,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Replay:
+    """Replay a recording and write every output as the node would have published it.
+
+    A message's header stamp is that of the newest sample behind it, its time of recording that of
+    the input message that brought it about: played or shown together, both bags are in step.
+    Diagnostics come once a second of recording. The bag appears when it is complete, or not at
+    all.
+
+    Parameters
+    ----------
+    bag, parameters, selection, progress
+        As for :func:`fden_ros.replay.replay`.
+    folder : path
+        The bag to make.
+    with_inputs : bool
+        Copy the messages on the force and displacement topics too.
+    overwrite : bool
+        Replace a bag that is there.
+
+    Raises
+    ------
+    InputError
+        As :func:`fden_ros.replay.replay`, or if the bag cannot be written.
+    """
+    if Path(folder).resolve() == Path(bag).resolve():
+        raise InputError(f"{folder} is the recording itself: choose another place for the results")
+    with BagWriter(folder, overwrite=overwrite) as writer:
+        recorder = _Recorder(writer, _Copy(writer, bag) if with_inputs else None)
+        return replay(
+            bag,
+            parameters,
+            selection,
+            progress=progress,
+            on_output=recorder.take,
+            on_input=recorder.tick,
+        )
+
+
+class _Copy:
+    """Copies messages as they are, each topic declared at its first message."""
+
+    def __init__(self, writer: BagWriter, bag: str | Path) -> None:
+        self._writer, self._bag = writer, bag
+        self._reader: BagReader | None = None
+        self._declared: set[str] = set()
+
+    def take(self, message: RawMessage) -> None:
+        if message.topic not in self._declared:
+            self._reader = self._reader or BagReader(self._bag)
+            topic = self._reader.topic(message.topic)
+            self._writer.add_topic(
+                topic.name,
+                topic.type_name,
+                *topic.offered_qos,
+                schema=(topic.schema, topic.schema_encoding) if topic.schema else None,
+            )
+            self._declared.add(message.topic)
+        self._writer.write(message.topic, message.data, message.log_time_ns)
+
+
+class _Recorder:
+    """Writes outputs at the time of the input that they came from."""
+
+    def __init__(self, writer: BagWriter, copy: _Copy | None) -> None:
+        self._writer, self._copy = writer, copy
+        self._now_ns = 0
+        self._next_diagnostics_ns: int | None = None
+        self._pairs_before = self._rejected_before = 0
+        for topic, type_name, qos in _TOPICS.values():
+            writer.add_topic(topic, type_name, qos)
+
+    def take(self, output: Output, frame: str) -> None:
+        """Write one output of the pipeline."""
+        message = to_message(output, frame)
+        self._writer.write(_TOPICS[type(message)][0], message, self._now_ns)
+
+    def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:
+        """Take note of the time of the next input, and write diagnostics when they are due."""
+        if self._next_diagnostics_ns is None:
+            self._next_diagnostics_ns = log_time_ns + _DIAGNOSTICS_PERIOD_NS
+        while self._next_diagnostics_ns <= log_time_ns:
+            # After a pause one message says that nothing came; the rest would say it again.
+            late = log_time_ns - self._next_diagnostics_ns >= 2 * _DIAGNOSTICS_PERIOD_NS
+            self._diagnose(self._next_diagnostics_ns, pipeline)
+            if late:
+                self._next_diagnostics_ns = log_time_ns
+            self._next_diagnostics_ns += _DIAGNOSTICS_PERIOD_NS
+        self._now_ns = log_time_ns
+        if self._copy is not None and message is not None:
+            self._copy.take(message)
+
+    def _diagnose(self, now_ns: int, pipeline: Pipeline) -> None:
+        problems = []
+        if pipeline.pair_count == self._pairs_before:
+            problems.append("no pair of force and displacement in the last second")
+        rejected = pipeline.rejected.total() - self._rejected_before
+        if rejected:
+            problems.append(f"{rejected} samples rejected in the last second")
+        status = diagnostic_status(NODE, problems, pipeline, self._pairs_before)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = to_stamp(now_ns)
+        self._writer.write(DIAGNOSTICS_TOPIC, message, now_ns)
+        self._pairs_before = pipeline.pair_count
+        self._rejected_before = pipeline.rejected.total()

@@ -1,0 +1,332 @@
+"""What a replay reads: a bag or a table, message by message or row by row, into the pipeline."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from fden_ros.core.synchronize import Position, Reason
+from fden_ros.errors import InputError
+from fden_ros.messages import Inputs, stamp_ns
+from fden_ros.parameters import unit_vector
+from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
+from fden_ros.recording.reader import BagReader, RawMessage, Topic
+from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
+from fden_ros.recording.topics import find_topic, named_topic
+
+DAMAGED = "damaged"
+
+
+class Sink(Protocol):
+    """Where samples go: a pipeline, or something that stands before it."""
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        """Take a force sample [N]."""
+
+    def add_displacement(
+        self, stamp_ns: int, displacement: float, position: Position | None = None
+    ) -> None:
+        """Take a displacement [m], and the position where known [m]."""
+
+    def reject(self, stream: str, reason: str) -> None:
+        """Count a sample that could not be read."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Where in a recording force and displacement are; what is None is found.
+
+    Parameters
+    ----------
+    force_topic, displacement_topic : str, optional
+        Topics of a bag.
+    force_field, displacement_field : str, optional
+        Field in that topic's messages, of whatever type they are: a number, or a vector that is
+        projected on the configured axis.
+    columns : Columns, optional
+        Columns of a table.
+    where : (str, str), optional
+        Column and text: the rows of a table that are used.
+    """
+
+    force_topic: str | None = None
+    displacement_topic: str | None = None
+    force_field: str | None = None
+    displacement_field: str | None = None
+    columns: Columns | None = None
+    where: tuple[str, str] | None = None
+
+
+class Source(Protocol):
+    """A recording that can be fed into a pipeline, once."""
+
+    @property
+    def total(self) -> int:
+        """Steps of `feed`, for a progress bar."""
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Topic or column of ``force`` and ``displacement``."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was wrong with the recording, a line each."""
+
+    @property
+    def frame(self) -> str:
+        """frame_id of the force so far."""
+
+    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+        """Feed `sink` and yield the steps done.
+
+        `before` is called with the time of recording (ns) and the message, if there is one,
+        before its sample goes in.
+        """
+
+
+def open_source(
+    path: str | Path, parameters: Mapping[str, Any], selection: Selection | None = None
+) -> Source:
+    """Return the recording at `path`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or it is not clear what in it is force and displacement.
+    """
+    chosen = selection or Selection()
+    if chosen.columns is not None:
+        return TableSource(path, parameters, chosen)
+    if looks_like_a_table(path):
+        headings = headings_of(path)
+        raise InputError(
+            f"{path} is a table: say which columns hold time, force and displacement, such as "
+            f"--columns time_s,force_N,depth_mm*1e-3; it has {', '.join(headings)}"
+        )
+    return BagSource(path, parameters, chosen)
+
+
+class BagSource:
+    """A bag whose force and displacement topics are known.
+
+    Raises
+    ------
+    InputError
+        As :func:`open_source`.
+    """
+
+    def __init__(
+        self, path: str | Path, parameters: Mapping[str, Any], selection: Selection
+    ) -> None:
+        self.reader = BagReader(path)
+        self._parameters = parameters
+        self.force = self._find("force", selection.force_topic, selection.force_field)
+        self.displacement = self._find(
+            "displacement", selection.displacement_topic, selection.displacement_field, self.force
+        )
+        self._fields = {"force": selection.force_field, "displacement": None}
+        self._fields["displacement"] = selection.displacement_field
+        self._notes: list[str] = []
+        self._own_frame: str | None = None
+        self._inputs: Inputs | None = None
+
+    def _find(
+        self, what: str, topic: str | None, field: str | None, other: Topic | None = None
+    ) -> Topic:
+        if field is not None and topic is not None:
+            return named_topic(self.reader, topic)
+        return find_topic(self.reader, topic, what, other)
+
+    @property
+    def total(self) -> int:
+        """Messages on the topics used."""
+        return sum(topic.message_count for topic in {self.force, self.displacement})
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Topic of each quantity, with the field where one is configured."""
+        topics = {"force": self.force.name, "displacement": self.displacement.name}
+        return {
+            what: f"{name} {self._fields[what]}" if self._fields[what] else name
+            for what, name in topics.items()
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was wrong with the bag."""
+        return (*self.reader.warnings, *self._notes)
+
+    @property
+    def frame(self) -> str:
+        """frame_id of the force so far."""
+        if self._own_frame is not None:
+            return self._own_frame
+        return self._inputs.force_frame if self._inputs is not None else ""
+
+    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+        """Feed the messages in the order of their recording."""
+        # Inputs asks a pipeline for no more than a sink offers.
+        self._inputs = Inputs(self._parameters, sink)  # type: ignore[arg-type]
+        handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
+        for what, topic in (("force", self.force), ("displacement", self.displacement)):
+            handlers.setdefault(topic.name, []).append(self._handler(what, topic, sink))
+        for done, message in enumerate(self.reader.messages(handlers), start=1):
+            before(message.log_time_ns, message)
+            for handle in handlers[message.topic]:
+                handle(message)
+            yield done
+
+    def _handler(self, what: str, topic: Topic, sink: Sink) -> Callable[[RawMessage], None]:
+        field = self._fields[what]
+        if field is not None:
+            return _FieldHandler(self, what, topic, FieldPath(field), sink)
+        assert self._inputs is not None
+        decode = decoder_of_class(topic)
+        take = self._inputs.add_force if what == "force" else self._inputs.add_displacement
+
+        def handle(message: RawMessage) -> None:
+            try:
+                sample = decode(message.data)
+            except Exception:
+                # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+                sink.reject(what, DAMAGED)
+                return
+            take(sample)
+
+        return handle
+
+    def note(self, text: str) -> None:
+        """Add a warning, once."""
+        if text not in self._notes:
+            self._notes.append(text)
+
+    def set_frame(self, frame: str) -> None:
+        """Take the frame of the first force message."""
+        if self._own_frame is None:
+            self._own_frame = frame
+
+
+def decoder_of_class(topic: Topic) -> Callable[[bytes], Any]:
+    """Return the decoder of a topic whose type is installed."""
+    from rclpy.serialization import deserialize_message
+
+    from fden_ros.recording.definitions import message_class
+
+    kind = message_class(topic.type_name)
+    return lambda data: deserialize_message(data, kind)
+
+
+class _FieldHandler:
+    """Takes one field out of every message of a topic."""
+
+    def __init__(
+        self, source: BagSource, what: str, topic: Topic, path: FieldPath, sink: Sink
+    ) -> None:
+        parameters = source._parameters
+        self._source, self._what, self._topic, self._path = source, what, topic, path
+        self._sink = sink
+        self._decode = decoder_of(topic)
+        self._axis = unit_vector(parameters[f"{what}.axis"])
+        self._sign = -1.0 if parameters[f"{what}.inverted"] else 1.0
+        self._seen = False
+
+    def __call__(self, message: RawMessage) -> None:
+        try:
+            sample = self._decode(message.data)
+        except Exception:
+            self._sink.reject(self._what, DAMAGED)
+            return
+        value = self._value(sample)
+        if value is None:
+            self._sink.reject(self._what, Reason.MISSING_FIELD)
+            return
+        self._add(self._stamp(sample, message.log_time_ns), value)
+
+    def _value(self, sample: Any) -> float | Position | None:
+        try:
+            found = self._path.of(sample)
+        except IndexError:
+            return None
+        except InputError as error:
+            raise InputError(f"{self._topic.name}: {error}") from None
+        value = as_number_or_vector(found)
+        if value is None and not self._seen:
+            raise InputError(
+                f"{self._topic.name}: {self._path.text} is neither a number nor a vector: "
+                f"choose another field with --{self._what}-field"
+            )
+        self._seen = True
+        return value
+
+    def _add(self, stamp: int, value: float | Position) -> None:
+        if isinstance(value, float):
+            number, position = self._sign * value, None
+        else:
+            number, position = sum(a * v for a, v in zip(self._axis, value, strict=True)), value
+        if self._what == "force":
+            self._sink.add_force(stamp, number)
+        else:
+            self._sink.add_displacement(stamp, number, position)
+
+    def _stamp(self, sample: Any, log_time_ns: int) -> int:
+        header = getattr(sample, "header", None)
+        stamp = getattr(header, "stamp", None) or getattr(sample, "stamp", None)
+        if self._what == "force":
+            self._source.set_frame(str(getattr(header, "frame_id", "")))
+        if stamp is not None and hasattr(stamp, "nanosec"):
+            return stamp_ns(stamp)
+        self._source.note(
+            f"{self._topic.name} carries no stamps: the times of recording are used, which jitter"
+        )
+        return log_time_ns
+
+
+class TableSource:
+    """A table with columns of time, force and displacement.
+
+    Raises
+    ------
+    InputError
+        As :func:`open_source`.
+    """
+
+    frame = ""
+
+    def __init__(
+        self, path: str | Path, parameters: Mapping[str, Any], selection: Selection
+    ) -> None:
+        assert selection.columns is not None
+        self._columns = selection.columns
+        self._table = TableReader(path, selection.columns, selection.where)
+        self._signs = [
+            -1.0 if parameters[f"{what}.inverted"] else 1.0 for what in ("force", "displacement")
+        ]
+
+    @property
+    def total(self) -> int:
+        """Rows are not known before they are read."""
+        return 0
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Column of each quantity."""
+        return {
+            "force": f"column {self._columns.force.name}",
+            "displacement": f"column {self._columns.displacement.name}",
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was wrong with the table."""
+        return self._table.warnings
+
+    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+        """Feed the rows in the order of the file."""
+        force_sign, displacement_sign = self._signs
+        for done, row in enumerate(self._table.rows(), start=1):
+            before(row.stamp_ns, None)
+            sink.add_displacement(row.stamp_ns, displacement_sign * row.displacement)
+            sink.add_force(row.stamp_ns, force_sign * row.force)
+            yield done

@@ -1,0 +1,236 @@
+"""Recordings as text tables: columns of time, force and displacement."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from fden_ros.errors import InputError
+
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+
+_NS = Decimal(1_000_000_000)
+_DELIMITERS = ",;\t "
+_COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
+
+
+class Row(NamedTuple):
+    """One row: a stamp (ns), a force [N] and a displacement [m]."""
+
+    stamp_ns: int
+    force: float
+    displacement: float
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column by its heading or its number from 1, and what its numbers are multiplied by."""
+
+    name: str
+    factor: Decimal = Decimal(1)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Where a table has time, force and displacement."""
+
+    time: Column
+    force: Column
+    displacement: Column
+
+    @staticmethod
+    def parse(text: str) -> Columns:
+        """Return the columns of a text such as ``time_s,force_N,depth_mm*1e-3``.
+
+        Time may be ``@500``: rows at 500 Hz.
+
+        Raises
+        ------
+        InputError
+            If `text` is not three columns.
+        """
+        parts = [part.strip() for part in text.split(",")]
+        matches = [_COLUMN.fullmatch(part) for part in parts]
+        if len(parts) != 3 or not all(matches):
+            raise InputError(
+                f"{text!r} is not TIME,FORCE,DISPLACEMENT: expected headings or numbers of three "
+                "columns, each with an optional factor to s, N and m, such as "
+                "time_s,force_N,depth_mm*1e-3"
+            )
+        time, force, displacement = (
+            Column(m["name"], Decimal(m["factor"] or 1)) for m in matches if m is not None
+        )
+        return Columns(time, force, displacement)
+
+
+class TableReader:
+    """Read a text table row by row, in the order of the file.
+
+    Parameters
+    ----------
+    path : path
+        Comma, semicolon, tab or blanks between the columns; lines that begin with # are skipped.
+    columns : Columns
+    where : (str, str), optional
+        Use only rows that hold this text in this column.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a column is not there.
+    """
+
+    def __init__(
+        self, path: str | Path, columns: Columns, where: tuple[str, str] | None = None
+    ) -> None:
+        self.path = Path(path)
+        self.skipped = 0
+        first = _first_line(self.path)
+        self._delimiter = _delimiter(first)
+        cells = next(_reader([first], self._delimiter), [])
+        self.has_heading = not any(_is_number(cell) for cell in cells)
+        self.headings = [cell.strip() for cell in cells]
+        self._columns = columns
+        self._rate = self._rate_of(columns.time)
+        self._time = self._index(columns.time.name) if self._rate is None else -1
+        self._force = self._index(columns.force.name)
+        self._displacement = self._index(columns.displacement.name)
+        self._where = (self._index(where[0]), where[1]) if where is not None else None
+
+    @property
+    def size(self) -> int:
+        """Size of the file [bytes]."""
+        return self.path.stat().st_size
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the rows read so far, a line each."""
+        if not self.skipped:
+            return ()
+        return (f"{self.skipped} rows of {self.path.name} hold no number where one is needed",)
+
+    def rows(self) -> Iterator[Row]:
+        """Yield the rows; stamps are shifted to begin at 1 s where the table's begin below 0."""
+        shift: int | None = None
+        force_factor = float(self._columns.force.factor)
+        displacement_factor = float(self._columns.displacement.factor)
+        for number, cells in enumerate(self._cells()):
+            try:
+                stamp_ns = self._stamp(number, cells)
+                force = force_factor * float(cells[self._force])
+                displacement = displacement_factor * float(cells[self._displacement])
+            except (ValueError, ArithmeticError, IndexError):
+                self.skipped += 1
+                continue
+            if shift is None:
+                # 0 stands for "no stamp" everywhere in ROS.
+                shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
+            yield Row(stamp_ns + shift, force, displacement)
+
+    def _stamp(self, number: int, cells: list[str]) -> int:
+        if self._rate is not None:
+            return round(number * _NS / self._rate)
+        return round(Decimal(cells[self._time].strip()) * self._columns.time.factor * _NS)
+
+    def _cells(self) -> Iterator[list[str]]:
+        where = self._where
+        try:
+            with _open(self.path) as file:
+                lines = (line for line in file if line.strip() and not line.startswith("#"))
+                reader = _reader(lines, self._delimiter)
+                if self.has_heading:
+                    next(reader, None)
+                for cells in reader:
+                    if where is None or (
+                        where[0] < len(cells) and cells[where[0]].strip() == where[1]
+                    ):
+                        yield cells
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise _unreadable(self.path, error) from None
+
+    def _rate_of(self, time: Column) -> Decimal | None:
+        if not time.name.startswith("@"):
+            return None
+        try:
+            rate = Decimal(time.name[1:])
+        except InvalidOperation:
+            rate = Decimal(0)
+        if not (rate.is_finite() and rate > 0):
+            raise InputError(f"{time.name} is no rate: expected @ and rows per second, @500")
+        return rate
+
+    def _index(self, name: str) -> int:
+        if self.has_heading and name in self.headings:
+            return self.headings.index(name)
+        if name.isdigit() and 1 <= int(name) <= len(self.headings):
+            return int(name) - 1
+        known = ", ".join(self.headings) if self.has_heading else "no headings"
+        raise InputError(
+            f"{self.path} has no column {name}: it has {known}; give headings, or numbers from 1 "
+            f"to {len(self.headings)}"
+        )
+
+
+def looks_like_a_table(path: str | Path) -> bool:
+    """Return whether the name of `path` is that of a text table."""
+    path = Path(path)
+    return path.suffix.lower() in TABLE_SUFFIXES and not path.is_dir()
+
+
+def headings_of(path: str | Path) -> list[str]:
+    """Return the cells of a table's first row.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    first = _first_line(Path(path))
+    return [cell.strip() for cell in next(_reader([first], _delimiter(first)), [])]
+
+
+def _reader(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    if delimiter == " ":
+        return (line.split() for line in lines)
+    return csv.reader(lines, delimiter=delimiter)
+
+
+def _first_line(path: Path) -> str:
+    try:
+        with _open(path) as file:
+            for line in file:
+                if line.strip() and not line.startswith("#"):
+                    return line.rstrip("\r\n")
+    except FileNotFoundError:
+        raise InputError(
+            f"{path} does not exist: give a table of comma-separated values"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise _unreadable(path, error) from None
+    raise InputError(f"{path} is empty: expected a table of comma-separated values")
+
+
+def _open(path: Path) -> TextIO:
+    return path.open(encoding="utf-8-sig", newline="")
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    reason = getattr(error, "strerror", None) or "it is no text of comma-separated values"
+    return InputError(f"{path} cannot be read: {reason}")
+
+
+def _delimiter(line: str) -> str:
+    return max(_DELIMITERS, key=lambda delimiter: line.strip().count(delimiter))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False

@@ -1,0 +1,105 @@
+"""Which topics of a bag are the force and the displacement."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from fden_ros.errors import InputError
+from fden_ros.recording.reader import BagReader, Topic
+
+FORCE_TYPES = ("geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState")
+DISPLACEMENT_TYPES = (
+    "sensor_msgs/msg/JointState",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "geometry_msgs/msg/PointStamped",
+)
+USABLE_TYPES: Mapping[str, Sequence[str]] = {
+    "force": FORCE_TYPES,
+    "displacement": DISPLACEMENT_TYPES,
+}
+
+# Words in a topic's name: what it most likely carries, and what is wanted rather than measured.
+# cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
+_WORDS = {
+    "force": {"force", "wrench", "ft", "fts", "cf"},
+    "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
+}
+_WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
+
+
+def find_topic(
+    reader: BagReader, name: str | None, what: str, other: Topic | None = None
+) -> Topic:
+    """Return the topic called `name`, or the only sensible one for `what`.
+
+    Without a name the candidates are the topics of a usable type that have messages. One is
+    sensible if it is the only one left after, in this order: its name's last part is `what`; it
+    is measured, not wanted (``setpoint_cp``, ``goal``); it is no joint states, which are of the
+    arm more often than of the probe; its name speaks of `what`.
+
+    Parameters
+    ----------
+    reader : BagReader
+    name : str or None
+    what : str
+        ``force`` or ``displacement``.
+    other : Topic, optional
+        The topic of the other quantity, which is no candidate.
+
+    Raises
+    ------
+    InputError
+        If there is none, several, or one of a type that cannot be read; the line lists them.
+    """
+    usable = USABLE_TYPES[what]
+    if name is not None:
+        topic = named_topic(reader, name)
+        if topic.type_name not in usable:
+            raise InputError(
+                f"{name} carries {topic.type_name}, which holds no {what} by itself: name the "
+                f"field with --{what}-field, or choose a topic of {', '.join(sorted(usable))}"
+            )
+        return topic
+    candidates = [
+        t for t in reader.topics if t.type_name in usable and t.message_count and t != other
+    ]
+    chosen = _sensible(candidates, what)
+    if len(chosen) == 1:
+        return chosen[0]
+    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or reader.topics) or "none"
+    problem = "several topics could carry" if chosen else "no topic can carry"
+    raise InputError(f"{reader.path}: {problem} the {what}: {listed}; name it with --{what}-topic")
+
+
+def named_topic(reader: BagReader, name: str) -> Topic:
+    """Return the topic called `name`, with or without the leading slash.
+
+    Raises
+    ------
+    InputError
+        If the bag has none.
+    """
+    topics = {topic.name: topic for topic in reader.topics}
+    return topics.get(name) or topics.get(f"/{name}") or reader.topic(name)
+
+
+def _sensible(candidates: list[Topic], what: str) -> list[Topic]:
+    joints = "sensor_msgs/msg/JointState"
+    named = [t for t in candidates if t.name.rsplit("/", 1)[-1] == what]
+    if len(named) == 1:
+        return named
+    for keep in (
+        lambda t: not _words(t) & _WANTED,
+        lambda t: t.type_name != joints,
+        lambda t: _words(t) & _WORDS[what],
+    ):
+        candidates = [t for t in candidates if keep(t)] or candidates
+        if len(candidates) == 1:
+            break
+    return candidates
+
+
+def _words(topic: Topic) -> set[str]:
+    return set(re.split(r"[^a-z]+", topic.name.lower()))
