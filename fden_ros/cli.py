@@ -10,16 +10,19 @@ from collections.abc import Sequence
 from fden_ros import __version__
 from fden_ros.errors import InputError
 
-COMMANDS = ("bag", "replay", "play", "demo", "parameters")
+COMMANDS = ("bag", "info", "replay", "play", "demo", "fit", "parameters")
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
   fden bag ramp -o /tmp/ramp          make a synthetic palpation bag
+  fden info /tmp/ramp                 what is in a bag, and what of it would be used
   fden replay /tmp/ramp               estimate G and Gn from a bag
   fden play /tmp/ramp                 publish a bag on live topics
+  fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end
   fden parameters > probe.yaml        every parameter of the identifier, explained
+  fden benchmark accuracy --quick     figures against their goals
 """
 
 

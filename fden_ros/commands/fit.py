@@ -1,0 +1,235 @@
+"""``fden fit``: the paper's experiments on a CSV file of your own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fden_ros.experiments.files import Options
+    from fden_ros.experiments.result import Fit, Parameter
+
+DESCRIPTION = """\
+Identify alpha, G and Gn from one of the paper's experiments. FILE is CSV with a line of column
+names (comma, semicolon or tab; # begins a comment):
+
+  KIND          columns                                           gives
+  dynamic       omega_rad_s, storage_modulus_pa, loss_modulus_pa  alpha, G
+  bode          omega_rad_s, gain_per_pa, phase_rad               alpha, G
+  creep         time_s, strain [, stress_pa]                      alpha, xc, G
+  nonlinearity  stress_pa, strain_coefficient                     G, Gn, Gi, xb
+                or a folder of creep files with stress_pa         alpha, G, Gn, Gi, xb
+  relaxation    time_s, stress_pa [, strain]                      alpha, fc, G
+                several strains, or a folder of such files        alpha, G, Gn, Gi, xb
+  indentation   time_s, strain, stress_pa                         alpha, G, Gn, Gi, xb
+
+torque_n_m and angle_rad stand in for stress_pa and strain where --radius and --height are given.
+Prints a table with standard deviations and 95 % intervals, or with --json one object.
+"""
+
+EPILOG = """\
+examples:
+  fden fit dynamic sweep.csv --plot sweep.png
+  fden fit creep creep.csv --stress 50
+  fden fit nonlinearity coefficients.csv --alpha 0.131 --alpha-sd 0.011
+  fden fit nonlinearity creep_tests/ --json | jq '.g, .g_sd'
+  fden fit relaxation hold.csv --strain 0.1 --ramp 0.5 --from 1
+  fden fit indentation press.csv --alpha 0.131
+  fden fit creep torsion.csv --radius 0.010 --height 0.005     (the paper's 20 mm: a diameter)
+
+Exit codes: 0 done, 1 the file cannot be used, 2 wrong usage.
+"""
+
+KINDS = ("dynamic", "bode", "creep", "nonlinearity", "relaxation", "indentation")
+_OPTIONS_OF = {
+    "stress": ("creep",),
+    "strain": ("relaxation",),
+    "start": ("creep", "nonlinearity", "relaxation"),
+    "ramp": ("relaxation",),
+    "alpha": ("nonlinearity", "indentation"),
+    "alpha_sd": ("nonlinearity", "indentation"),
+    "convention": ("nonlinearity",),
+    "radius": ("creep", "nonlinearity", "relaxation", "indentation"),
+    "height": ("creep", "nonlinearity", "relaxation", "indentation"),
+}
+_UNITS = {
+    "alpha": ("α", ""),
+    "g": ("G", "Pa s^α"),
+    "g_n": ("Gn", ""),
+    "g_i": ("Gi", "Pa s^α"),
+    "x_b": ("xb", ""),
+    "x_c": ("xc", "s^-α"),
+    "f_c": ("fc", "Pa s^α"),
+}
+_TITLES = {
+    "phase": "by the phase",
+    "slopes": "slopes of G' and G''",
+    "appendix_d": "the paper's switching filter (Appendix D)",
+    "appendix_f": "on the fractional stress (Appendix F)",
+    "coefficients": "by one coefficient a curve",
+    "paper": "the paper's way to the letter",
+}
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "fit",
+        help="identify from a laboratory's experiment (CSV)",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("file", type=Path, metavar="FILE", help="a CSV file, or a folder of them")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw data and model (.png, .svg, .pdf)"
+    )
+    numbers = parser.add_argument_group("what the file does not say")
+    numbers.add_argument(
+        "--stress", type=_positive, metavar="PA", help="creep: the constant stress"
+    )
+    numbers.add_argument(
+        "--strain", type=_positive, metavar="X", help="relaxation: the held strain (0.1 is 10 %%)"
+    )
+    numbers.add_argument(
+        "--from",
+        dest="start",
+        type=_number,
+        metavar="S",
+        help="leave out rows before this time (default: creep 1 s, else none)",
+    )
+    numbers.add_argument(
+        "--ramp",
+        type=_positive,
+        metavar="S",
+        help="relaxation: the strain rose at constant rate from time 0 to S (default: a step)",
+    )
+    numbers.add_argument(
+        "--alpha",
+        type=_order,
+        metavar="A",
+        help="fractional order known from elsewhere (indentation learns it otherwise)",
+    )
+    numbers.add_argument(
+        "--alpha-sd", type=_positive, metavar="SD", help="its standard deviation (default: exact)"
+    )
+    numbers.add_argument(
+        "--convention",
+        choices=("exact", "paper"),
+        help="nonlinearity of a file: keep the factor Gamma(1+alpha), which needs --alpha, or "
+        "leave it out as the paper does",
+    )
+    numbers.add_argument("--radius", type=_positive, metavar="M", help="radius of the sample")
+    numbers.add_argument("--height", type=_positive, metavar="M", help="height of the sample")
+    parser.set_defaults(run=run, usage_error=parser.error)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit and print; return the exit code."""
+    options = _options(args)
+    from fden_ros.experiments.files import fit_file
+
+    fit = fit_file(args.kind, args.file, options)
+    if args.plot:
+        from fden_ros.experiments.plot import save_fit_figure
+
+        save_fit_figure(fit, args.plot, f"{args.kind}: {args.file.name}")
+    if args.json:
+        json.dump({"file": str(args.file), **fit.as_object()}, sys.stdout, allow_nan=False)
+        print()
+        return 0
+    _print(fit, args.file)
+    return 0
+
+
+def _options(args: argparse.Namespace) -> Options:
+    for name, kinds in _OPTIONS_OF.items():
+        if getattr(args, name) is not None and args.kind not in kinds:
+            option = {"start": "from"}.get(name, name).replace("_", "-")
+            args.usage_error(f"--{option} is for {' and '.join(kinds)}, not for {args.kind}")
+    if (args.radius is None) != (args.height is None):
+        args.usage_error("--radius and --height belong together")
+    if args.alpha_sd is not None and args.alpha is None:
+        args.usage_error("--alpha-sd needs --alpha")
+    if args.convention == "exact" and args.alpha is None and not args.file.is_dir():
+        args.usage_error("--convention exact needs --alpha")
+    from fden_ros.core.geometry import TorsionalRheometer
+    from fden_ros.experiments.files import Options
+
+    return Options(
+        stress=args.stress,
+        strain=args.strain,
+        start=args.start,
+        ramp=args.ramp or 0.0,
+        alpha=args.alpha,
+        alpha_sd=args.alpha_sd or 0.0,
+        paper_convention=args.convention == "paper",
+        sample=TorsionalRheometer(args.radius, args.height) if args.radius else None,
+    )
+
+
+def _print(fit: Fit, path: Path) -> None:
+    from rich.console import Console
+
+    console = Console()
+    quality = f"R² {fit.r_squared:.4f}" if math.isfinite(fit.r_squared) else "R² undefined"
+    table = parameter_table(f"{fit.kind}: {path.name}, {fit.samples} rows, {quality}")
+    _add_rows(table, fit.parameters)
+    for name, parameters in fit.beside.items():
+        if parameters:
+            table.add_section()
+            table.add_row(f"[dim]{_TITLES[name]}[/dim]")
+            _add_rows(table, parameters)
+    console.print(table)
+    for warning in fit.warnings:
+        console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
+
+
+def parameter_table(title: str) -> Table:
+    """Return an empty table of parameters."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for name, justify in (("", "left"), ("value", "right"), ("sd", "right"), ("95 %", "right")):
+        table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    table.add_column("unit", no_wrap=True)
+    return table
+
+
+def _add_rows(table: Table, parameters: Mapping[str, Parameter]) -> None:
+    for name, p in parameters.items():
+        symbol, unit = _UNITS.get(name, (name, ""))
+        interval = f"{p.low:.5g} to {p.high:.5g}" if math.isfinite(p.low + p.high) else "–"
+        sd = f"{p.sd:.2g}" if math.isfinite(p.sd) else "–"
+        table.add_row(symbol, f"{p.value:.5g}", sd, interval, unit)
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a number")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"{text} must be positive")
+    return value
+
+
+def _order(text: str) -> float:
+    value = _number(text)
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1")
+    return value

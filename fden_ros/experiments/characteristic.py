@@ -1,0 +1,76 @@
+r"""The elastic characteristic phi in logarithms, for fits over decades of stress.
+
+With :math:`s = \ln(\varphi/G)` and :math:`u = \ln G_n` (paper, eqs. parameter4 and parameter5):
+:math:`\ln\varphi = \ln G + \ln x` up to :math:`x = 1/G_n` and
+:math:`\ln\varphi = \ln G + G_n x - 1 - u` beyond; inversely :math:`\ln x = s` up to
+:math:`s = -u` and :math:`\ln x = -u + \ln(1 + s + u)` beyond. Value and slope join (C1).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fden_ros.experiments.regression import Solution
+from fden_ros.experiments.result import Array, Parameter, positive
+
+#: Gn outside of this is no tissue; the fits stay within.
+LOG_NONLINEAR_RANGE = (math.log(0.3), math.log(100.0))
+
+
+def log_phi(strain: Array, log_g: float, log_g_n: float) -> Array:
+    """Return ln phi at positive strains."""
+    scaled = math.exp(log_g_n) * strain
+    inside = np.log(np.minimum(scaled, 1.0))
+    result: Array = log_g - log_g_n + inside + np.maximum(scaled - 1.0, 0.0)
+    return result
+
+
+def log_strain(log_phi_values: Array, log_g: float, log_g_n: float) -> Array:
+    """Return ln x at which ln phi takes given values: the inverse of :func:`log_phi`."""
+    excess = log_phi_values - log_g + log_g_n
+    result: Array = np.minimum(excess, 0.0) + np.log1p(np.maximum(excess, 0.0)) - log_g_n
+    return result
+
+
+def start_from_points(strain: Array, phi_values: Array) -> Array:
+    """Return (ln G, ln Gn), shape (2,), roughly: the best of a grid for points of phi (n,)."""
+    secants = np.log(phi_values / strain)
+    deepest = float(strain.max())
+    log_g = np.linspace(secants.min() - 1.0, secants.max(), 40)
+    scaled = np.geomspace(1.0, 12.0, 40)
+    log_g_n = np.clip(np.log(scaled / deepest), *LOG_NONLINEAR_RANGE)
+    best = min(
+        (float(np.sum((log_phi(strain, g, n) - np.log(phi_values)) ** 2)), g, n)
+        for g in log_g
+        for n in log_g_n
+    )
+    return np.array(best[1:])
+
+
+def stiffness_parameters(
+    solution: Solution, index: int, log_g_gradient: Array | None = None
+) -> dict[str, Parameter]:
+    """Return g, g_n, g_i and x_b of a solution with ln G, ln Gn at `index` and the next place."""
+    log_g, log_g_n = solution.values[index : index + 2]
+    unit = np.eye(solution.values.size)
+    by_g = unit[index] if log_g_gradient is None else log_g_gradient
+    by_g_n = unit[index + 1]
+    dof, spread = solution.dof, solution.deviation_of
+    return {
+        "g": positive(log_g, spread(by_g), dof),
+        "g_n": positive(log_g_n, spread(by_g_n), dof),
+        "g_i": positive(log_g - log_g_n - 1.0, spread(by_g - by_g_n), dof),
+        "x_b": positive(-log_g_n, spread(by_g_n), dof),
+    }
+
+
+def undetermined_nonlinearity(deepest: float, log_g_n: float) -> tuple[str, ...]:
+    """Return a warning if no strain lies beyond 1/Gn, where alone Gn shows."""
+    if deepest * math.exp(log_g_n) > 1.0:
+        return ()
+    return (
+        f"no strain is beyond 1/Gn (the largest is {deepest:.3g}): the data do not determine Gn; "
+        "go deeper",
+    )

@@ -1,0 +1,213 @@
+"""CSV files of experiments: named columns in, or one line that says what is wrong."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fden_ros.core.geometry import TorsionalRheometer
+from fden_ros.errors import InputError
+from fden_ros.experiments.result import Array
+
+#: The columns that experiments read, and their units.
+UNITS = {
+    "time_s": "s",
+    "strain": "a ratio",
+    "strain_coefficient": "a ratio",
+    "stress_pa": "Pa",
+    "torque_n_m": "N m",
+    "angle_rad": "rad",
+    "omega_rad_s": "rad/s",
+    "storage_modulus_pa": "Pa",
+    "loss_modulus_pa": "Pa",
+    "gain_per_pa": "1/Pa",
+    "phase_rad": "rad",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A file of named columns, its cells still text.
+
+    Parameters
+    ----------
+    path : Path
+    names : tuple of str
+    rows : tuple of tuple of str
+    lines : tuple of int
+        Line of each row in the file, counted from 1.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.names
+
+    def column(self, name: str) -> Array:
+        """Return a column as numbers, shape (n,).
+
+        Raises
+        ------
+        InputError
+            If it is missing, or holds text, nothing, or a number that is not finite.
+        """
+        if name not in self.names:
+            raise InputError(self._missing(name))
+        index = self.names.index(name)
+        values = []
+        for line, row in zip(self.lines, self.rows, strict=True):
+            cell = row[index] if index < len(row) else ""
+            try:
+                value = float(cell)
+            except ValueError:
+                what = f"{cell!r} is not a number" if cell else "is empty"
+                raise InputError(f"{self.path}, line {line}: {name} {what}") from None
+            if not math.isfinite(value):
+                raise InputError(
+                    f"{self.path}, line {line}: {name} is {cell}; leave the row out or mend it"
+                )
+            values.append(value)
+        return np.array(values)
+
+    def positive(self, name: str, why: str = "its logarithm is taken") -> Array:
+        """Return a column whose values must all be positive."""
+        return self.require_positive(name, self.column(name), why)
+
+    def require_positive(
+        self, name: str, values: Array, why: str = "its logarithm is taken"
+    ) -> Array:
+        """Return `values`, a row each, or say which row is not positive."""
+        for line, value in zip(self.lines, values, strict=True):
+            if not value > 0.0:
+                raise InputError(
+                    f"{self.path}, line {line}: {name} is {value:g}; it must be positive, "
+                    f"because {why}"
+                )
+        return values
+
+    def require_rows(self, count: int, what: str) -> None:
+        """Raise unless there are `count` rows."""
+        if len(self.rows) < count:
+            have = len(self.rows)
+            raise InputError(
+                f"{self.path} has {have} row{'s' if have != 1 else ''}; {what} needs at least "
+                f"{count}"
+            )
+
+    def times(self, restart_where: Array | None = None) -> Array:
+        """Return time_s, strictly increasing (within stretches of equal `restart_where`)."""
+        times = self.column("time_s")
+        for index in range(1, times.size):
+            if restart_where is not None and restart_where[index] != restart_where[index - 1]:
+                continue
+            if not times[index] > times[index - 1]:
+                raise InputError(
+                    f"{self.path}, line {self.lines[index]}: time_s {times[index]:g} does not "
+                    f"come after {times[index - 1]:g}; sort the rows by time, each time once"
+                )
+        return times
+
+    def stress(self, sample: TorsionalRheometer | None) -> Array:
+        """Return the stress [Pa]: stress_pa, or torque_n_m on a sample (Appendix A)."""
+        if "stress_pa" in self or "torque_n_m" not in self:
+            return self.column("stress_pa")
+        return self.column("torque_n_m") * self._sample(sample, "torque_n_m").stress_per_force
+
+    def strain(self, sample: TorsionalRheometer | None) -> Array:
+        """Return the strain [1]: strain, or angle_rad on a sample (Appendix A)."""
+        if "strain" in self or "angle_rad" not in self:
+            return self.checked_strain(self.column("strain"))
+        return self.column("angle_rad") / self._sample(sample, "angle_rad").length
+
+    def checked_strain(self, values: Array) -> Array:
+        """Return `values`, or raise if they can only be percent."""
+        largest = float(np.max(np.abs(values), initial=0.0))
+        if largest > 3.0:
+            raise InputError(
+                f"{self.path}: strain goes up to {largest:g}; it must be a ratio, not percent "
+                "(0.1 for 10 %)"
+            )
+        return values
+
+    def _sample(self, sample: TorsionalRheometer | None, name: str) -> TorsionalRheometer:
+        if sample is None:
+            raise InputError(
+                f"{self.path}: {name} needs the sample's --radius and --height in m (Appendix A)"
+            )
+        return sample
+
+    def _missing(self, name: str) -> str:
+        words = ("omega", "freq", "f") if name == "omega_rad_s" else (name.split("_")[0],)
+        others = [n for n in self.names if n not in UNITS]
+        alike = [n for n in others if n.lower().split("_")[0].split(" ")[0].startswith(words)]
+        if alike:
+            return (
+                f"{self.path}: column {name} is missing; convert {alike[0]!r} to {UNITS[name]} "
+                f"and name it {name}"
+            )
+        instead = {"stress_pa": " (or torque_n_m)", "strain": " (or angle_rad)"}.get(name, "")
+        return f"{self.path}: column {name}{instead} is missing; found: {', '.join(self.names)}"
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a CSV file with a line of names; comma, semicolon or tab, ``#`` begins a comment.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is empty, or has names only.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; give a CSV file")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a text file; give CSV in UTF-8") from None
+    kept = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not kept:
+        raise InputError(f"{path} is empty; give a line of column names and then numbers")
+    header = kept[0][1]
+    delimiter = max("\t;,", key=header.count)
+    cells = [
+        tuple(cell.strip() for cell in row)
+        for row in csv.reader([line for _, line in kept], delimiter=delimiter)
+    ]
+    names = cells[0]
+    if all(_is_number(cell) for cell in names):
+        raise InputError(f"{path}: line {kept[0][0]} holds numbers; it must hold the column names")
+    doubled = next((name for name in names if name and names.count(name) > 1), None)
+    if doubled is not None:
+        raise InputError(f"{path}: there are two columns {doubled}; keep one")
+    if len(cells) == 1:
+        raise InputError(f"{path} has names but no rows of numbers")
+    return Table(path, names, tuple(cells[1:]), tuple(number for number, _ in kept[1:]))
+
+
+def csv_files(folder: str | Path) -> list[Path]:
+    """Return the CSV files of a folder, by name."""
+    paths = sorted(p for p in Path(folder).iterdir() if p.suffix.lower() in (".csv", ".tsv"))
+    if not paths:
+        raise InputError(f"{folder} holds no .csv file")
+    return paths
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

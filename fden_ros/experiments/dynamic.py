@@ -1,0 +1,242 @@
+r"""Dynamic viscoelastic tests: an oscillation in the linear range, at several frequencies.
+
+With :math:`x` small the model is :math:`D^\alpha (G x) = f`, whose transfer function is the
+complex modulus (paper, eqs. Laplace to GpandGpp)
+
+.. math:: G^*(j\omega) = G (j\omega)^\alpha, \qquad
+          G' = G \cos(\tfrac{\pi}{2}\alpha)\,\omega^\alpha, \qquad
+          G'' = G \sin(\tfrac{\pi}{2}\alpha)\,\omega^\alpha .
+
+So in the log-log plane storage and loss modulus are two straight lines of the same slope alpha,
+and their distance is :math:`\log\tan(\pi\alpha/2)`. Seen from stress to strain, the gain is
+:math:`|1/G^*| = \omega^{-\alpha}/G` and the phase :math:`-\pi\alpha/2` at every frequency (the
+paper's eq. Phase prints arg(G'/G'')).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from fden_ros.errors import InputError
+from fden_ros.experiments.regression import (
+    Solution,
+    line_through,
+    line_through_logarithms,
+    require_positive,
+)
+from fden_ros.experiments.result import Array, Curve, Fit, Panel, plain, positive, r_squared
+
+#: Deviations of alpha and ln G about the first sample's values, before any sample counts.
+_PRIOR_SD = (0.3, 3.0)
+_LEAST_NOISE = 1e-7
+#: A contradiction is reported beyond this many deviations.
+_CONTRADICTION = 3.0
+_NEGLIGIBLE_ORDER = 1e-3
+
+
+def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
+    r"""Return alpha and G from storage and loss modulus (paper, Appendix C).
+
+    An extended Kalman filter with the constant state (alpha, ln G) observes
+    :math:`(\log G', \log G'')`, frequency after frequency. The paper starts it at zero, where the
+    logarithm is infinite; it starts at what the first pair says by itself,
+    :math:`\alpha = \tfrac{2}{\pi}\arctan(G''/G')` and :math:`G = |G^*|/\omega^\alpha`, with wide
+    deviations. The noise is not known beforehand: a first run, equally sure of both moduli, gives
+    the residuals, and a second takes the variance of each modulus from them.
+
+    The slopes of the two lines are also fitted separately: where their mean contradicts the alpha
+    that the ratio G''/G' gives, no single springpot describes the data, which is reported.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n,)
+        Angular frequency [rad/s].
+    storage, loss : ndarray, shape (n,)
+        G' and G'' [Pa].
+    """
+    require_positive(omega=omega, storage_modulus=storage, loss_modulus=loss)
+    order = np.argsort(omega, kind="stable")
+    omega = omega[order]
+    moduli = np.column_stack([storage, loss])[order]
+    logs = np.log(moduli)
+    noise = np.full(2, 0.05)
+    # Twice, because the second run's residuals are what the noise is taken from.
+    for _ in range(3):
+        state, covariance = _filter(np.log(omega), logs, noise)
+        residuals = logs - _predicted(state, np.log(omega))
+        noise = np.sqrt(np.sum(residuals**2, axis=0) / max(omega.size - 1, 1)) + _LEAST_NOISE
+    # Nearly all that is known of alpha comes from one of the two moduli, G''.
+    dof = float(omega.size - 1)
+    deviations = np.sqrt(np.diag(covariance)) if dof > 0 else np.full(2, math.nan)
+    parameters = {
+        "alpha": plain(state[0], deviations[0], dof),
+        "g": positive(state[1], deviations[1], dof),
+    }
+    slopes = [line_through(np.log(omega), logs[:, i]) for i in (0, 1)]
+    angles = np.arctan2(moduli[:, 1], moduli[:, 0])
+    return Fit(
+        "dynamic",
+        parameters,
+        r_squared(logs, _predicted(state, np.log(omega))),
+        omega.size,
+        _contradiction(slopes, angles, "G''/G'"),
+        {
+            "slopes": {
+                name: plain(s.values[0], s.deviation_of(np.array([1.0, 0.0])), s.dof)
+                for name, s in zip(("storage", "loss"), slopes, strict=True)
+            }
+        },
+        _modulus_panels(omega, moduli, state),
+    )
+
+
+def fit_bode(omega: Array, gain: Array, phase: Array) -> Fit:
+    r"""Return alpha and G from the gain, and check the phase (paper, eqs. Gain to Phase).
+
+    Linear regression of :math:`\log \text{gain} = -\log G - \alpha \log\omega`. The phase is not
+    used but checked: its mean should be :math:`-\pi\alpha/2`. ``phase_alpha`` is the alpha that
+    it says; a contradiction is reported.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n,)
+        Angular frequency [rad/s].
+    gain : ndarray, shape (n,)
+        Strain per stress [1/Pa].
+    phase : ndarray, shape (n,)
+        Phase of strain after stress [rad], from -pi/2 to 0.
+
+    Raises
+    ------
+    InputError
+        If the phase cannot be in radians, or has the other sign.
+    """
+    require_positive(omega=omega, gain=gain)
+    if np.max(np.abs(phase)) > math.pi:
+        raise InputError(
+            f"phase_rad goes to {phase[np.argmax(np.abs(phase))]:g}; give radians, not degrees"
+        )
+    if np.mean(phase) > 0.0:
+        raise InputError(
+            "phase_rad is positive; strain lags stress, so the phase must be negative: turn its "
+            "sign"
+        )
+    order = np.argsort(omega, kind="stable")
+    omega, gain, phase = omega[order], gain[order], phase[order]
+    solution = line_through_logarithms(omega, gain)
+    alpha, log_g = -solution.values
+    spread = solution.deviation_of
+    parameters = {
+        "alpha": plain(alpha, spread(np.array([1.0, 0.0])), solution.dof),
+        "g": positive(log_g, spread(np.array([0.0, 1.0])), solution.dof),
+    }
+    from_phase = -2.0 / math.pi * phase
+    phase_sd = from_phase.std(ddof=1) / math.sqrt(phase.size) if phase.size > 1 else math.nan
+    logs = np.log(gain)
+    fine = _grid(omega)
+    panels = (
+        Panel("Gain", "ω [rad/s]", "gain [1/Pa]", (
+            Curve(omega, gain, "measured", line=False),
+            Curve(fine, fine**-alpha * math.exp(-log_g), "model", color=1),
+        ), x_log=True, y_log=True),
+        Panel("Phase", "ω [rad/s]", "phase [rad]", (
+            Curve(omega, phase, "measured", line=False),
+            Curve(fine, np.full_like(fine, -math.pi / 2 * alpha), "-πα/2 of the gain", color=1),
+        ), x_log=True),
+    )  # fmt: skip
+    return Fit(
+        "bode",
+        parameters,
+        r_squared(logs, logs - solution.residuals),
+        omega.size,
+        (*_contradiction([_negated(solution)], -phase, "the phase"), *solution.warnings()),
+        {"phase": {"alpha": plain(float(from_phase.mean()), phase_sd, phase.size - 1.0)}},
+        panels,
+    )
+
+
+def _negated(solution: Solution) -> Solution:
+    return Solution(
+        -solution.values,
+        solution.covariance,
+        solution.dof,
+        -solution.residuals,
+        solution.correlation,
+    )
+
+
+def _predicted(state: Array, log_omega: Array) -> Array:
+    """Return log G' and log G'' (eqs. logGp, logGpp), shape (n, 2)."""
+    alpha, log_g = state
+    angle = 0.5 * math.pi * alpha
+    distances = np.array([math.log(math.cos(angle)), math.log(math.sin(angle))])
+    result: Array = alpha * log_omega[:, None] + log_g + distances
+    return result
+
+
+def _filter(log_omega: Array, logs: Array, noise: Array) -> tuple[Array, Array]:
+    """Run the filter of Appendix C; return state (2,) and covariance (2, 2)."""
+    alpha = 2.0 / math.pi * math.atan(math.exp(logs[0, 1] - logs[0, 0]))
+    log_modulus = 0.5 * np.logaddexp(2.0 * logs[0, 0], 2.0 * logs[0, 1])
+    ekf = ExtendedKalmanFilter(dim_x=2, dim_z=2)
+    ekf.x = np.array([alpha, log_modulus - alpha * log_omega[0]])
+    ekf.P = np.diag(np.square(_PRIOR_SD))
+    ekf.R = np.diag(noise**2)
+    for position, observed in zip(log_omega, logs, strict=True):
+
+        def jacobian(state: Array, position: float = position) -> Array:
+            angle = 0.5 * math.pi * state[0]
+            slopes = position + 0.5 * math.pi * np.array([-math.tan(angle), 1 / math.tan(angle)])
+            return np.column_stack([slopes, np.ones(2)])
+
+        def expected(state: Array, position: float = position) -> Array:
+            values: Array = _predicted(state, np.array([position]))[0]
+            return values
+
+        ekf.update(observed, jacobian, expected)
+        # One pair of moduli can throw alpha out of its range, where the model has no logarithm.
+        ekf.x[0] = min(max(ekf.x[0], 1e-4), 1.0 - 1e-4)
+    return np.array(ekf.x), np.array(ekf.P)
+
+
+def _contradiction(slopes: list[Solution], angles: Array, what: str) -> tuple[str, ...]:
+    """Return a warning if the mean slope is not the alpha that the loss angles give."""
+    if angles.size < 3:
+        return ()
+    slope = sum(s.values[0] for s in slopes) / len(slopes)
+    variance = sum(s.covariance[0, 0] for s in slopes) / len(slopes) ** 2
+    from_angle = 2.0 / math.pi * angles
+    sd = math.sqrt(variance + from_angle.var(ddof=1) / angles.size)
+    difference = slope - float(from_angle.mean())
+    if abs(difference) <= max(_CONTRADICTION * sd, _NEGLIGIBLE_ORDER):
+        return ()
+    return (
+        f"slope and phase contradict each other: alpha is {slope:.3f} by the slope, "
+        f"{from_angle.mean():.3f} by {what} ({abs(difference) / max(sd, 1e-12):.0f} deviations "
+        "apart); one springpot does not describe both",
+    )
+
+
+def _modulus_panels(omega: Array, moduli: Array, state: Array) -> tuple[Panel, ...]:
+    fine = _grid(omega)
+    model = np.exp(_predicted(state, np.log(fine)))
+    tangent = moduli[:, 1] / moduli[:, 0]
+    return (
+        Panel("Complex modulus", "ω [rad/s]", "G', G'' [Pa]", (
+            Curve(omega, moduli[:, 0], "G' measured", line=False),
+            Curve(fine, model[:, 0], "G' model"),
+            Curve(omega, moduli[:, 1], "G'' measured", line=False, color=1),
+            Curve(fine, model[:, 1], "G'' model", color=1),
+        ), x_log=True, y_log=True),
+        Panel("Loss tangent", "ω [rad/s]", "G''/G'", (
+            Curve(omega, tangent, "measured", line=False),
+            Curve(fine, model[:, 1] / model[:, 0], "tan(πα/2)", color=1),
+        ), x_log=True),
+    )  # fmt: skip
+
+
+def _grid(omega: Array) -> Array:
+    return np.geomspace(omega.min(), omega.max(), 60)

@@ -1,0 +1,303 @@
+r"""Nonlinearity: creep at several stresses, or their coefficients.
+
+Each creep test gives a pair (fc, xc). At 1 s the exact creep (:mod:`fden_ros.experiments.creep`)
+says :math:`\varphi(x_c) = f_c/\Gamma(1+\alpha)`, so the pairs lie on the characteristic phi once
+the stress is divided by Gamma(1+alpha). The paper leaves the factor out (eqs. exponentialLinear
+to parameter5): its convention gives :math:`G\,\Gamma(1+\alpha)` in place of G, 6 to 7 % less at
+alpha 0.13, and the coefficients of log-log lines through curves that are none beyond 1/Gn cost
+some percent more. Gn hardly changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from scipy.special import digamma, gamma, gammaln
+
+from fden_ros.errors import InputError
+from fden_ros.experiments.characteristic import (
+    LOG_NONLINEAR_RANGE,
+    log_phi,
+    log_strain,
+    start_from_points,
+    stiffness_parameters,
+    undetermined_nonlinearity,
+)
+from fden_ros.experiments.creep import fit_creep
+from fden_ros.experiments.regression import (
+    Solution,
+    half_variance,
+    line_through,
+    minimise,
+    require_positive,
+)
+from fden_ros.experiments.result import (
+    Array,
+    Curve,
+    Fit,
+    Panel,
+    Parameter,
+    plain,
+    positive,
+    r_squared,
+)
+
+#: Pairs that Appendix D takes at either end for its start.
+_START_PAIRS = 3
+_LEAST_NOISE = 1e-7
+_PRIOR_SD = 0.5
+
+
+class CreepTest(NamedTuple):
+    """One creep test of a series."""
+
+    time: Array  #: since the stress was applied [s], positive, shape (n,)
+    strain: Array  #: [1], positive, shape (n,)
+    stress: float  #: [Pa], constant
+
+
+def fit_nonlinearity(
+    stress: Array,
+    coefficient: Array,
+    fractional_order: float | None = None,
+    fractional_order_sd: float = 0.0,
+) -> Fit:
+    r"""Return G, Gn, Gi and xb from pairs of stress and strain coefficient.
+
+    The stress of a creep test is imposed and the coefficient measured, so the smooth estimator
+    fits :math:`\log x_c` over the stress, :math:`x_c = \varphi^{-1}(f_c/\Gamma(1+\alpha))`, by
+    least squares: one observation over both branches, no switching. Beside it, as
+    ``appendix_d``, stands the paper's filter, see :func:`appendix_d`. R² is that of the stress.
+
+    Parameters
+    ----------
+    stress : ndarray, shape (n,)
+        Constant stresses fc [Pa], positive.
+    coefficient : ndarray, shape (n,)
+        Strain coefficients xc [s^-alpha], positive: the strain at 1 s.
+    fractional_order : float, optional
+        alpha [1] of these tests. None takes the paper's convention, without Gamma(1+alpha).
+    fractional_order_sd : float
+        Its standard deviation.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 3 pairs of different stress.
+    """
+    require_positive(stress=stress, strain_coefficient=coefficient)
+    order = np.argsort(stress, kind="stable")
+    stress, coefficient = stress[order], coefficient[order]
+    if np.unique(stress).size < _START_PAIRS:
+        raise InputError("nonlinearity needs creep tests at 3 different stresses or more")
+    factor = 1.0 if fractional_order is None else float(gamma(1.0 + fractional_order))
+    static = stress / factor
+    solution = _fit_pairs(static, coefficient)
+    by_order = 0.0 if fractional_order is None else float(digamma(1.0 + fractional_order))
+    # ln G carries -ln Gamma(1 + alpha), and with it alpha's own uncertainty.
+    solution.covariance[0, 0] += (by_order * fractional_order_sd) ** 2
+    parameters = stiffness_parameters(solution, 0)
+    if fractional_order is not None:
+        parameters["alpha"] = plain(fractional_order, fractional_order_sd)
+    log_g, log_g_n = solution.values
+    model = np.exp(log_phi(coefficient, log_g, log_g_n)) * factor
+    return Fit(
+        "nonlinearity",
+        parameters,
+        r_squared(stress, model),
+        stress.size,
+        (
+            *undetermined_nonlinearity(float(coefficient.max()), log_g_n),
+            *solution.warnings(),
+        ),
+        {"appendix_d": appendix_d(coefficient, static)},
+        _panels(stress, coefficient, solution.values, factor),
+    )
+
+
+def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
+    r"""Return alpha, G, Gn, Gi and xb from creep curves at several stresses, all at once.
+
+    Exact also where a curve is no power law: least squares of log x over all samples with
+    :math:`x = \varphi^{-1}(f_c t^\alpha/\Gamma(1+\alpha))`. Beside it stands what comes of a
+    coefficient for each curve, which is the paper's way: ``coefficients`` with the factor
+    Gamma(1+alpha), ``paper`` without it and by Appendix D.
+
+    Parameters
+    ----------
+    tests : sequence of CreepTest
+        At 3 different stresses or more.
+    """
+    stresses = np.array([test.stress for test in tests])
+    creeps = [fit_creep(*test) for test in tests]
+    coefficients = np.array([creep["x_c"].value for creep in creeps])
+    alpha = creeps[int(np.argmin(stresses))]["alpha"].value
+    pairs = fit_nonlinearity(stresses, coefficients, alpha)
+    time = np.concatenate([test.time for test in tests])
+    strain = np.concatenate([test.strain for test in tests])
+    stress = np.concatenate([np.full(test.time.size, test.stress) for test in tests])
+    logs = np.log(strain)
+
+    def predicted(values: Array) -> Array:
+        log_phis = np.log(stress) + values[0] * np.log(time) - gammaln(1.0 + values[0])
+        return log_strain(log_phis, values[1], values[2])
+
+    start = np.array([alpha, math.log(pairs["g"].value), math.log(pairs["g_n"].value)])
+    low, high = LOG_NONLINEAR_RANGE
+    bounds = (np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high]))
+    start = np.clip(start, bounds[0] + 1e-3, bounds[1] - 1e-3)
+    shift = 0.0
+    for _ in range(2):
+        solution = minimise(lambda v, s=shift: predicted(v) - logs - s, start, bounds)  # type: ignore[misc]
+        start, shift = solution.values, half_variance(solution.residuals, 3)
+    parameters = {
+        "alpha": plain(solution.values[0], solution.deviation_of(np.eye(3)[0]), solution.dof),
+        **stiffness_parameters(solution, 1),
+    }
+    paper = fit_nonlinearity(stresses, coefficients)
+    return Fit(
+        "nonlinearity",
+        parameters,
+        r_squared(logs, predicted(solution.values)),
+        time.size,
+        (
+            *undetermined_nonlinearity(float(strain.max()), solution.values[2]),
+            *solution.warnings(),
+        ),
+        {"coefficients": pairs.parameters, "paper": paper.beside["appendix_d"]},
+        (
+            *_panels(
+                stresses,
+                coefficients,
+                solution.values[1:],
+                float(gamma(1.0 + solution.values[0])),
+            ),
+            _creep_panel(tests, solution.values),
+        ),
+    )
+
+
+def appendix_d(coefficient: Array, static_stress: Array) -> dict[str, Parameter]:
+    r"""Return G, Gn, Gi, xb by the paper's filter with a switching observation (Appendix D).
+
+    An extended Kalman filter with the constant state (G, Gn) takes the pairs in the order of
+    strain. Its observation is :math:`f = G x` while :math:`x < 1/G_n` by the present estimate, and
+    :math:`\log f = G_n x + \log(G/(G_n e))` beyond. It starts at what regression lines through
+    the three pairs of least and of greatest strain say. The relative noise is taken from the
+    residuals of a first run.
+
+    Parameters
+    ----------
+    coefficient : ndarray, shape (n,)
+        Strains x, positive.
+    static_stress : ndarray, shape (n,)
+        phi at these strains [Pa s^alpha], positive.
+    """
+    order = np.argsort(coefficient, kind="stable")
+    x, f = coefficient[order], static_stress[order]
+    low, high = slice(None, _START_PAIRS), slice(-_START_PAIRS, None)
+    g = float(x[low] @ f[low] / (x[low] @ x[low]))
+    g_n = line_through(x[high], np.log(f[high])).values[0]
+    start = np.array([g, max(g_n, 1e-3)])
+    noise = 0.05
+    for _ in range(3):
+        state, covariance = _switching_filter(x, f, start, noise)
+        if not (state > 0.0).all():
+            nothing = Parameter(*[math.nan] * 4)
+            return dict.fromkeys(("g", "g_n", "g_i", "x_b"), nothing)
+        residuals = np.log(f) - log_phi(x, *np.log(state))
+        noise = float(np.sqrt(residuals @ residuals / max(x.size - 2, 1))) + _LEAST_NOISE
+    relative = covariance / np.outer(state, state)
+    dof = float(x.size - 2)
+    log_g, log_g_n = np.log(state)
+
+    def sd(by_g: float, by_g_n: float) -> float:
+        gradient = np.array([by_g, by_g_n])
+        return math.sqrt(max(float(gradient @ relative @ gradient), 0.0))
+
+    return {
+        "g": positive(log_g, sd(1.0, 0.0), dof),
+        "g_n": positive(log_g_n, sd(0.0, 1.0), dof),
+        "g_i": positive(log_g - log_g_n - 1.0, sd(1.0, -1.0), dof),
+        "x_b": positive(-log_g_n, sd(0.0, 1.0), dof),
+    }
+
+
+def _switching_filter(x: Array, f: Array, start: Array, noise: float) -> tuple[Array, Array]:
+    ekf = ExtendedKalmanFilter(dim_x=2, dim_z=1)
+    ekf.x = start.copy()
+    ekf.P = np.diag((_PRIOR_SD * start) ** 2)
+    for strain, stress in zip(x, f, strict=True):
+        g, g_n = ekf.x
+        if not (g > 0.0 and g_n > 0.0):
+            break
+        if strain < 1.0 / g_n:
+            observed, expected, row = stress, g * strain, [strain, 0.0]
+            variance = (noise * stress) ** 2
+        else:
+            observed, expected = math.log(stress), g_n * strain + math.log(g / (g_n * math.e))
+            row, variance = [1.0 / g, strain - 1.0 / g_n], noise**2
+        ekf.update(
+            np.array([observed]),
+            lambda _, row=row: np.array([row]),
+            lambda _, expected=expected: np.array([expected]),
+            R=np.array([[variance]]),
+        )
+    return np.array(ekf.x), np.array(ekf.P)
+
+
+def _fit_pairs(static: Array, coefficient: Array) -> Solution:
+    logs, start = np.log(coefficient), start_from_points(coefficient, static)
+    low, high = LOG_NONLINEAR_RANGE
+    bounds = (np.array([-np.inf, low]), np.array([np.inf, high]))
+    return minimise(
+        lambda values: log_strain(np.log(static), *values) - logs,
+        np.clip(start, bounds[0] + 1e-3, bounds[1] - 1e-3),
+        bounds,
+    )
+
+
+def _panels(
+    stress: Array, coefficient: Array, values: Array, factor: float
+) -> tuple[Panel, Panel]:
+    log_g, log_g_n = values
+    fine = np.linspace(0.02, 1.05, 200) * coefficient.max()
+    model = factor * np.exp(log_phi(fine, log_g, log_g_n))
+    boundary = np.full(2, math.exp(-log_g_n))
+    curves = (
+        Curve(coefficient, stress, "measured", line=False),
+        Curve(fine, model, "model", color=1),
+        Curve(boundary, np.array([0.0, stress.max()]), "1/Gn", color=2),
+    )
+    positive_curves = (
+        *curves[:2],
+        Curve(boundary, np.array([stress.min(), stress.max()]), "1/Gn", color=2),
+    )
+    return (
+        Panel("Nonlinearity", "strain coefficient", "stress [Pa]", curves),
+        Panel("Semi-log", "strain coefficient", "stress [Pa]", positive_curves, y_log=True),
+    )
+
+
+def _creep_panel(tests: Sequence[CreepTest], values: Array) -> Panel:
+    curves: list[Curve] = []
+    alpha, log_g, log_g_n = values
+    for index, test in enumerate(tests):
+        log_phis = math.log(test.stress) + alpha * np.log(test.time) - gammaln(1.0 + alpha)
+        model = np.exp(log_strain(log_phis, log_g, log_g_n))
+        thinned = slice(None, None, max(test.time.size // 40, 1))
+        first = index == 0
+        curves += [
+            Curve(
+                test.time[thinned],
+                test.strain[thinned],
+                "measured" if first else "",
+                line=False,
+            ),
+            Curve(test.time, model, "model" if first else "", color=1),
+        ]
+    return Panel("Creep curves", "time [s]", "strain", curves, x_log=True, y_log=True)

@@ -1,0 +1,193 @@
+r"""Least squares with covariances that stay honest when the noise is not what one assumed.
+
+The covariance is the sandwich estimate HC3 (MacKinnon and White, J. Econometrics 29 (1985) 305),
+
+.. math:: (J^T J)^{-1} \sum_i \frac{r_i^2}{(1-h_i)^2}\, j_i j_i^T\, (J^T J)^{-1} ,
+
+with residuals r, rows j of the Jacobian and leverages h: it needs no assumption that all rows are
+equally noisy. Where successive residuals are correlated, because the noise is or because the
+model does not follow the data, n rows say less than n: the covariance is widened by
+:math:`(1+\rho)/(1-\rho)` with :math:`\rho` their first autocorrelation, and the degrees of
+freedom shrink by as much.
+
+A logarithm of noisy values is biased: if :math:`y = \hat y (1+\epsilon)` with
+:math:`E\epsilon = 0`, then :math:`E \log y \approx \log\hat y - \sigma^2/2`. Fits of logarithms
+add the estimated :math:`\sigma^2/2` back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fden_ros.errors import InputError
+from fden_ros.experiments.result import Array
+
+#: Fewer rows say nothing about correlation.
+_MIN_ROWS_FOR_CORRELATION = 20
+_MAX_LEVERAGE = 0.99
+#: Residuals here are relative: below this there is nothing to warn of.
+_NEGLIGIBLE_RESIDUAL = 1e-4
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Parameters of a least-squares fit.
+
+    Parameters
+    ----------
+    values : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+        NaN if there are no more rows than parameters.
+    dof : float
+        Degrees of freedom behind the covariance, after correlation.
+    residuals : ndarray, shape (n,)
+        Observed less predicted.
+    correlation : float
+        First autocorrelation of the residuals if it is significant, else 0.
+    """
+
+    values: Array
+    covariance: Array
+    dof: float
+    residuals: Array
+    correlation: float
+
+    def deviation_of(self, gradient: Array) -> float:
+        """Return the standard deviation of a function with this gradient by the parameters."""
+        variance = float(gradient @ self.covariance @ gradient)
+        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.nan
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a warning if the residuals are correlated."""
+        size = math.sqrt(float(np.mean(self.residuals**2)))
+        if self.correlation < 0.5 or size < _NEGLIGIBLE_RESIDUAL:
+            return ()
+        factor = math.sqrt(_widening(self.correlation, self.residuals.size, self.values.size))
+        return (
+            f"the residuals follow each other (correlation {self.correlation:.2f}): the model "
+            f"does not describe all of the data; deviations are widened {factor:.1f} times",
+        )
+
+
+def require_positive(**values: Array) -> None:
+    """Raise :class:`InputError` unless all values are positive and finite."""
+    for name, array in values.items():
+        wrong = ~(np.isfinite(array) & (array > 0.0))
+        if wrong.any():
+            raise InputError(
+                f"{name} is {array[np.argmax(wrong)]:g} somewhere; it must be positive, because "
+                "its logarithm is taken"
+            )
+
+
+def line_through(x: Array, y: Array) -> Solution:
+    """Fit ``y = values[0] x + values[1]``, both of shape (n,), by linear regression."""
+    design = np.column_stack([x, np.ones_like(x)])
+    values = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0], dtype=float)
+    return _solution(values, y - design @ values, design)
+
+
+def line_through_logarithms(x: Array, y: Array) -> Solution:
+    """Fit ``log y = values[0] log x + values[1]``, the bias of log y taken off."""
+    first = line_through(np.log(x), np.log(y))
+    values = first.values + np.array([0.0, half_variance(first.residuals, 2)])
+    return Solution(values, first.covariance, first.dof, first.residuals, first.correlation)
+
+
+def minimise(
+    residuals: Callable[[Array], Array],
+    start: Array,
+    bounds: tuple[Array, Array] | None = None,
+    prior_rows: int = 0,
+) -> Solution:
+    """Minimise the sum of squares of `residuals` (predicted less observed) from `start`.
+
+    Parameters
+    ----------
+    residuals : callable
+        Parameters (p,) to residuals (n,).
+    start : ndarray, shape (p,)
+    bounds : tuple of ndarray, optional
+        Least and greatest parameters.
+    prior_rows : int
+        So many rows at the end are prior knowledge in units of its deviation, while the others
+        are data of unknown noise: their weight is set so that both count rightly.
+    """
+    limits = bounds if bounds is not None else (-np.inf, np.inf)
+
+    def solve(begin: Array, scale: float) -> tuple[Array, Array]:
+        def scaled(values: Array) -> Array:
+            rows = np.array(residuals(values), dtype=float)
+            rows[rows.size - prior_rows :] *= scale
+            return rows
+
+        found = least_squares(
+            scaled, begin, jac="3-point", bounds=limits, x_scale="jac",
+            xtol=1e-13, ftol=1e-15, gtol=1e-15, max_nfev=200,
+        )  # fmt: skip
+        return found.x, found.jac
+
+    if prior_rows == 0:
+        values, jacobian = solve(np.asarray(start, dtype=float), 1.0)
+        return _solution(values, -residuals(values), jacobian)
+    values, noise = np.asarray(start, dtype=float), 0.0
+    scale = 1e-9
+    for _ in range(3):
+        values, jacobian = solve(values, scale)
+        data = residuals(values)[:-prior_rows]
+        noise = float(np.sqrt(np.sum(data**2) / max(data.size - values.size, 1)))
+        scale = max(noise, 1e-12)
+    return _solution(values, -residuals(values)[:-prior_rows], jacobian, scale**2, prior_rows)
+
+
+def half_variance(residuals: Array, parameters: int) -> float:
+    """Return sigma²/2 of the residuals of a fit of logarithms; 0 without degrees of freedom."""
+    dof = residuals.size - parameters
+    return 0.5 * float(residuals @ residuals) / dof if dof > 0 else 0.0
+
+
+def first_correlation(residuals: Array) -> float:
+    """Return the first autocorrelation of `residuals` (n,); 0 if white noise could cause it."""
+    if residuals.size < _MIN_ROWS_FOR_CORRELATION:
+        return 0.0
+    power = float(residuals @ residuals)
+    # Residuals of rounding's size have no statistics.
+    if power == 0.0:
+        return 0.0
+    correlation = float(residuals[1:] @ residuals[:-1]) / power
+    return correlation if correlation > 2.0 / math.sqrt(residuals.size) else 0.0
+
+
+def _widening(correlation: float, rows: int, parameters: int) -> float:
+    factor = (1.0 + correlation) / max(1.0 - correlation, 1e-12)
+    return min(factor, rows / (parameters + 1.0))
+
+
+def _solution(
+    values: Array,
+    residuals: Array,
+    jacobian: Array,
+    prior_variance: float = 0.0,
+    prior_rows: int = 0,
+) -> Solution:
+    rows, parameters = residuals.size, values.size
+    nothing = np.full((parameters, parameters), np.nan)
+    if rows + prior_rows <= parameters:
+        return Solution(values, nothing, 0.0, residuals, 0.0)
+    try:
+        bread = np.linalg.inv(jacobian.T @ jacobian)
+    except np.linalg.LinAlgError:
+        return Solution(values, nothing, 0.0, residuals, 0.0)
+    data, prior = jacobian[:rows], jacobian[rows:]
+    leverage = np.minimum(np.einsum("ij,jk,ik->i", data, bread, data), _MAX_LEVERAGE)
+    weighted = data * (residuals / (1.0 - leverage))[:, None]
+    correlation = first_correlation(residuals)
+    factor = _widening(correlation, rows, parameters)
+    meat = factor * weighted.T @ weighted + prior_variance * prior.T @ prior
+    dof = max(rows / factor - parameters, 1.0)
+    return Solution(values, bread @ meat @ bread, dof, residuals, correlation)

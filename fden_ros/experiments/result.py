@@ -1,0 +1,148 @@
+"""What a fit returns: parameters with uncertainty, R², warnings, and the curves of its picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+Array = NDArray[np.float64]
+
+#: Probability that an interval covers the truth.
+CONFIDENCE = 0.95
+_NORMAL_REACH = 1.959964
+
+
+class Parameter(NamedTuple):
+    """One fitted number; deviation and interval are NaN where the data leave none."""
+
+    value: float
+    sd: float  #: standard deviation of the normal law with the same interval
+    low: float  #: lower end of the 95 % interval
+    high: float  #: upper end of the 95 % interval
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points or a line of a panel."""
+
+    x: Array
+    y: Array
+    label: str
+    line: bool = True
+    color: int = 0
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes of a fit's picture."""
+
+    title: str
+    x_label: str
+    y_label: str
+    curves: Sequence[Curve]
+    x_log: bool = False
+    y_log: bool = False
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of one experiment.
+
+    Parameters
+    ----------
+    kind : str
+        The experiment, as in ``fden fit KIND``.
+    parameters : mapping of str to Parameter
+        By key: ``alpha`` [1], ``g`` [Pa s^alpha], ``g_n`` [1], and what else the experiment gives:
+        ``x_c`` [s^-alpha], ``f_c`` [Pa s^alpha], ``g_i`` [Pa s^alpha], ``x_b`` [1].
+    r_squared : float
+        Coefficient of determination; NaN if the data do not vary.
+    samples : int
+        Rows that the fit used.
+    warnings : tuple of str
+        What contradicts the model or the reading of the file, one line each.
+    beside : mapping of str to mapping
+        The same parameters by other procedures, for comparison.
+    panels : tuple of Panel
+        Data and model, for the plot.
+    """
+
+    kind: str
+    parameters: Mapping[str, Parameter]
+    r_squared: float
+    samples: int
+    warnings: tuple[str, ...] = ()
+    beside: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
+    panels: tuple[Panel, ...] = ()
+
+    def __getitem__(self, name: str) -> Parameter:
+        """Return one parameter."""
+        return self.parameters[name]
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the JSON object: ``alpha``, ``g``, ``g_n`` with ``_sd`` always, else null."""
+        nothing = Parameter(*[math.nan] * 4)
+        always = {name: nothing for name in ("alpha", "g", "g_n")}
+        return {
+            "kind": self.kind,
+            "samples": self.samples,
+            **_flat({**always, **self.parameters}),
+            "r2": _finite(self.r_squared),
+            **{name: _flat(values) for name, values in self.beside.items()},
+            "warnings": list(self.warnings),
+        }
+
+
+def plain(value: float, sd: float = math.nan, dof: float = math.inf) -> Parameter:
+    """Return a parameter with the interval of Student's t at `dof` degrees of freedom.
+
+    Its deviation is the interval's, so few degrees of freedom widen that too: ±1.96 deviations
+    cover the truth in 95 % also where `sd` was estimated from a handful of residuals.
+    """
+    reach = _quantile(dof) * sd
+    return Parameter(
+        float(value), float(reach / _NORMAL_REACH), float(value - reach), float(value + reach)
+    )
+
+
+def positive(log_value: float, log_sd: float = math.nan, dof: float = math.inf) -> Parameter:
+    """Return a positive parameter from its logarithm; the interval is symmetric in the log."""
+    value, reach = math.exp(log_value), _quantile(dof) * log_sd
+    return Parameter(
+        value,
+        float(value * reach / _NORMAL_REACH),
+        float(np.exp(log_value - reach)),
+        float(np.exp(log_value + reach)),
+    )
+
+
+def r_squared(observed: Array, predicted: Array) -> float:
+    """Return 1 - SSR/SST, the columns of (n,) or (n, m) arrays each about its own mean."""
+    total = float(np.sum((observed - observed.mean(axis=0)) ** 2))
+    return 1.0 - float(np.sum((observed - predicted) ** 2)) / total if total > 0.0 else math.nan
+
+
+def _quantile(dof: float) -> float:
+    if dof <= 0.0:
+        return math.nan
+    return float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, dof))
+
+
+def _flat(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for name, parameter in parameters.items():
+        result[name] = _finite(parameter.value)
+        result[f"{name}_sd"] = _finite(parameter.sd)
+        ends = [_finite(parameter.low), _finite(parameter.high)]
+        result[f"{name}_interval"] = None if None in ends else ends
+    return result
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
