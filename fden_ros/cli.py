@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from fden_ros import __version__
 from fden_ros.errors import InputError
 
-COMMANDS = ("bag", "info", "replay", "play", "demo", "fit", "parameters")
+COMMANDS = ("bag", "info", "replay", "play", "demo", "fit", "parameters", "benchmark")
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
