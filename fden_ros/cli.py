@@ -10,7 +10,19 @@ from collections.abc import Sequence
 from fden_ros import __version__
 from fden_ros.errors import InputError
 
-COMMANDS = ("bag", "info", "replay", "play", "demo", "fit", "parameters", "benchmark")
+COMMANDS = (
+    "bag",
+    "info",
+    "replay",
+    "play",
+    "demo",
+    "fit",
+    "parameters",
+    "benchmark",
+    "monitor",
+    "live",
+    "control",
+)
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
@@ -21,6 +33,9 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden play /tmp/ramp                 publish a bag on live topics
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end
+  fden live                           simulator, identifier, controller and monitor together
+  fden monitor                        a running identifier in the terminal
+  fden control -o control             force control with live and with fixed gains
   fden parameters > probe.yaml        every parameter of the identifier, explained
   fden benchmark accuracy --quick     figures against their goals
 """

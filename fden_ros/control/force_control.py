@@ -195,7 +195,7 @@ class ForceController:
         self.stiffness = self._known * self._stiffening
 
     def _measured_stiffness(self, time: float, force: float, depth: float) -> float | None:
-        """Return the secant dF/dd over the last moments [N/m], or None unless the probe goes in."""
+        """Return the secant dF/dd of the last moments [N/m]; None unless the probe goes in."""
         self._recent.append((time, force, depth))
         while time - self._recent[0][0] > _WINDOW:
             self._recent.popleft()

@@ -6,8 +6,8 @@ From the law :math:`\varphi(x) = D^{-\alpha} f`, at a time t after the present:
 
 M is what the past force still says, one exponential sum of the memory; the integral is over what
 is to come. With f linear between the points of the plan this is one lower triangular system:
-solved for f it gives the force, multiplied out the motion. The constant c makes the plan begin at what is
-measured now, so it takes up the origin's and the sensor's error.
+solved for f it gives the force, multiplied out the motion. The constant c makes the plan begin at
+what is measured now, so it takes up the origin's and the sensor's error.
 
 The interval is first-order: derivatives by (ln G, ln Gn, alpha, c) under the estimate's covariance
 and the variance of the last innovation.

@@ -124,6 +124,12 @@ class Rig:
         """Index of the column under the probe."""
         return self.tissue.nearest(*self._lateral)
 
+    @property
+    def lateral_target(self) -> tuple[float, float]:
+        """Where the probe is going, across the approach axis [m]."""
+        x, y = self._lateral_target
+        return x, y
+
     def command(self, kind: Command, value: float) -> None:
         """Give the axis something to do; it takes it after the delay.
 

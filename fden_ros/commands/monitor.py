@@ -1,0 +1,65 @@
+"""``fden monitor``: a running identifier in the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import Any
+
+DESCRIPTION = """\
+Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
+standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it.
+
+  fden monitor                       the node /identifier
+  fden monitor /left/identifier      another one
+"""
+
+_PERIOD = 0.2
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "monitor",
+        help="show a running identifier in the terminal",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "identifier", nargs="?", default="/identifier", help="its name (default: /identifier)"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Watch until Ctrl-C; return the exit code."""
+    name = args.identifier if args.identifier.startswith("/") else f"/{args.identifier}"
+    watch(name, duration=args.duration)
+    return 0
+
+
+def watch(
+    identifier: str,
+    *,
+    duration: float | None = None,
+    until: Callable[[], bool] = lambda: False,
+    console: Any = None,
+) -> None:
+    """Show an identifier until `until` holds or `duration` [s] is over."""
+    from rich.console import Console
+    from rich.live import Live
+
+    from fden_ros.nodes.monitor import Monitor
+    from fden_ros.report.monitor import monitor_view
+
+    console = console or Console()
+    end = time.monotonic() + duration if duration is not None else None
+    with (
+        Monitor(identifier) as monitor,
+        Live(console=console, auto_refresh=False, transient=False) as live,
+    ):
+        while not until() and (end is None or time.monotonic() < end):
+            monitor.spin(_PERIOD)
+            live.update(monitor_view(monitor.view()), refresh=True)

@@ -1,0 +1,176 @@
+"""The node ``force_controller``: the reference force controller on live topics.
+
+Subscribes to ``force``, ``displacement`` and ``target_force``; publishes ``command`` (velocity),
+``~/gains`` and ``~/stiffness``. The law is in :mod:`fden_ros.control.force_control`. With a
+program it presses one site after the other by itself.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
+
+from fden_ros.control.force_control import ForceControlConfig, ForceController
+from fden_ros.errors import InputError
+from fden_ros.nodes.running import run_node
+from fden_ros.tissue_feed import TissueFeed
+
+#: Name, default and meaning, with its unit, of every parameter.
+PARAMETERS: tuple[tuple[str, Any, str], ...] = (
+    ("identifier", "identifier", "name of the identifier node"),
+    ("scheduled", True, "gains from the live stiffness; false: fixed gains"),
+    ("safe_stiffness", 130.0, "stiffness for which the fixed gains are made [N/m]"),
+    ("force_limit", 0.32, "the force shall stay below it [N]"),
+    ("bandwidth", 12.0, "of the force [rad/s]"),
+    ("reaction_time", 0.06, "from a change of the force to the axis answering [s]"),
+    ("touch_force", 0.01, "below it the probe is in the air [N]"),
+    ("approach_speed", 0.005, "in the air [m/s]"),
+    ("force_noise", 1e-3, "standard deviation of the force per control step [N]"),
+    ("lift", 0.004, "how far the probe leaves the surface between two sites [m]"),
+    ("surface", 0.0, "displacement at the surface [m]"),
+    ("deadline", 0.1, "older estimates are refused [s]"),
+    ("rate", 200.0, "of the control loop [Hz]"),
+    ("tare_time", 1.0, "the force is measured in the air for so long first [s]"),
+    ("program.forces", [0.0], "forces of a program, one after the other [N]; all 0: none"),
+    ("program.duration", 3.0, "of each force [s]"),
+    ("program.x", [0.0], "places to press, one after the other [m]"),
+    ("program.y", [0.0], "second coordinate of the places [m]"),
+)
+_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+_LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+#: Without a force for so long the probe is stopped [s].
+_INPUT_TIMEOUT = 0.1
+
+
+class ForceControllerNode(Node):
+    """Force control that acts on the estimate while it can be relied on."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("force_controller", **options)
+        values = {
+            name: self.declare_parameter(
+                name, default, ParameterDescriptor(description=meaning, read_only=True)
+            ).value
+            for name, default, meaning in PARAMETERS
+        }
+        self._values = values
+        self._controller = ForceController(
+            ForceControlConfig(
+                **{
+                    name: values[name]
+                    for name in (
+                        *("safe_stiffness", "force_limit", "scheduled", "bandwidth"),
+                        *("reaction_time", "touch_force", "approach_speed", "force_noise"),
+                    )
+                }
+            )
+        )
+        self._places = _places(values["program.x"], values["program.y"])
+        name = str(values["identifier"])
+        self._feed = TissueFeed(
+            self,
+            name if name.startswith("/") else f"{self.get_namespace().rstrip('/')}/{name}",
+            deadline=values["deadline"],
+            on_loss=lambda why: self.get_logger().info(f"safe gains: {why.value}"),
+        )
+        self._forces: list[float] = []
+        self._air: list[float] = []
+        self._bias: float | None = None
+        self._depth = 0.0
+        self._heard = 0.0
+        self._target = 0.0
+        self._began = 0.0
+        self._gains = ""
+        self._command = self.create_publisher(JointState, "command", _QOS)
+        self._gains_topic = self.create_publisher(String, "~/gains", _LATCHED)
+        self._stiffness_topic = self.create_publisher(Float64, "~/stiffness", _QOS)
+        self.create_subscription(WrenchStamped, "force", self._on_force, _QOS)
+        self.create_subscription(PoseStamped, "displacement", self._on_displacement, _QOS)
+        self.create_subscription(Float64, "target_force", self._on_target, _QOS)
+        self._timer = self.create_timer(
+            1.0 / values["rate"], self._control, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _on_force(self, message: WrenchStamped) -> None:
+        self._forces.append(message.wrench.force.z)
+        self._heard = time.monotonic()
+
+    def _on_displacement(self, message: PoseStamped) -> None:
+        self._depth = message.pose.position.z - self._values["surface"]
+
+    def _on_target(self, message: Float64) -> None:
+        self._target = message.data
+
+    def _control(self) -> None:
+        now = time.monotonic()
+        if not self._forces:
+            if now - self._heard > _INPUT_TIMEOUT and self._bias is not None:
+                self._send(velocity=0.0)
+            return
+        force = sum(self._forces) / len(self._forces)
+        self._forces.clear()
+        if self._bias is None:
+            self._tare(force, now)
+            return
+        self._follow_program(now)
+        reading = self._feed.reading() if self._values["scheduled"] else None
+        force -= self._bias
+        velocity = self._controller.step(now, force, self._depth, self._target, reading)
+        if self._target <= 0.0 and self._depth < -self._values["lift"]:
+            velocity = 0.0
+        self._send(velocity=velocity)
+        self._stiffness_topic.publish(Float64(data=float(self._controller.stiffness)))
+        gains = self._controller.gains.value
+        if gains != self._gains:
+            self._gains = gains
+            self._gains_topic.publish(String(data=gains))
+
+    def _tare(self, force: float, now: float) -> None:
+        """Take the first moments, in the air, for the force's bias."""
+        self._air.append(force)
+        self._began = self._began or now
+        if now - self._began >= self._values["tare_time"]:
+            self._bias = sum(self._air) / len(self._air)
+            self._began = now
+
+    def _follow_program(self, now: float) -> None:
+        forces = self._values["program.forces"]
+        if not any(forces):
+            return
+        index = int((now - self._began) / self._values["program.duration"])
+        site, step = divmod(index, len(forces))
+        self._target = float(forces[step])
+        if self._target <= 0.0 and self._depth < 0.0:
+            x, y = self._places[(site + 1) % len(self._places)]
+            self._command.publish(JointState(name=["x", "y"], position=[x, y]))
+
+    def _send(self, velocity: float) -> None:
+        self._command.publish(JointState(name=["z"], velocity=[float(velocity)]))
+
+
+def _places(x: Any, y: Any) -> list[tuple[float, float]]:
+    if len(x) != len(y):
+        raise InputError(f"program.x has {len(x)} places, program.y {len(y)}; give as many")
+    return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the controller until SIGINT or SIGTERM."""
+    return run_node("force_controller", ForceControllerNode, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""What one identifier says, gathered for a view of it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from types import TracebackType
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from fden_msgs.msg import PalpationSummary, TissueClassification
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+
+from fden_ros.core.pipeline import ContactSummary, TissueState
+from fden_ros.messages import summary_of
+from fden_ros.report.monitor import MonitorView
+from fden_ros.tissue_feed import TissueFeed
+
+_LATCHED = QoSProfile(
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+_DEADLINE = 0.5
+_RATE_WINDOW = 2.0
+
+
+class Monitor:
+    """Hear everything that one identifier publishes; keep the newest.
+
+    Owns an rclpy context.
+
+    Parameters
+    ----------
+    identifier : str
+        Fully qualified name of the node.
+    """
+
+    def __init__(self, identifier: str) -> None:
+        self._identifier = identifier
+        self._arrivals: deque[float] = deque()
+        self._state: TissueState | None = None
+        self._heard: float | None = None
+        self._classification: TissueClassification | None = None
+        self._summaries: list[ContactSummary] = []
+        self._diagnostics: dict[str, str] = {}
+        self._gains = ""
+
+    def __enter__(self) -> Monitor:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        node = self._node = rclpy.create_node("fden_monitor", context=self._context)
+        self._feed = TissueFeed(
+            node, self._identifier, deadline=_DEADLINE, on_state=self._on_state
+        )
+        node.create_subscription(
+            TissueClassification,
+            f"{self._identifier}/classification",
+            self._on_classification,
+            _LATCHED,
+        )
+        node.create_subscription(
+            PalpationSummary, f"{self._identifier}/palpation", self._on_summary, _LATCHED
+        )
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        namespace = self._identifier.rsplit("/", 1)[0]
+        node.create_subscription(
+            String, f"{namespace}/force_controller/gains", self._on_gains, _LATCHED
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(node)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def spin(self, seconds: float) -> None:
+        """Receive for so long."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def view(self) -> MonitorView:
+        """Return what is known now."""
+        now = time.monotonic()
+        while self._arrivals and now - self._arrivals[0] > _RATE_WINDOW:
+            self._arrivals.popleft()
+        classification = self._classification
+        return MonitorView(
+            identifier=self._identifier,
+            state=self._state,
+            age=None if self._heard is None else now - self._heard,
+            rate=len(self._arrivals) / _RATE_WINDOW,
+            refusal=self._feed.refusal(),
+            label=classification.label if classification is not None else "",
+            probabilities=dict(
+                zip(classification.class_names, classification.probabilities, strict=True)
+            )
+            if classification is not None
+            else {},
+            summaries=tuple(self._summaries),
+            diagnostics=dict(self._diagnostics),
+            gains=self._gains,
+        )
+
+    def _on_state(self, state: TissueState) -> None:
+        self._state, self._heard = state, time.monotonic()
+        self._arrivals.append(self._heard)
+
+    def _on_classification(self, message: TissueClassification) -> None:
+        self._classification = message
+
+    def _on_summary(self, message: PalpationSummary) -> None:
+        self._summaries.append(summary_of(message))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.split(":")[0].strip("/") == self._identifier.strip("/"):
+                self._diagnostics = {
+                    "message": status.message,
+                    **{value.key: value.value for value in status.values},
+                }
+
+    def _on_gains(self, message: String) -> None:
+        self._gains = message.data

@@ -1,0 +1,141 @@
+"""A running identifier as a view for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rich import box
+from rich.console import Group
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from fden_ros.control.live_tissue import Refusal
+from fden_ros.core.pipeline import ContactSummary, Flag, OrderSource, Status, TissueState
+from fden_ros.report.table import DASH, contact_table
+
+_COLOURS = {
+    Status.NO_CONTACT: "cyan",
+    Status.CONVERGING: "yellow",
+    Status.CONVERGED: "green",
+    Status.STALE: "red",
+}
+_LAST_CONTACTS = 6
+#: Half width of the intervals, in standard deviations.
+_DEVIATIONS = 2.0
+
+
+@dataclass(frozen=True)
+class MonitorView:
+    """What is shown; `None` and empty where nothing has been heard yet."""
+
+    identifier: str
+    state: TissueState | None = None
+    age: float | None = None  #: of the state [s]
+    rate: float = 0.0  #: of the estimates [Hz]
+    refusal: Refusal | None = Refusal.NEVER_HEARD
+    label: str = ""
+    probabilities: Mapping[str, float] = field(default_factory=dict)
+    summaries: tuple[ContactSummary, ...] = ()
+    diagnostics: Mapping[str, str] = field(default_factory=dict)  #: words under ``message``
+    gains: str = ""  #: of a force controller beside it
+
+
+def monitor_view(view: MonitorView) -> Group:
+    """Return the view as something that rich prints."""
+    parts: list[Panel | Table | Text] = [
+        Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False),
+        *_warnings(view),
+    ]
+    if view.summaries:
+        parts.append(contact_table(view.summaries[-_LAST_CONTACTS:]))
+    return Group(*parts)
+
+
+def _present(view: MonitorView) -> Table:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column()
+    state = view.state
+    table.add_row("status", _status(view))
+    table.add_row("rates", _rates(view))
+    if state is None:
+        return table
+    table.add_row("contact", _contact(state))
+    for name, interval in _parameters(state):
+        table.add_row(name, interval)
+    table.add_row("tissue", _tissue(view))
+    usable = view.refusal is None
+    words = "may be relied on" if usable or view.refusal is None else view.refusal.value
+    table.add_row("controllers", Text(words, style="green" if usable else "yellow"))
+    if view.gains:
+        table.add_row("gains", view.gains)
+    return table
+
+
+def _status(view: MonitorView) -> Text:
+    if view.state is None or view.age is None:
+        return Text("nothing heard yet", style="red")
+    if view.refusal is Refusal.LOST:
+        return Text(f"lost: no estimate for {view.age:.1f} s", style="bold red")
+    status = view.state.status
+    words = status.name.lower().replace("_", " ")
+    flags = [flag.name.lower() for flag in Flag if flag and flag & view.state.flags and flag.name]
+    if flags:
+        words += "   flags: " + ", ".join(flags)
+    return Text(words, style=_COLOURS.get(status, "red"))
+
+
+def _rates(view: MonitorView) -> str:
+    parts = [f"estimates {view.rate:.0f} Hz"]
+    parts += [
+        f"{name} {view.diagnostics[name]}"
+        for name in ("pairs per second", "rejected", "contacts", "sites")
+        if name in view.diagnostics
+    ]
+    return ", ".join(parts)
+
+
+def _contact(state: TissueState) -> str:
+    parts = [f"{state.contact_id} at site {state.site_id}", state.phase.name.lower()]
+    if state.signals is not None:
+        parts += [f"strain {state.signals.strain:.3f}", f"stress {state.signals.stress:.0f} Pa"]
+    if state.apparent_stiffness is not None:
+        stiffness = state.apparent_stiffness
+        parts.append(
+            f"{stiffness.value:.3g} ± {_DEVIATIONS * stiffness.sd:.2g} N/m "
+            f"at {stiffness.time_scale:g} s"
+        )
+    return ", ".join(parts)
+
+
+def _parameters(state: TissueState) -> list[tuple[str, str]]:
+    estimate = state.estimate
+    if estimate is None:
+        return [("G", DASH), ("Gn", DASH), ("α", DASH)]
+    deviations = [math.sqrt(max(estimate.covariance[i, i], 0.0)) for i in range(3)]
+    rows = []
+    for name, index, unit in (("G", 0, "Pa s^α"), ("Gn", 1, "")):
+        value, spread = math.exp(estimate[index]), math.exp(_DEVIATIONS * deviations[index])
+        rows.append((name, f"{value:.4g}   [{value / spread:.4g}, {value * spread:.4g}] {unit}"))
+    order, half = estimate.fractional_order, _DEVIATIONS * deviations[2]
+    source = state.order_source
+    words = "" if source is OrderSource.NONE else f"  {source.name.lower()}"
+    rows.append(("α", f"{order:.3f}   [{order - half:.3f}, {order + half:.3f}]{words}"))
+    return rows
+
+
+def _tissue(view: MonitorView) -> str:
+    if not view.label:
+        return "undetermined"
+    shares = ", ".join(f"{name} {share:.0%}" for name, share in view.probabilities.items())
+    return f"{view.label}   ({shares})"
+
+
+def _warnings(view: MonitorView) -> list[Text]:
+    words = view.diagnostics.get("message", "")
+    if not words or words == "identifying":
+        return []
+    return [Text(f"warning: {words}", style="yellow")]
