@@ -1,0 +1,111 @@
+"""``fden info``: what is in a bag, and what a replay would use of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+
+if TYPE_CHECKING:
+    from fden_ros.recording.contents import BagContents, TopicContents
+
+DESCRIPTION = """\
+Read a bag through and show its topics: type, messages, frame, rate, jitter, gaps, and which of
+them `fden replay` would take for force and displacement. Damage is reported, and what remains is
+used. Of a table (CSV) the columns are shown.
+"""
+
+EPILOG = """\
+examples:
+  fden info palpation.mcap
+  fden info palpation.mcap --json | jq '.topics[] | {name, rate_hz}'
+  fden info palpation.mcap --force-topic /ft_sensor       would this do?
+
+Rate and jitter are those of the header stamps, gaps left out. A gap is a step of more than 20 ms
+and ten usual ones. Exit codes: 0 a replay can begin, 1 it cannot, 2 wrong usage.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "info",
+        help="show what is in a bag and what would be used",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
+    )
+    add_input_options(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run, parser=parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Inspect and print; return 1 if a replay could not begin."""
+    from fden_ros.recording.contents import contents_object, inspect
+    from fden_ros.recording.table import looks_like_a_table
+
+    if looks_like_a_table(args.bag):
+        return _show_table(args.bag, args.json)
+    contents = inspect(args.bag, parameters_of(args), selection_of(args))
+    if args.json:
+        json.dump(contents_object(contents), sys.stdout, allow_nan=False)
+        print()
+    else:
+        _show(contents)
+    for problem in contents.problems:
+        print(f"fden info: {problem}", file=sys.stderr)
+    return 1 if contents.problems else 0
+
+
+def _show_table(path: Path, as_json: bool) -> int:
+    from fden_ros.recording.table import headings_of
+
+    headings = headings_of(path)
+    if as_json:
+        json.dump({"columns": headings}, sys.stdout)
+        print()
+        return 0
+    print(f"{path}: a table with the columns")
+    for number, heading in enumerate(headings, start=1):
+        print(f"  {number:2}  {heading}")
+    print(f"Next: fden replay {path} --columns TIME,FORCE,DISPLACEMENT")
+    return 0
+
+
+def _show(contents: BagContents) -> None:
+    uses: dict[str, list[str]] = {}
+    for what, name in contents.used.items():
+        topic, _, path = name.partition(" ")
+        uses.setdefault(topic, []).append(f"{what} {path}".strip())
+    for topic_contents in contents.topics:
+        used = " and ".join(uses.get(topic_contents.name, []))
+        print(topic_contents.name + (f"   <- {used}" if used else ""))
+        print(f"    {_describe(topic_contents)}")
+    filled = [topic for topic in contents.topics if topic.start_ns]
+    if filled:
+        length = max(t.end_ns for t in filled) - min(t.start_ns for t in filled)
+        print(f"{sum(t.message_count for t in filled)} messages in {length * 1e-9:.1f} s")
+    for warning in contents.warnings:
+        print(f"warning: {warning}")
+
+
+def _describe(topic: TopicContents) -> str:
+    parts = [topic.type_name.replace("/msg/", "/"), f"{topic.message_count} messages"]
+    if topic.rate:
+        parts.append(f"{topic.rate:.4g} Hz, jitter {1e3 * topic.jitter:.2g} ms")
+    if topic.gap_count:
+        parts.append(f"{topic.gap_count} gaps, the longest {topic.longest_gap:.2g} s")
+    if topic.stamped:
+        parts.append(f"recorded {1e3 * topic.delay:.3g} ms after its stamps")
+        parts.append(f"frame {topic.frame!r}")
+    else:
+        parts.append("no stamps")
+    return ", ".join(parts)
