@@ -107,6 +107,7 @@ class Block(NamedTuple):
     fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
     memory_time: float  #: t since the memory began [s]
     size: int  #: samples in the block
+    duration: float = 0.0  #: from the first sample to the last and one step more [s]
 
 
 class Innovation(NamedTuple):
@@ -139,6 +140,14 @@ class Estimate(NamedTuple):
 
 class Estimator(Protocol):
     """An observation model with its filter; the pipeline asks for nothing else."""
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the innovations are larger or slower than model and noise explain."""
+
+    @property
+    def change_count(self) -> int:
+        """How often the tissue was found to have changed under the probe."""
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
@@ -231,6 +240,16 @@ class FractionalStressEstimator:
         ]
         self._max_compression = 0.0
         self._sample_count = 0
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Never told: the noise of the fractional stress is coloured."""
+        return False
+
+    @property
+    def change_count(self) -> int:
+        """Never told."""
+        return 0
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Let the bias be as uncertain as that of the first contact; the drift is left out."""

@@ -257,6 +257,7 @@ class _Contact:
     max_force: float = 0.0
     sample_count: int = 0
     is_pressed: bool = False
+    changes_before: int = 0
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
     classes: ClassProbabilities | None = None
     decision: Decision = Decision.NONE
@@ -454,6 +455,7 @@ class Pipeline:
         self._rest_until(site, first.stamp_ns)
         if site.estimator is not None:
             site.estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
+            contact.changes_before = site.estimator.change_count
         self._sums.clear()
         self._block_end_ns = first.stamp_ns
         self._recent.clear()
@@ -467,7 +469,13 @@ class Pipeline:
     def _new_estimator(self, noise_sd: float, origin_sd: float) -> Estimator:
         config = self.config
         if config.estimator.observation is Observation.STRESS:
-            return StressEstimator(config.estimator, config.geometry, noise_sd, origin_sd)
+            return StressEstimator(
+                config.estimator,
+                config.geometry,
+                noise_sd,
+                origin_sd,
+                self._synchronizer.motion_noise() / config.geometry.length**2,
+            )
         return FractionalStressEstimator(config.estimator, config.geometry, noise_sd, origin_sd)
 
     def _new_site(self, onset: Onset) -> _Site:
@@ -585,6 +593,7 @@ class Pipeline:
             / (self._orders[1] - self._orders[2]),
             memory_time=0.5 * (sums.start_ns + stamp_ns - 2 * site.start_ns) / NANOSECONDS,
             size=count,
+            duration=(stamp_ns - sums.start_ns) / NANOSECONDS * count / max(count - 1, 1),
         )
         sums.clear()
         self._block_end_ns = stamp_ns
@@ -595,11 +604,19 @@ class Pipeline:
             # small.
             if self._is_informative(block, force, contact, site):
                 innovation = site.estimator.update(block)
+                self._watch(site.estimator, contact)
             else:
                 site.estimator.skip()
             if not self._muted:
                 site.estimate = site.estimator.estimate()
         self._report(stamp_ns, contact, site, block, innovation)
+
+    @staticmethod
+    def _watch(estimator: Estimator, contact: _Contact) -> None:
+        if estimator.change_count > contact.changes_before:
+            contact.flags |= Flag.TISSUE_CHANGED
+        if estimator.is_mismatch:
+            contact.flags |= Flag.MODEL_MISMATCH
 
     def _fractional_stress(self, site: _Site, fractional: Array) -> float:
         """Return D^-alpha f at the order that is known by now."""

@@ -36,7 +36,7 @@ LOWEST_ORDER, HIGHEST_ORDER = 0.01, 0.65
 _ORDER_NODES = 11
 #: Nodes of ln Gn stand so far apart, and so many of them serve one value.
 LOG_SPACING = 0.1
-_STENCIL = 6
+_STENCIL = 8
 #: Beyond this exponent a node says nothing about any tissue.
 _MAX_EXPONENT = 60.0
 
@@ -96,7 +96,8 @@ class LogStiffnessGrid:
 
     def __init__(self, centre: float, half_width: float) -> None:
         count = max(math.ceil(half_width / LOG_SPACING), _STENCIL // 2)
-        self.nodes = centre + LOG_SPACING * np.arange(-count, count + 1)
+        offsets: Array = np.arange(-float(count), count + 1.0)
+        self.nodes = centre + LOG_SPACING * offsets
         self._interpolation = Lagrange(np.arange(float(_STENCIL)))
 
     @property
@@ -110,7 +111,7 @@ class LogStiffnessGrid:
         return float(self.nodes[-1])
 
     def stencil(self, value: float) -> tuple[int, Array, Array]:
-        """Return the first node used at `value`, the weights and their slopes, shape (6,)."""
+        """Return the first node used at `value`, the weights and their slopes, shape (8,)."""
         position = (value - self.lowest) / LOG_SPACING
         first = min(max(math.floor(position) - _STENCIL // 2 + 1, 0), self.nodes.size - _STENCIL)
         weights, slopes = self._interpolation(position - first)
@@ -148,8 +149,10 @@ class StressBasis:
         self._weights = _derivative_weights()
         self._orders = np.array(order_nodes())
         self._local_scale = 1.0 / gamma(2.0 - self._orders)
-        # After the law's signals, one for each order: what phi was while nobody touched.
-        columns = self._signal_count + self._orders.size
+        # After the law's signals, one for each order: what phi was while nobody touched; then a
+        # pulse of phi in the past.
+        self._free = slice(self._signal_count, self._signal_count + self._orders.size)
+        columns = self._signal_count + self._orders.size + 1
         self._memory = np.zeros((self._rates.size, columns))
         self._decayed = np.empty_like(self._memory)
         self._change = np.empty(columns)
@@ -188,7 +191,7 @@ class StressBasis:
     def rest(self, step: float, free_response: Array) -> None:
         """Take a step in the air, where phi is D^-alpha of the stress so far, shape (orders,)."""
         self._signals[: self._signal_count] = 0.0
-        self._signals[self._signal_count :] = free_response
+        self._signals[self._free] = free_response
         self._advance(step)
 
     def _advance(self, step: float) -> bool:
@@ -213,7 +216,30 @@ class StressBasis:
         self._local[:, 0] = step**-self._orders * self._local_scale
         self._step = step
 
-    def take_block(self) -> tuple[Array, Array]:
+    def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
+        """Let all motion so far be remembered as that of a tissue now left behind.
+
+        When it was left is known to a pulse of phi only, which ends now.
+
+        Parameters
+        ----------
+        first : int
+            First node of ln Gn that counts.
+        law : ndarray, shape (k, m)
+            Weights of the nodes of ln Gn from `first` on and of the origin, G included.
+        pulse_duration : float
+            How long the new tissue may have been there already [s].
+        """
+        count = self._signal_count
+        start = first * self._shape[1]
+        used = slice(start, start + law.size)
+        self._memory[:, self._free] += (self._memory[:, used] @ law.ravel())[:, None]
+        self._last[self._free] += self._last[used] @ law.ravel()
+        self._memory[:, -1] = np.expm1(-self._rates * pulse_duration)
+        self._memory[:, :count] = 0.0
+        self._last[:count] = 0.0
+
+    def take_block(self) -> tuple[Array, Array, Array]:
         """Return the mean responses since the last call.
 
         Returns
@@ -222,6 +248,8 @@ class StressBasis:
             D^alpha phi at G = 1.
         free : ndarray, shape (orders,)
             D^alpha of what phi was in the air before.
+        pulse : ndarray, shape (orders,)
+            D^alpha of the pulse.
         """
         total = self._weights @ self._memory_sum
         total += self._local_sum
@@ -230,7 +258,7 @@ class StressBasis:
         self._local_sum.fill(0.0)
         self._count = 0
         law = total[:, : self._signal_count].T.reshape(self._shape[0], -1)
-        return law, np.diagonal(total[:, self._signal_count :]).copy()
+        return law, np.diagonal(total[:, self._free]).copy(), total[:, -1].copy()
 
     def discard_block(self) -> None:
         """Forget the samples since the last block, not their memory."""

@@ -19,6 +19,7 @@ each node): a Gaussian sum.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from scipy.special import ndtr
 
 from fden_ros.core.estimator import Block, Estimate, EstimatorConfig, Innovation
 from fden_ros.core.geometry import Geometry
+from fden_ros.core.innovation_monitor import LONGEST_CHANGE_WINDOW, InnovationMonitor
 from fden_ros.core.model import elastic_response
 from fden_ros.core.stress_basis import (
     HIGHEST_ORDER,
@@ -42,30 +44,43 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 #: Parameters, in this order everywhere.
-_LOG_G, _LOG_GN, _ORDER, _ORIGIN, _BIAS, _DRIFT = range(6)
-_SIZE = 6
-#: Columns beside the law's: the free response at each order, bias, drift, and the stress itself.
+_LOG_G, _LOG_GN, _ORDER, _ORIGIN, _BIAS, _DRIFT, _PULSE = range(7)
+_SIZE = 7
+#: Columns beside the law's: the free response at each order, bias, drift, the pulse of a change of
+#: tissue, and the stress itself.
 _ORDERS = len(order_nodes())
-_BIAS_COLUMN, _DRIFT_COLUMN, _STRESS_COLUMN = _ORDERS, _ORDERS + 1, _ORDERS + 2
-_COLUMNS = _ORDERS + 3
+_BIAS_COLUMN, _DRIFT_COLUMN, _PULSE_COLUMN, _STRESS_COLUMN = range(_ORDERS, _ORDERS + 4)
+_COLUMNS = _ORDERS + 4
+#: Nuisances that enter the stress linearly, and their columns.
+_LINEAR = ((_BIAS, _BIAS_COLUMN), (_DRIFT, _DRIFT_COLUMN), (_PULSE, _PULSE_COLUMN))
 
 #: The nodes cover so many prior standard deviations of ln Gn.
 _GRID_DEVIATIONS = 4.0
 _WIDEST_GRID = 2.0
-_STENCIL = 6
+_STENCIL = 8
 #: Nodes of the origin stand so many standard deviations from 0, and at least so far [1].
 _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
 #: Below this standard deviation of ln Gn the posterior is normal and narrower than the nodes'
 #: distance; above the other one it is not.
 _NARROW, _WIDE = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 #: A step changes no parameter by more than this.
-_LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf])
+_LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf, np.inf])
 _STEPS = 2
 #: Steps end when no parameter moves by more than this share of its deviation.
 _CLOSE = 0.05
 #: A node of less weight does not count there.
 _LEAST_WEIGHT = 1e-6
 _TINY = 1e-12
+#: Innovations count for the tests while their variance is below this many times the noise's.
+_TOLD_BY_NOISE = 2.0
+#: So many innovations later a mismatch is told, unless a change of the tissue explains it.
+_MISMATCH_DELAY = 64
+#: A change may be seen so much too late [s], and be so large a share of the fractional stress.
+_PULSE_DURATION, _PULSE_SHARE = 0.02, 2.0
+#: Then, so long, the pulse's shape matters too much to learn anything [s].
+_BLIND_TIME = 0.1
+#: A tissue that changes oftener is none that the model describes.
+_MOST_CHANGES = 2
 
 
 class StressEstimator:
@@ -79,6 +94,8 @@ class StressEstimator:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
+    motion_noise : float
+        Variance of the compression's noise per sample times the time between samples [s].
     """
 
     def __init__(
@@ -87,11 +104,13 @@ class StressEstimator:
         geometry: Geometry,
         noise_sd: float,
         origin_sd: float = 0.0,
+        motion_noise: float = 0.0,
     ) -> None:
         prior = config.prior
         self._config = config
         self._geometry = geometry
         self._noise_variance = noise_sd**2
+        self._motion_noise = motion_noise
         self._grid = LogStiffnessGrid(
             math.log(prior.nonlinear_stiffness),
             min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
@@ -114,6 +133,7 @@ class StressEstimator:
                 0.0,
                 0.0,
                 0.0,
+                0.0,
             ]
         )
         deviations = [
@@ -121,6 +141,7 @@ class StressEstimator:
             prior.nonlinear_stiffness_log_sd,
             prior.fractional_order_sd,
             origin_sd,
+            0.0,
             0.0,
             0.0,
         ]
@@ -138,6 +159,15 @@ class StressEstimator:
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
+        self._monitor = InnovationMonitor()
+        self._blind_until = -math.inf
+        self._recent_states: deque[Array] = deque(maxlen=LONGEST_CHANGE_WINDOW + 2)
+        self.change_count = 0
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the innovations are larger or slower than model and noise explain."""
+        return self._monitor.mismatch_count > _MISMATCH_DELAY
 
     # Samples
 
@@ -145,7 +175,8 @@ class StressEstimator:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the force."""
         self._forget_nuisances()
         self._contact_start = None
-        for index, deviation in ((_BIAS, bias_sd), (_DRIFT, drift_sd)):
+        for index, deviation in ((_BIAS, bias_sd), (_DRIFT, drift_sd), (_PULSE, 0.0)):
+            self._mean[index] = 0.0
             self._prior_deviations[index] = deviation
             self._state[index] = 0.0
             self._node_states[:, index] = 0.0
@@ -167,14 +198,18 @@ class StressEstimator:
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the prediction."""
-        law, free = self._basis.take_block()
+        law, free, pulse = self._basis.take_block()
         if self._contact_start is None:
             self._contact_start = block.memory_time
-        columns = np.concatenate(
-            [free, [1.0, block.memory_time - self._contact_start, block.stress]]
-        )
-        noise = self._noise_variance / block.size
+        in_order, _ = self._order_interpolation(float(self._state[_ORDER]))
+        elapsed = block.memory_time - self._contact_start
+        columns = np.concatenate([free, [1.0, elapsed, float(in_order @ pulse), block.stress]])
+        noise = self._noise_variance / block.size + self._noise_of_motion(block)
         innovation = self._innovation(law, columns, block, noise)
+        if block.memory_time >= self._blind_until:
+            self._watch(innovation, noise, block.memory_time)
+        if block.memory_time < self._blind_until:
+            return innovation
         weight = 1.0 / noise
         scaled = law * weight
         for distance in range(_STENCIL):
@@ -187,6 +222,62 @@ class StressEstimator:
         self._sample_count += block.size
         self._is_solved = False
         return innovation
+
+    def _noise_of_motion(self, block: Block) -> float:
+        """Variance that the displacement's noise gives to a block's mean stress [Pa^2].
+
+        White noise of the strain, differentiated to the order alpha and averaged over the block.
+        """
+        if not self._motion_noise or not block.duration:
+            return 0.0
+        compression = block.compression - float(self._state[_ORIGIN])
+        response = elastic_response(
+            self._geometry.strain(compression),
+            math.exp(self._state[_LOG_G]),
+            math.exp(self._state[_LOG_GN]),
+        )
+        slope = response.by_strain * self._geometry.strain_slope(compression)
+        exponent = -1.0 - 2.0 * float(self._state[_ORDER])
+        return float(slope**2 * self._motion_noise * block.duration**exponent)
+
+    def _watch(self, innovation: Innovation, noise: float, time: float) -> None:
+        """Look whether the tissue has changed, or was never what the model says."""
+        if innovation.variance > _TOLD_BY_NOISE * noise:
+            # What is not known yet cannot be surprising.
+            return
+        monitor = self._monitor
+        monitor.add(innovation.innovation / math.sqrt(innovation.variance))
+        self._recent_states.append(self._state.copy())
+        if monitor.change_window and self.change_count < _MOST_CHANGES:
+            # The newest data have spoilt the state already.
+            unspoilt = max(len(self._recent_states) - monitor.change_window - 1, 0)
+            self._state = self._recent_states[unspoilt].copy()
+            self._start_anew(innovation)
+            self._blind_until = time + _BLIND_TIME
+
+    def _start_anew(self, innovation: Innovation) -> None:
+        """Learn a new tissue from here on; what was, is remembered as it was."""
+        first, in_gn, _ = self._grid.stencil(float(self._state[_LOG_GN]))
+        in_origin, _ = self._origin_interpolation(float(self._state[_ORIGIN]))
+        g = math.exp(self._state[_LOG_G])
+        self._basis.freeze(first, g * np.outer(in_gn, in_origin), _PULSE_DURATION)
+        for sums in (self._law, self._cross, self._columns):
+            sums.fill(0.0)
+        # Origin, bias and drift are those of the contact, the tissue is another.
+        known = np.sqrt(self._covariance.diagonal())
+        for index in (_ORIGIN, _BIAS, _DRIFT):
+            self._mean[index] = self._state[index]
+            self._prior_deviations[index] = known[index]
+        self._prior_deviations[_PULSE] = _PULSE_SHARE * abs(innovation.predicted_fractional_stress)
+        self._state[_PULSE] = 0.0
+        self._covariance = np.diag(self._prior_deviations**2)
+        self._node_states[:] = self._state
+        self._node_states[:, _LOG_GN] = self._grid.nodes
+        self._is_narrow = False
+        self._max_compression = -math.inf
+        self._monitor = InnovationMonitor()
+        self._recent_states.clear()
+        self.change_count += 1
 
     # Solution
 
@@ -364,16 +455,15 @@ class StressEstimator:
     @staticmethod
     def _fill_columns(columns: Array, state: Array, in_order: Array, by_order: Array) -> None:
         columns[0, :_ORDERS] = in_order
-        columns[0, _BIAS_COLUMN] = state[_BIAS]
-        columns[0, _DRIFT_COLUMN] = state[_DRIFT]
         columns[0, _STRESS_COLUMN] = -1.0
         columns[1 + _ORDER, :_ORDERS] = by_order
-        columns[1 + _BIAS, _BIAS_COLUMN] = 1.0
-        columns[1 + _DRIFT, _DRIFT_COLUMN] = 1.0
+        for index, column in _LINEAR:
+            columns[0, column] = state[index]
+            columns[1 + index, column] = 1.0
 
     def _forget_nuisances(self) -> None:
         """Take what bias and drift of the last contact explain out of the sums."""
-        for column, index in ((_BIAS_COLUMN, _BIAS), (_DRIFT_COLUMN, _DRIFT)):
+        for index, column in _LINEAR:
             deviation = self._prior_deviations[index]
             own = self._columns[column, column] + (deviation**-2 if deviation > 0.0 else 0.0)
             if deviation > 0.0 and own > 0.0:
@@ -397,13 +487,13 @@ class StressEstimator:
             self._solve()
             self._is_solved = True
         config = self._config
-        covariance = self._covariance
+        covariance = self._covariance * self._monitor.inflation
         beyond = self._probability_beyond_boundary()
         return Estimate(
             log_linear_stiffness=float(self._state[_LOG_G]),
             log_nonlinear_stiffness=float(self._state[_LOG_GN]),
             fractional_order=float(self._state[_ORDER]),
-            covariance=covariance[:3, :3].copy(),
+            covariance=covariance[:3, :3],
             strain_origin=float(self._state[_ORIGIN]),
             strain_origin_sd=math.sqrt(covariance[_ORIGIN, _ORIGIN]),
             probability_beyond_boundary=beyond,
@@ -413,9 +503,10 @@ class StressEstimator:
         )
 
     def _probability_beyond_boundary(self) -> float:
-        strain = self._geometry.strain(self._max_compression - float(self._state[_ORIGIN]))
-        if strain <= 0.0:
+        compression = self._max_compression - float(self._state[_ORIGIN])
+        if compression <= 0.0:
             return 0.0
+        strain = self._geometry.strain(compression)
         if self._is_narrow:
             deviation = math.sqrt(self._covariance[_LOG_GN, _LOG_GN]) + _TINY
             return float(ndtr((math.log(strain) + self._state[_LOG_GN]) / deviation))

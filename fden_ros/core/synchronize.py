@@ -13,9 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 NANOSECONDS = 1_000_000_000
 
 Position = tuple[float, float, float]
+
+#: The displacement's noise is measured over so many samples, robustly: median |normal| is 0.6745.
+_NOISE_SAMPLES = 256
+_MEDIAN_OF_NORMAL = 0.6745
 
 
 class Reason:
@@ -202,7 +208,25 @@ class Synchronizer:
         self.displacement_guard = StreamGuard(config.displacement_limit, rejected, "displacement")
         self._forces: deque[Sample] = deque()
         self._displacements: deque[Sample] = deque()
+        self._passed: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
         self._behind_since_ns: int | None = None
+
+    def motion_noise(self) -> float:
+        """Variance of the displacement's noise per sample times the time between samples [m^2 s].
+
+        From how far each of the last samples lies from the line between its neighbours; 0 while
+        there are too few.
+        """
+        if len(self._passed) < _NOISE_SAMPLES // 8:
+            return 0.0
+        time = np.array([sample.stamp_ns - self._passed[0].stamp_ns for sample in self._passed])
+        value = np.array([sample.value for sample in self._passed])
+        step = np.diff(time) / NANOSECONDS
+        share = step[:-1] / (step[:-1] + step[1:])
+        apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+        scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+        deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+        return deviation**2 * float(np.median(step))
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -228,7 +252,7 @@ class Synchronizer:
             force = forces[0]
             key = (force.epoch, force.stamp_ns)
             while len(displacements) > 1 and displacements[1][:2] <= key:
-                displacements.popleft()
+                self._passed.append(displacements.popleft())
             before = displacements[0]
             if before[:2] > key:
                 self._reject_oldest_force(Reason.UNPAIRED)

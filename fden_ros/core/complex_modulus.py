@@ -1,0 +1,271 @@
+r"""The complex modulus from a small oscillation on top of whatever else the probe does.
+
+A sinusoidal dither turns the live node into the paper's dynamic test. Over a window of whole
+periods of the slowest frequency, strain and stress are each fitted, by least squares, with
+
+.. math:: c_0 + c_1 \tau + c_2 \tau^2 + \sum_j \left(a_j \cos\omega_j t + b_j \sin\omega_j t\right),
+          \qquad \tau \in [-1, 1] ,
+
+where the polynomial takes up the mean, the relaxation of the hold, and slow motion. With the
+phasors :math:`X = a_x - i b_x` and F alike, :math:`G^*(\omega) = F/X`, and from it, in the linear
+range, :math:`\alpha = \tfrac{2}{\pi}\arg G^*` and :math:`G = |G^*|/\omega^\alpha` (paper, eqs.
+defMI to Gpp2). About a mean strain :math:`x_0` beyond 1/Gn this G is the tangent
+:math:`\varphi'(x_0) = G\,e^{G_n x_0 - 1}`.
+
+Only sums over the window are kept, so a sample costs constant time and memory, and neither even
+steps nor a filled window are assumed. The deviations take the residuals as white.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_TREND = 3
+#: Fewer samples in a period leave the phasor to chance.
+_SAMPLES_PER_PERIOD = 8
+
+
+class ComplexModulus(NamedTuple):
+    """The complex modulus at one frequency, from one window."""
+
+    start: float  #: first time of the window [s]
+    stop: float  #: last time of the window [s]
+    samples: int
+    angular_frequency: float  #: omega [rad/s]
+    mean_strain: float  #: [1]
+    strain_amplitude: float  #: of the dither [1]
+    storage: float  #: G' [Pa]
+    loss: float  #: G'' [Pa]
+    sd: float  #: standard deviation of G' and of G'' each [Pa]
+    distortion: float  #: what sines and trend leave of the stress, RMS over the sines' RMS [1]
+
+    @property
+    def fractional_order(self) -> float:
+        """Alpha by the phase [1]; of the tissue only while the strain is in one branch of phi."""
+        return 2.0 / math.pi * math.atan2(self.loss, self.storage)
+
+    @property
+    def fractional_order_sd(self) -> float:
+        """Standard deviation of alpha by the phase."""
+        return 2.0 / math.pi * self.sd / math.hypot(self.storage, self.loss)
+
+    @property
+    def stiffness(self) -> float:
+        """G by the magnitude [Pa s^alpha]: that of the tangent at the mean strain."""
+        magnitude = math.hypot(self.storage, self.loss)
+        return float(magnitude / self.angular_frequency**self.fractional_order)
+
+
+class ComplexModulusMeter:
+    """Measures the complex modulus window after window.
+
+    Parameters
+    ----------
+    frequencies : sequence of float
+        Frequencies of the dither [Hz], positive, different.
+    periods : int
+        Length of a window in periods of the lowest frequency. Several frequencies are told apart
+        if the window holds whole periods of their differences.
+    least_amplitude : float
+        Least amplitude of strain [1] at which there is a dither at all.
+
+    Raises
+    ------
+    ValueError
+        If no frequency, or one that is not positive, or two equal ones are given.
+
+    Examples
+    --------
+    >>> meter = ComplexModulusMeter([1.0], periods=2)
+    >>> time = [0.01 * n for n in range(202)]
+    >>> strain = [0.1 + 0.01 * math.sin(2 * math.pi * t) for t in time]
+    >>> stress = [50.0 + 4.0 * math.sin(2 * math.pi * t + 0.2) for t in time]
+    >>> found = [m for s in zip(time, strain, stress) for m in meter.add(*s)]
+    >>> round(found[0].storage, 6), round(found[0].loss, 6)
+    (392.026631, 79.467732)
+    """
+
+    def __init__(
+        self, frequencies: Sequence[float], periods: int = 4, least_amplitude: float = 1e-4
+    ) -> None:
+        if not frequencies or min(frequencies) <= 0.0 or periods < 1:
+            raise ValueError("give positive frequencies in Hz, and at least 1 period")
+        if len(set(frequencies)) < len(frequencies):
+            raise ValueError("each frequency can be given once only")
+        self.angular_frequencies = 2.0 * math.pi * np.array(sorted(frequencies), dtype=float)
+        self.window = periods / min(frequencies)
+        self._least_samples = _SAMPLES_PER_PERIOD * self.window * max(frequencies)
+        self._least_amplitude = least_amplitude
+        size = _TREND + 2 * len(frequencies)
+        self._normal = np.zeros((size, size))
+        self._moments = np.zeros((size, 2))
+        self._powers = np.zeros(2)
+        self._row = np.empty(size)
+        self._signals = np.empty(2)
+        self._start = self._stop = math.nan
+        self._samples = 0
+
+    def reset(self) -> None:
+        """Forget the window: the contact ended, or samples are missing."""
+        self._normal.fill(0.0)
+        self._moments.fill(0.0)
+        self._powers.fill(0.0)
+        self._samples = 0
+
+    def add(self, time: float, strain: float, stress: float) -> list[ComplexModulus]:
+        """Add a sample; return one result a frequency where it ends a window, else nothing.
+
+        Parameters
+        ----------
+        time : float
+            [s], increasing.
+        strain, stress : float
+            [1] and [Pa].
+        """
+        # Half a step of slack: the sample that rounds to the window's end begins the next one.
+        ended = self._samples > 1 and time - self._start >= self.window - 0.5 * (time - self._stop)
+        results = self._solve() if ended else []
+        if ended:
+            self.reset()
+        if self._samples == 0:
+            self._start, self._offset = time, (strain, stress)
+        self._stop = time
+        since = time - self._start
+        place = 2.0 * since / self.window - 1.0
+        angles = self.angular_frequencies * since
+        row = self._row
+        row[0], row[1], row[2] = 1.0, place, place * place
+        np.cos(angles, out=row[_TREND::2])
+        np.sin(angles, out=row[_TREND + 1 :: 2])
+        # About the first sample, so that a large mean costs no digits.
+        self._signals[0], self._signals[1] = strain - self._offset[0], stress - self._offset[1]
+        self._normal += np.outer(row, row)
+        self._moments += np.outer(row, self._signals)
+        self._powers += self._signals**2
+        self._samples += 1
+        return results
+
+    def _solve(self) -> list[ComplexModulus]:
+        size = self._row.size
+        dof = self._samples - size
+        if self._samples < self._least_samples or dof < 1:
+            return []
+        try:
+            inverse = np.linalg.inv(self._normal)
+        except np.linalg.LinAlgError:
+            return []
+        solution = np.linalg.solve(self._normal, self._moments)
+        left = np.maximum(self._powers - np.sum(solution * self._moments, axis=0), 0.0)
+        variances = left / dof
+        sines = solution[_TREND:, 1]
+        results = []
+        for index, omega in enumerate(self.angular_frequencies):
+            place = _TREND + 2 * index
+            cosine, sine = solution[place], solution[place + 1]
+            strain, stress = complex(cosine[0], -sine[0]), complex(cosine[1], -sine[1])
+            if abs(strain) < self._least_amplitude:
+                continue
+            modulus = stress / strain
+            spread = 0.5 * (inverse[place, place] + inverse[place + 1, place + 1])
+            noise = variances[1] + abs(modulus) ** 2 * variances[0]
+            results.append(
+                ComplexModulus(
+                    self._start,
+                    self._stop,
+                    self._samples,
+                    float(omega),
+                    # The mean of the quadratic trend over the window.
+                    float(self._offset[0] + solution[0, 0] + solution[2, 0] / 3.0),
+                    abs(strain),
+                    modulus.real,
+                    modulus.imag,
+                    math.sqrt(spread * noise) / abs(strain),
+                    math.sqrt(left[1] / self._samples / max(0.5 * float(sines @ sines), 1e-300)),
+                )
+            )
+        return results
+
+
+class HoldRelaxation:
+    r"""The fractional order from a hold, the robot's relaxation test.
+
+    After a rise of the strain over [0, S] the stress of a hold is
+    :math:`\frac{1}{\Gamma(1-\alpha)} \int_0^S (t-s)^{-\alpha}\,d\varphi(s)`. With time counted from
+    the rise's centroid :math:`t_c = \int s\,d\varphi / \varphi(S)` that is
+    :math:`\propto (t-t_c)^{-\alpha}` up to a relative
+    :math:`\tfrac12\alpha(1+\alpha)\,\mathrm{var}(s)/(t-t_c)^2`: less than 0.7 % one rise after it
+    began to hold, and falling with the square. So the hold is a straight line in the log-log plane,
+    fitted by sums alone once it has lasted `settle` rises.
+
+    Parameters
+    ----------
+    settle : float
+        The part of the hold that is left out, in durations of the rise.
+    """
+
+    def __init__(self, settle: float = 1.0) -> None:
+        self._settle = settle
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: a new contact, or the strain moved."""
+        self._rise: tuple[float, float, float, float] | None = None
+        self._first = math.nan
+        self._sums = np.zeros(6)
+
+    def rise(self, time: float, phi: float) -> None:
+        """Add a sample of the rise.
+
+        Parameters
+        ----------
+        time : float
+            [s], increasing.
+        phi : float
+            The characteristic at the strain, in any unit: the fractional stress, or phi(x) by the
+            present estimate.
+        """
+        if self._rise is None:
+            self._first = time
+            self._rise = (time, phi, phi, 0.0)
+            return
+        last, phi_last, phi_first, moment = self._rise
+        moment += 0.5 * (time + last - 2.0 * self._first) * (phi - phi_last)
+        self._rise = (time, phi, phi_first, moment)
+
+    def hold(self, time: float, stress: float) -> None:
+        """Add a sample of the hold: time [s] and stress [Pa]."""
+        if self._rise is None or stress <= 0.0:
+            return
+        last, phi_last, phi_first, moment = self._rise
+        if phi_last <= phi_first or time - last < self._settle * (last - self._first):
+            return
+        since = time - self._first - moment / (phi_last - phi_first)
+        if since <= 0.0:
+            return
+        x, y = math.log(since), math.log(stress)
+        self._sums += (1.0, x, y, x * x, x * y, y * y)
+
+    def fractional_order(self) -> tuple[float, float] | None:
+        """Return alpha and its standard deviation (white noise), or None with too few samples."""
+        count, x, y, xx, xy, yy = self._sums
+        if count < 10:
+            return None
+        spread, product = xx - x * x / count, xy - x * y / count
+        if spread <= 1e-9 * max(xx, 1.0):
+            return None
+        slope = product / spread
+        left = max(yy - y * y / count - slope * product, 0.0)
+        return -slope, math.sqrt(left / (count - 2) / spread)
+
+
+def modulus_of_springpot(angular_frequency: float, stiffness: float, order: float) -> complex:
+    """Return G (j omega)^alpha [Pa] (paper, eq. MIModel)."""
+    return stiffness * cmath.exp(order * (math.log(angular_frequency) + 0.5j * math.pi))

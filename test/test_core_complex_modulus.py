@@ -1,0 +1,194 @@
+"""A dither as a dynamic test, a hold as a relaxation test, from streams of samples."""
+
+from __future__ import annotations
+
+import doctest
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from fden_ros.core import complex_modulus
+from fden_ros.core.complex_modulus import (
+    ComplexModulusMeter,
+    HoldRelaxation,
+    modulus_of_springpot,
+)
+from fden_ros.simulation.closed_form import (
+    FdenModel,
+    SineMove,
+    moves_of_knots,
+    stress_of_moves,
+    stress_of_piecewise_linear_strain,
+)
+
+MODEL = FdenModel(545.0, 8.55, 0.131)
+
+
+def dithered_hold(mean, amplitude, frequency, times, settle=3.0):
+    """Press to `mean` in 1 s, hold until `settle`, then dither."""
+    knots = moves_of_knots([0.0, 1.0, settle], [0.0, mean, mean])
+    sine = SineMove(settle, times[-1] + 1.0, mean, amplitude, frequency, settle)
+    strain = np.interp(times, [0.0, 1.0], [0.0, mean])
+    later = times > settle
+    strain[later] = sine.strain_at(times[later])
+    return strain, stress_of_moves([*knots, sine], times, MODEL)
+
+
+def moduli(meter, times, strain, stress):
+    return [m for sample in zip(times, strain, stress, strict=True) for m in meter.add(*sample)]
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0])
+def test_dither_in_the_linear_range_gives_the_springpots_modulus(frequency):
+    times = np.arange(3.0, 3.0 + 16.0 / frequency, 1.0 / (100.0 * frequency))
+    strain, stress = dithered_hold(0.08, 0.01, frequency, times)
+
+    last = moduli(ComplexModulusMeter([frequency]), times, strain, stress)[-1]
+
+    truth = modulus_of_springpot(2.0 * math.pi * frequency, 545.0, 0.131)
+    assert abs(complex(last.storage, last.loss) / truth - 1.0) < 2e-3
+    assert last.fractional_order == pytest.approx(0.131, abs=1e-3)
+    assert last.stiffness == pytest.approx(545.0, rel=4e-3)
+    assert last.mean_strain == pytest.approx(0.08, abs=1e-5)
+    assert last.strain_amplitude == pytest.approx(0.01, rel=1e-3)
+
+
+def test_dither_beyond_the_boundary_strain_gives_the_tangent():
+    times = np.arange(3.0, 13.0, 0.005)
+    strain, stress = dithered_hold(0.25, 0.005, 1.0, times)
+
+    last = moduli(ComplexModulusMeter([1.0]), times, strain, stress)[-1]
+
+    assert last.stiffness == pytest.approx(545.0 * math.exp(8.55 * 0.25 - 1.0), rel=5e-3)
+    assert last.fractional_order == pytest.approx(0.131, abs=2e-3)
+
+
+def test_two_frequencies_at_once_are_told_apart():
+    meter = ComplexModulusMeter([1.0, 3.0], periods=3)
+    times = np.arange(0.0, 3.02, 0.01)
+    strain, stress = np.zeros((2, times.size)) + np.array([[0.1], [60.0]])
+    stress -= 3.0 * times
+    wanted = []
+    for frequency, amplitude in ((1.0, 0.01), (3.0, 0.004)):
+        omega = 2.0 * math.pi * frequency
+        truth = modulus_of_springpot(omega, 400.0, 0.3)
+        wanted.append(truth)
+        strain += amplitude * np.cos(omega * times)
+        stress += amplitude * (truth * np.exp(1j * omega * times)).real
+
+    found = moduli(meter, times, strain, stress)
+
+    assert [complex(m.storage, m.loss) for m in found] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_deviation_of_the_modulus_is_honest_on_uneven_samples_with_noise():
+    omega, truth, hits = 2.0 * math.pi * 2.0, 300.0 + 60.0j, []
+    for seed in range(300):
+        generator = np.random.default_rng(seed)
+        times = np.arange(0.0, 2.02, 0.01) + generator.uniform(-0.003, 0.003, 202)
+        strain = 0.1 + 0.01 * np.cos(omega * times) + 1e-3 * generator.standard_normal(202)
+        stress = 40.0 + 0.01 * (truth * np.exp(1j * omega * times)).real
+        stress += 0.3 * generator.standard_normal(202)
+        m = moduli(ComplexModulusMeter([2.0]), times, strain, stress)[0]
+        hits += [abs(m.storage - 300.0) < 1.96 * m.sd, abs(m.loss - 60.0) < 1.96 * m.sd]
+    assert 0.92 <= np.mean(hits) <= 0.98
+
+
+def test_distortion_tells_a_dither_that_crosses_the_boundary_strain():
+    times = np.arange(3.0, 13.0, 0.005)
+    found = {}
+    for mean, amplitude in ((0.06, 0.02), (0.117, 0.05)):
+        strain, stress = dithered_hold(mean, amplitude, 1.0, times)
+        found[mean] = moduli(ComplexModulusMeter([1.0]), times, strain, stress)[-1].distortion
+    assert found[0.06] < 0.01 < 0.03 < found[0.117]
+
+
+def test_without_dither_or_with_too_few_samples_there_is_no_modulus():
+    times = np.arange(0.0, 10.0, 0.01)
+    hold = moduli(ComplexModulusMeter([1.0]), times, 0.1 + 0.0 * times, 50.0 - times)
+    sparse = times[::25]
+    few = moduli(ComplexModulusMeter([1.0]), sparse, np.sin(2 * np.pi * sparse), sparse)
+    assert hold == [] and few == []
+
+
+def test_memory_of_the_meter_does_not_grow():
+    meter = ComplexModulusMeter([1.0])
+
+    def size():
+        return sum(
+            sys.getsizeof(v) if not isinstance(v, np.ndarray) else v.nbytes
+            for v in vars(meter).values()
+        )
+
+    meter.add(0.0, 0.1, 50.0)
+    before = size()
+    for n in range(1, 5000):
+        meter.add(0.01 * n, 0.1, 50.0)
+    assert size() == before
+
+
+def test_reset_leaves_no_trace():
+    used, fresh = ComplexModulusMeter([1.0]), ComplexModulusMeter([1.0])
+    for n in range(150):
+        used.add(0.01 * n, 0.2 * n, -3.0 * n)
+    used.reset()
+    times = np.arange(20.0, 24.02, 0.01)
+    strain, stress = 0.01 * np.sin(6.3 * times), 5.0 * np.cos(6.3 * times)
+    assert moduli(used, times, strain, stress) == moduli(fresh, times, strain, stress) != []
+
+
+@pytest.mark.parametrize("frequencies", [[], [0.0], [1.0, 1.0]])
+def test_meter_refuses_frequencies_that_make_no_sense(frequencies):
+    with pytest.raises(ValueError, match="frequenc"):
+        ComplexModulusMeter(frequencies)
+
+
+@pytest.mark.parametrize("order", [0.131, 0.32])
+@pytest.mark.parametrize("strain, rise", [(0.1, 2.0), (0.3, 2.0)])
+def test_hold_after_a_ramp_gives_alpha_where_its_raw_slope_does_not(order, strain, rise):
+    model = FdenModel(545.0, 8.55, order)
+    times = np.arange(0.0, 15.0, 0.01)
+    strains = np.interp(times, [0.0, rise], [0.0, strain])
+    stress = stress_of_piecewise_linear_strain([0.0, rise], [0.0, strain], times, model)
+    relaxation = HoldRelaxation()
+    for time, x, f in zip(times, strains, stress, strict=True):
+        if time <= rise:
+            relaxation.rise(time, float(model.phi(x)))
+        else:
+            relaxation.hold(time, f)
+
+    alpha, _ = relaxation.fractional_order()
+
+    held = times > 2.0 * rise
+    raw = -np.polyfit(np.log(times[held] - rise), np.log(stress[held]), 1)[0]
+    assert alpha == pytest.approx(order, abs=0.003)
+    assert abs(raw - order) > 4.0 * abs(alpha - order)
+
+
+def test_deviation_of_a_holds_alpha_is_honest():
+    times, hits = np.arange(0.0, 10.0, 0.02), []
+    exact = stress_of_piecewise_linear_strain([0.0, 0.2], [0.0, 0.2], times, MODEL)
+    for seed in range(300):
+        noisy = exact * (1.0 + 0.02 * np.random.default_rng(seed).standard_normal(times.size))
+        relaxation = HoldRelaxation(settle=3.0)
+        for time, f in zip(times, noisy, strict=True):
+            if time <= 0.2:
+                relaxation.rise(time, float(MODEL.phi(time)))
+            else:
+                relaxation.hold(time, f)
+        alpha, sd = relaxation.fractional_order()
+        hits.append(abs(alpha - 0.131) < 1.96 * sd)
+    assert 0.91 <= np.mean(hits) <= 0.98
+
+
+def test_hold_without_a_rise_says_nothing():
+    relaxation = HoldRelaxation()
+    for n in range(100):
+        relaxation.hold(0.1 * n, 50.0)
+    assert relaxation.fractional_order() is None
+
+
+def test_example_of_the_meter_runs():
+    assert doctest.testmod(complex_modulus).failed == 0
