@@ -36,7 +36,7 @@ LOWEST_ORDER, HIGHEST_ORDER = 0.01, 0.65
 _ORDER_NODES = 11
 #: Nodes of ln Gn stand so far apart, and so many of them serve one value.
 LOG_SPACING = 0.1
-_STENCIL = 8
+STENCIL = 8
 #: Beyond this exponent a node says nothing about any tissue.
 _MAX_EXPONENT = 60.0
 
@@ -95,10 +95,10 @@ class LogStiffnessGrid:
     """
 
     def __init__(self, centre: float, half_width: float) -> None:
-        count = max(math.ceil(half_width / LOG_SPACING), _STENCIL // 2)
+        count = max(math.ceil(half_width / LOG_SPACING), STENCIL // 2)
         offsets: Array = np.arange(-float(count), count + 1.0)
         self.nodes = centre + LOG_SPACING * offsets
-        self._interpolation = Lagrange(np.arange(float(_STENCIL)))
+        self._interpolation = Lagrange(np.arange(float(STENCIL)))
 
     @property
     def lowest(self) -> float:
@@ -113,7 +113,7 @@ class LogStiffnessGrid:
     def stencil(self, value: float) -> tuple[int, Array, Array]:
         """Return the first node used at `value`, the weights and their slopes, shape (8,)."""
         position = (value - self.lowest) / LOG_SPACING
-        first = min(max(math.floor(position) - _STENCIL // 2 + 1, 0), self.nodes.size - _STENCIL)
+        first = min(max(math.floor(position) - STENCIL // 2 + 1, 0), self.nodes.size - STENCIL)
         weights, slopes = self._interpolation(position - first)
         return first, weights, slopes / LOG_SPACING
 

@@ -33,6 +33,7 @@ from fden_ros.core.stress_basis import (
     HIGHEST_ORDER,
     LOG_SPACING,
     LOWEST_ORDER,
+    STENCIL,
     Lagrange,
     LogStiffnessGrid,
     StressBasis,
@@ -57,7 +58,6 @@ _LINEAR = ((_BIAS, _BIAS_COLUMN), (_DRIFT, _DRIFT_COLUMN), (_PULSE, _PULSE_COLUM
 #: The nodes cover so many prior standard deviations of ln Gn.
 _GRID_DEVIATIONS = 4.0
 _WIDEST_GRID = 2.0
-_STENCIL = 8
 #: Nodes of the origin stand so many standard deviations from 0, and at least so far [1].
 _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
 #: Below this standard deviation of ln Gn the posterior is normal and narrower than the nodes'
@@ -122,7 +122,7 @@ class StressEstimator:
         self._basis = StressBasis(geometry, self._grid.nodes, origins)
         nodes, inner = self._grid.nodes.size, origins.size * _ORDERS
         # Sums of products of responses: of neighbouring nodes, with the columns, of the columns.
-        self._law = np.zeros((_STENCIL, nodes, inner, inner))
+        self._law = np.zeros((STENCIL, nodes, inner, inner))
         self._cross = np.zeros((nodes, inner, _COLUMNS))
         self._columns = np.zeros((_COLUMNS, _COLUMNS))
         self._mean = np.array(
@@ -212,7 +212,7 @@ class StressEstimator:
             return innovation
         weight = 1.0 / noise
         scaled = law * weight
-        for distance in range(_STENCIL):
+        for distance in range(STENCIL):
             self._law[distance, : law.shape[0] - distance] += (
                 scaled[: law.shape[0] - distance, :, None] * law[distance:, None, :]
             )
@@ -283,7 +283,7 @@ class StressEstimator:
 
     def _innovation(self, law: Array, columns: Array, block: Block, noise: float) -> Innovation:
         first, directions = self._directions(self._state)
-        responses = np.concatenate([law[first : first + _STENCIL].ravel(), columns])
+        responses = np.concatenate([law[first : first + STENCIL].ravel(), columns])
         residual, *gradient = directions @ responses
         jacobian = np.array(gradient)
         variance = noise + float(jacobian @ self._covariance @ jacobian)
@@ -309,7 +309,7 @@ class StressEstimator:
         in_origin, by_origin = self._origin_interpolation(float(state[_ORIGIN]))
         g = math.exp(state[_LOG_G])
         inner = np.outer(in_origin, in_order).ravel()
-        size = _STENCIL * inner.size
+        size = STENCIL * inner.size
         directions = np.zeros((_SIZE + 1, size + _COLUMNS))
         law, columns = directions[:, :size], directions[:, size:]
         law[0] = law[1 + _LOG_G] = np.outer(g * in_gn, inner).ravel()
@@ -321,11 +321,11 @@ class StressEstimator:
 
     def _stencil_products(self, first: int) -> Array:
         inner = self._cross.shape[1]
-        size = _STENCIL * inner
+        size = STENCIL * inner
         products = np.empty((size + _COLUMNS, size + _COLUMNS))
-        for i in range(_STENCIL):
+        for i in range(STENCIL):
             rows = slice(i * inner, (i + 1) * inner)
-            for j in range(i, _STENCIL):
+            for j in range(i, STENCIL):
                 block = self._law[j - i, first + i]
                 products[rows, j * inner : (j + 1) * inner] = block
                 if j > i:
@@ -469,7 +469,7 @@ class StressEstimator:
             if deviation > 0.0 and own > 0.0:
                 by_law = self._cross[:, :, column].copy()
                 by_column = self._columns[column].copy()
-                for distance in range(_STENCIL):
+                for distance in range(STENCIL):
                     end = by_law.shape[0] - distance
                     self._law[distance, :end] -= (
                         by_law[:end, :, None] * by_law[distance:, None, :] / own
