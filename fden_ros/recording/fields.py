@@ -108,7 +108,9 @@ def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
             f"{topic.name}: the bag carries no readable definition of {topic.type_name}: install "
             f"the package {topic.type_name.partition('/')[0]}"
         )
-    schema = Schema(1, carried.encode(), topic.type_name, SchemaEncoding.ROS2)
+    schema = Schema(
+        id=1, name=topic.type_name, encoding=SchemaEncoding.ROS2, data=carried.encode()
+    )
     try:
         decode = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
     except (McapError, ValueError, LookupError) as error:

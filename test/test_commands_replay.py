@@ -1,0 +1,590 @@
+"""``fden replay`` on recordings of other makers: bags, types of their own, tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from fden_ros.cli import main
+from fden_ros.recording.reader import BagReader
+from fden_ros.simulation.scenario import load_scenario
+from fden_ros.simulation.simulate import Recording, Stream, simulate
+
+ROOT = Path(__file__).parent.parent
+GOLDEN = ROOT / "bags" / "golden"
+PRESS = GOLDEN / "golden_press"
+POSE = GOLDEN / "golden_pose"
+SCENARIO = """\
+seed: 3
+geometry: {kind: flat_punch, radius_m: 0.01, thickness_m: 0.02}
+approach: {distance_m: 0.006, start_pause_s: 1.0, site_pause_s: 0.5}
+sites:
+  - position_m: [0.05, -0.02]
+    tissue: {draw: liver, fractional_order: 0.131}
+    presses: [{kind: ramp, strain_rate: 0.25, max_strain: 0.28}]
+force:
+  topic: /ati/netft
+  axis: [0.0, 0.0, -1.0]
+  frame_id: ft_sensor
+  rate_hz: 1000.0
+  noise_n: 1.0e-3
+  jitter_s: 1.0e-4
+  bias_n: -0.3
+displacement:
+  topic: /psm1/measured_cp
+  message: pose
+  axis: [0.0, 0.0, -1.0]
+  frame_id: base
+  rate_hz: 100.0
+  noise_m: 2.0e-6
+  jitter_s: 1.0e-3
+  surface_m: -0.11
+"""
+LOADS = """\
+builtin_interfaces/Time stamp
+string device
+float32[] channels
+uint8 state
+"""
+DEPTH = """\
+std_msgs/Header header
+geometry_msgs/Vector3 tip
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("scenario") / "foreign.yaml"
+    path.write_text(SCENARIO)
+    return simulate(load_scenario(path))
+
+
+@pytest.fixture(scope="module")
+def config(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("config") / "probe.yaml"
+    path.write_text(yaml.safe_dump(recording.truth["identifier_parameters"]))
+    return path
+
+
+class Foreign:
+    """Writes a recording with the package rosbags alone: its types, its CDR, its MCAP."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
+        definitions: dict[str, Any] = {}
+        for text, name in ((LOADS, "plc_msgs/msg/Loads"), (DEPTH, "plc_msgs/msg/Depth")):
+            definitions.update(get_types_from_msg(text, name))
+        self.store.register(definitions)
+
+    def write(
+        self,
+        folder: Path,
+        force: Callable[[Stream, int], Any] | None = None,
+        displacement: Callable[[Stream, int], Any] | None = None,
+        mode: CompressionMode = CompressionMode.NONE,
+        plugin: StoragePlugin = StoragePlugin.MCAP,
+    ) -> Path:
+        writer = RosbagsWriter(folder, version=8, storage_plugin=plugin)
+        if mode is not CompressionMode.NONE:
+            writer.set_compression(mode, CompressionFormat.ZSTD)
+        streams = (
+            (self.recording.force, force or self.wrench),
+            (self.recording.displacement, displacement or self.pose),
+        )
+        with writer:
+            rows = []
+            for stream, make in streams:
+                sample = make(stream, 0)
+                connection = writer.add_connection(
+                    stream.topic, sample.__msgtype__, typestore=self.store
+                )
+                rows += [
+                    (int(stamp), connection, make, stream, index)
+                    for index, stamp in enumerate(stream.stamp_ns)
+                ]
+            for stamp, connection, make, stream, index in sorted(rows, key=lambda row: row[0]):
+                message = make(stream, index)
+                data = self.store.serialize_cdr(message, message.__msgtype__)
+                # Recorded a little after it was measured.
+                writer.write(connection, stamp + 500_000, data)
+        return folder
+
+    def wrench(self, stream: Stream, index: int) -> Any:
+        t = self.store.types
+        vector = t["geometry_msgs/msg/Vector3"]
+        force = vector(*(float(stream.value[index]) * np.asarray(stream.axis)))
+        return t["geometry_msgs/msg/WrenchStamped"](
+            self.header(stream, index),
+            t["geometry_msgs/msg/Wrench"](force=force, torque=vector(0.0, 0.0, 0.0)),
+        )
+
+    def pose(self, stream: Stream, index: int) -> Any:
+        t = self.store.types
+        assert stream.position is not None
+        point = t["geometry_msgs/msg/Point"](*map(float, stream.position[index]))
+        return t["geometry_msgs/msg/PoseStamped"](
+            self.header(stream, index),
+            t["geometry_msgs/msg/Pose"](
+                position=point, orientation=t["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+            ),
+        )
+
+    def loads(self, stream: Stream, index: int) -> Any:
+        value = float(stream.value[index])
+        return self.store.types["plc_msgs/msg/Loads"](
+            self.stamp(stream, index),
+            device="plc",
+            channels=np.array([7.0, -value, 9.0], dtype=np.float32),
+            state=3,
+        )
+
+    def depth(self, stream: Stream, index: int) -> Any:
+        assert stream.position is not None
+        vector = self.store.types["geometry_msgs/msg/Vector3"]
+        return self.store.types["plc_msgs/msg/Depth"](
+            self.header(stream, index), vector(*map(float, stream.position[index]))
+        )
+
+    def header(self, stream: Stream, index: int) -> Any:
+        return self.store.types["std_msgs/msg/Header"](self.stamp(stream, index), stream.frame_id)
+
+    def stamp(self, stream: Stream, index: int) -> Any:
+        seconds, rest = divmod(int(stream.stamp_ns[index]), 10**9)
+        return self.store.types["builtin_interfaces/msg/Time"](seconds, rest)
+
+
+@pytest.fixture(scope="module")
+def foreign(recording: Recording) -> Foreign:
+    return Foreign(recording)
+
+
+@pytest.fixture(scope="module")
+def foreign_bag(foreign: Foreign, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return foreign.write(tmp_path_factory.mktemp("foreign") / "bag")
+
+
+def fden(*arguments: str | Path) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def replayed(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
+    assert fden("replay", *arguments, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def error_line(capsys: pytest.CaptureFixture[str], code: int, *arguments: str | Path) -> str:
+    """Return the one line on standard error that goes with exit code 1."""
+    assert fden(*arguments) == code
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
+    return lines[0]
+
+
+def check_truth(result: dict[str, Any], recording: Recording, tolerance: float = 0.02) -> None:
+    (contact,) = result["contacts"]
+    (site,) = recording.truth["sites"]
+    assert contact["converged"] and contact["complete"]
+    assert contact["g"] == pytest.approx(site["linear_stiffness"], rel=tolerance)
+    assert contact["g_n"] == pytest.approx(site["nonlinear_stiffness"], rel=tolerance)
+
+
+# Bags of others
+
+
+def test_a_bag_of_rosbags_with_slow_poses_and_negative_force_gives_the_truth(
+    capsys: pytest.CaptureFixture[str], foreign_bag: Path, config: Path, recording: Recording
+) -> None:
+    result = replayed(capsys, foreign_bag, "--config", config)
+    check_truth(result, recording)
+    assert result["inputs"] == {"force": "/ati/netft", "displacement": "/psm1/measured_cp"}
+
+
+def test_whole_file_compression_changes_nothing(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    foreign: Foreign,
+    foreign_bag: Path,
+    config: Path,
+) -> None:
+    packed = foreign.write(tmp_path / "packed", mode=CompressionMode.FILE)
+    assert list(packed.glob("*.mcap.zstd"))
+    assert replayed(capsys, packed, "--config", config) == replayed(
+        capsys, foreign_bag, "--config", config
+    )
+
+
+def test_a_bag_cut_off_in_the_middle_of_the_press_is_used_as_far_as_it_goes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, foreign_bag: Path, config: Path
+) -> None:
+    (source,) = foreign_bag.glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(source.read_bytes()[: source.stat().st_size * 6 // 10])
+    result = replayed(capsys, cut, "--config", config)
+    assert result["samples"] > 1000
+    assert any("is cut off at byte" in warning for warning in result["warnings"])
+
+
+def test_damaged_messages_are_counted_and_the_others_used(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    from fden_ros.recording.writer import BagWriter
+
+    source = BagReader(PRESS)
+    with BagWriter(tmp_path / "bag") as bag:
+        for topic in source.topics:
+            bag.add_topic(topic.name, topic.type_name)
+        for number, message in enumerate(source.messages()):
+            data = message.data[:10] if number in (500, 501, 502) else message.data
+            bag.write(message.topic, data, message.log_time_ns)
+    result = replayed(capsys, tmp_path / "bag", "--config", PRESS / "identifier.yaml")
+    damaged = {k: n for k, n in result["rejected"].items() if k.endswith(".damaged")}
+    assert sum(damaged.values()) == 3
+    assert len(result["contacts"]) == len(read_contacts(capsys, PRESS))
+
+
+def read_contacts(capsys: pytest.CaptureFixture[str], bag: Path) -> list[Any]:
+    return list(replayed(capsys, bag, "--config", bag / "identifier.yaml")["contacts"])
+
+
+# Types that are not installed
+
+
+def test_fields_of_types_that_only_the_bag_knows_give_the_truth(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    foreign: Foreign,
+    config: Path,
+    recording: Recording,
+) -> None:
+    bag = foreign.write(tmp_path / "bag", foreign.loads, foreign.depth)
+    inverted = tmp_path / "inverted.yaml"
+    inverted.write_text(config.read_text() + "force.inverted: true\n")
+    options = (
+        *("--force-topic", "/ati/netft", "--force-field", "channels[1]"),
+        *("--displacement-topic", "/psm1/measured_cp", "--displacement-field", "tip"),
+    )
+    result = replayed(capsys, bag, "--config", inverted, *options)
+    check_truth(result, recording)
+    assert result["inputs"]["force"] == "/ati/netft channels[1]"
+
+
+def test_a_field_that_is_not_there_is_named_with_those_that_are(
+    capsys: pytest.CaptureFixture[str], foreign_bag: Path
+) -> None:
+    topic = ("--force-topic", "/ati/netft", "--force-field")
+    line = error_line(capsys, 1, "replay", foreign_bag, *topic, "wrench.push")
+    assert "no push" in line and "force, torque" in line
+    line = error_line(capsys, 1, "replay", foreign_bag, *topic, "header.frame_id")
+    assert "neither a number nor a vector" in line
+
+
+# Which topics
+
+
+def write_topics(folder: Path, *topics: tuple[str, str]) -> Path:
+    import importlib
+
+    from fden_ros.recording.writer import BagWriter
+
+    with BagWriter(folder) as bag:
+        for name, kind in topics:
+            package, _, short = kind.partition("/")
+            message = getattr(importlib.import_module(f"{package}.msg"), short)()
+            message.header.stamp.sec = 5
+            bag.add_topic(name, f"{package}/msg/{short}")
+            bag.write(name, message, 5 * 10**9)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("topics", "force", "displacement"),
+    [
+        (
+            {
+                "/psm1/measured_cf": "geometry_msgs/WrenchStamped",
+                "/psm1/measured_cp": "geometry_msgs/PoseStamped",
+                "/psm1/setpoint_cp": "geometry_msgs/PoseStamped",
+                "/psm1/measured_js": "sensor_msgs/JointState",
+            },
+            "/psm1/measured_cf",
+            "/psm1/measured_cp",
+        ),
+        (
+            {
+                "/a": "geometry_msgs/WrenchStamped",
+                "/camera/pose": "geometry_msgs/PoseStamped",
+                "/probe/displacement": "sensor_msgs/JointState",
+            },
+            "/a",
+            "/probe/displacement",
+        ),
+        (
+            {
+                "/joint_states": "sensor_msgs/JointState",
+                "/force_torque": "geometry_msgs/WrenchStamped",
+                "/desired_wrench": "geometry_msgs/WrenchStamped",
+            },
+            "/force_torque",
+            "/joint_states",
+        ),
+    ],
+)
+def test_the_only_sensible_pair_of_topics_is_found(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    topics: dict[str, str],
+    force: str,
+    displacement: str,
+) -> None:
+    bag = write_topics(tmp_path / "bag", *topics.items())
+    result = replayed(capsys, bag)
+    assert result["inputs"] == {"force": force, "displacement": displacement}
+
+
+def test_several_sensible_topics_are_listed_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bag = write_topics(
+        tmp_path / "bag",
+        ("/left/wrench", "geometry_msgs/WrenchStamped"),
+        ("/right/wrench", "geometry_msgs/WrenchStamped"),
+        ("/pose", "geometry_msgs/PoseStamped"),
+    )
+    line = error_line(capsys, 1, "replay", bag)
+    assert "/left/wrench" in line and "/right/wrench" in line and "--force-topic" in line
+    line = error_line(capsys, 1, "replay", bag, "--force-topic", "/pose")
+    assert "--force-field" in line
+
+
+# Tables
+
+
+def write_table(path: Path, bag: Path, heading: str, delimiter: str) -> Path:
+    """Write force and displacement of a bag, interpolated to the force's stamps, in mm."""
+    from fden_ros.recording.reader import decode
+
+    reader = BagReader(bag)
+    force, displacement = [], []
+    for message in reader.messages(["/tool/wrench", "/arm/measured_cp"]):
+        sample = decode(message)
+        stamp = sample.header.stamp.sec + sample.header.stamp.nanosec * 1e-9 - 1.7e9
+        if message.topic == "/tool/wrench":
+            force.append((stamp, -sample.wrench.force.z))
+        else:
+            displacement.append((stamp, -sample.pose.position.z))
+    time, values = np.array(force).T
+    depth = np.interp(time, *np.array(displacement).T)
+    rows = [heading] if heading else []
+    rows += [
+        delimiter.join((f"{t:.7f}", "x", f"{f:.9f}", f"{1e3 * d:.9f}"))
+        for t, f, d in zip(time, values, depth, strict=True)
+    ]
+    path.write_text("# measured\n" + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("heading", "delimiter", "columns"),
+    [
+        ("time_s,who,force_N,depth_mm", ",", "time_s,force_N,depth_mm*1e-3"),
+        ("", "\t", "1,3,4*1e-3"),
+    ],
+)
+def test_a_table_gives_what_the_bag_gives(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    heading: str,
+    delimiter: str,
+    columns: str,
+) -> None:
+    table = write_table(tmp_path / "press.csv", POSE, heading, delimiter)
+    options = ("--config", POSE / "identifier.yaml")
+    # Without positions a new site is told by the time in the air.
+    of_table = replayed(capsys, table, *options, "--columns", columns)["contacts"][0]
+    of_bag = replayed(capsys, POSE, *options)["contacts"][0]
+    for key in ("g", "g_n"):
+        assert of_table[key] == pytest.approx(of_bag[key], rel=2e-3)
+
+
+def test_rows_and_bad_cells_of_a_table_are_told_apart(tmp_path: Path) -> None:
+    from fden_ros.recording.table import Columns, TableReader
+
+    path = tmp_path / "tests.csv"
+    path.write_text("test;t;f;d\na;0.0;1;2\nb;0.1;9;9\na;0.1;;2\na;0.2;3;4\n")
+    reader = TableReader(path, Columns.parse("t,f,d*0.5"), ("test", "a"))
+    assert [tuple(row) for row in reader.rows()] == [
+        (1_000_000_000, 1.0, 1.0),
+        (1_200_000_000, 3.0, 2.0),
+    ]
+    assert reader.warnings == ("1 rows of tests.csv hold no number where one is needed",)
+    by_rate = TableReader(path, Columns.parse("@500,f,d"))
+    assert [row.stamp_ns for row in by_rate.rows()][:2] == [1_000_000_000, 1_002_000_000]
+
+
+def test_stamps_of_a_table_are_exact() -> None:
+    from decimal import Decimal
+
+    from fden_ros.recording.table import Column, Columns
+
+    assert Columns.parse("t_ms*1e-3, f ,d").time == Column("t_ms", Decimal("1e-3"))
+
+
+# What cannot be used says so in one line
+
+
+def test_exit_codes_are_one_line_each(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, foreign: Foreign
+) -> None:
+    assert "does not exist" in error_line(capsys, 1, "replay", tmp_path / "nowhere")
+    sqlite = foreign.write(tmp_path / "old", plugin=StoragePlugin.SQLITE3)
+    assert "ros2 bag convert -i" in error_line(capsys, 1, "replay", sqlite)
+    with Rosbag1Writer(tmp_path / "old.bag") as writer:
+        store = get_typestore(Stores.ROS1_NOETIC)
+        writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+    assert "rosbags-convert --src" in error_line(capsys, 1, "replay", tmp_path / "old.bag")
+    table = tmp_path / "press.csv"
+    table.write_text("time,force,depth\n0,1,2\n")
+    assert "it has time, force, depth" in error_line(capsys, 1, "replay", table)
+    line = error_line(capsys, 1, "replay", table, "--columns", "time,force,mm")
+    assert "no column mm: it has time, force, depth" in line
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("bag", "--columns", "a,b"),
+        ("bag", "--force-field", "a..b"),
+        ("bag", "--rows", "a=b"),
+        ("bag", "--with-inputs"),
+        ("bag", "--nonsense"),
+    ],
+)
+def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        fden("replay", *arguments)
+    assert exit_.value.code == 2
+    assert re.match(r"fden( replay)?: error: ", capsys.readouterr().err.splitlines()[-1])
+
+
+def test_the_examples_of_the_help_are_whole_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        fden("replay", "--help")
+    help_ = capsys.readouterr().out
+    examples = help_[help_.index("examples:") :].replace("\\\n", "").splitlines()
+    commands = [line.strip() for line in examples if "fden replay" in line]
+    assert len(commands) >= 5
+    assert all(command.startswith("fden replay ") for command in commands)
+
+
+# The bag of results
+
+
+def test_the_results_are_a_bag_of_all_that_the_node_publishes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = tmp_path / "results"
+    options = ("--config", POSE / "identifier.yaml", "-o", out, "--with-inputs")
+    result = replayed(capsys, POSE, *options)
+    source = BagReader(POSE)
+    contents = {topic.name: topic for topic in BagReader(out).topics}
+    assert set(contents) == {
+        *("/identifier/estimate", "/identifier/classification", "/identifier/palpation"),
+        *("/diagnostics", "/tool/wrench", "/arm/measured_cp"),
+    }
+    for name in ("/tool/wrench", "/arm/measured_cp"):
+        assert [m.data for m in BagReader(out).messages([name])] == [
+            m.data for m in source.messages([name])
+        ]
+    assert contents["/identifier/palpation"].offered_qos[0].latched
+    assert contents["/identifier/estimate"].message_count > 300
+    seconds = ((source.end_ns or 0) - (source.start_ns or 0)) * 1e-9
+    assert contents["/diagnostics"].message_count == int(seconds)
+    with AnyReader([out]) as reader:
+        read = [
+            (connection.topic, time, reader.deserialize(data, connection.msgtype))
+            for connection, time, data in reader.messages()
+        ]
+    summaries = [m for topic, _, m in read if topic == "/identifier/palpation"]
+    assert [m.linear_stiffness for m in summaries] == [c["g"] for c in result["contacts"]]
+    ends = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in summaries]
+    assert ends == [contact["end_ns"] for contact in result["contacts"]]
+    delays = [
+        time - m.header.stamp.sec * 10**9 - m.header.stamp.nanosec
+        for topic, time, m in read
+        if topic == "/identifier/estimate"
+    ]
+    assert 0 <= min(delays) and max(delays) < 0.1e9
+    line = error_line(capsys, 1, "replay", POSE, *options)
+    assert "--force" in line
+
+
+def test_results_of_the_recording_itself_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    line = error_line(capsys, 1, "replay", PRESS, "-o", PRESS, "--force")
+    assert "the recording itself" in line
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Signals) -> None:
+    out = tmp_path / "out" / "results"
+    out.parent.mkdir()
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "fden_ros.cli", "replay", str(GOLDEN / "golden_palpation")),
+            *("--config", str(GOLDEN / "golden_palpation" / "identifier.yaml"), "-o", str(out)),
+        ],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    while not list(out.parent.iterdir()) and process.poll() is None:
+        pass
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert errors == b""
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_full_disk_leaves_no_results(tmp_path: Path) -> None:
+    script = (
+        "import resource, signal, sys\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
+        "from fden_ros.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    out = tmp_path / "out" / "results"
+    done = subprocess.run(
+        [
+            *(sys.executable, "-c", script, "replay", str(PRESS), "--with-inputs"),
+            *("--config", str(PRESS / "identifier.yaml"), "-o", str(out)),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1 and "cannot be written" in done.stderr
+    assert list(out.parent.iterdir()) == []
