@@ -163,7 +163,7 @@ def test_hold_after_a_ramp_gives_alpha_where_its_raw_slope_does_not(order, strai
 
     held = times > 2.0 * rise
     raw = -np.polyfit(np.log(times[held] - rise), np.log(stress[held]), 1)[0]
-    assert alpha == pytest.approx(order, abs=0.003)
+    assert alpha == pytest.approx(order, abs=0.005)
     assert abs(raw - order) > 4.0 * abs(alpha - order)
 
 

@@ -3,8 +3,9 @@ r"""The complex modulus from a small oscillation on top of whatever else the pro
 A sinusoidal dither turns the live node into the paper's dynamic test. Over a window of whole
 periods of the slowest frequency, strain and stress are each fitted, by least squares, with
 
-.. math:: c_0 + c_1 \tau + c_2 \tau^2 + \sum_j \left(a_j \cos\omega_j t + b_j \sin\omega_j t\right),
-          \qquad \tau \in [-1, 1] ,
+.. math:: c_0 + c_1 \tau + c_2 \tau^2
+          + \sum_j \left(a_j \cos\omega_j t + b_j \sin\omega_j t\right), \quad
+          \tau \in [-1, 1] ,
 
 where the polynomial takes up the mean, the relaxation of the hold, and slow motion. With the
 phasors :math:`X = a_x - i b_x` and F alike, :math:`G^*(\omega) = F/X`, and from it, in the linear
@@ -198,12 +199,12 @@ class HoldRelaxation:
     r"""The fractional order from a hold, the robot's relaxation test.
 
     After a rise of the strain over [0, S] the stress of a hold is
-    :math:`\frac{1}{\Gamma(1-\alpha)} \int_0^S (t-s)^{-\alpha}\,d\varphi(s)`. With time counted from
-    the rise's centroid :math:`t_c = \int s\,d\varphi / \varphi(S)` that is
+    :math:`\frac{1}{\Gamma(1-\alpha)} \int_0^S (t-s)^{-\alpha}\,d\varphi(s)`. With time counted
+    from the rise's centroid :math:`t_c = \int s\,d\varphi / \varphi(S)` that is
     :math:`\propto (t-t_c)^{-\alpha}` up to a relative
-    :math:`\tfrac12\alpha(1+\alpha)\,\mathrm{var}(s)/(t-t_c)^2`: less than 0.7 % one rise after it
-    began to hold, and falling with the square. So the hold is a straight line in the log-log plane,
-    fitted by sums alone once it has lasted `settle` rises.
+    :math:`\tfrac12\alpha(1+\alpha)\,\mathrm{var}(s)/(t-t_c)^2`: after a ramp and a hold as long,
+    0.3 % at alpha 0.13 and 0.8 % at 0.32, falling with the square. So the hold is a straight line
+    in the log-log plane, fitted by sums alone once it has lasted `settle` rises.
 
     Parameters
     ----------
@@ -263,7 +264,7 @@ class HoldRelaxation:
             return None
         slope = product / spread
         left = max(yy - y * y / count - slope * product, 0.0)
-        return -slope, math.sqrt(left / (count - 2) / spread)
+        return float(-slope), math.sqrt(left / (count - 2) / spread)
 
 
 def modulus_of_springpot(angular_frequency: float, stiffness: float, order: float) -> complex:
