@@ -184,12 +184,12 @@ def _print(fit: Fit, path: Path) -> None:
     quality = f"R² {fit.r_squared:.4f}" if math.isfinite(fit.r_squared) else "R² undefined"
     table = parameter_table(f"{fit.kind}: {path.name}, {fit.samples} rows, {quality}")
     _add_rows(table, fit.parameters)
+    console.print(table)
     for name, parameters in fit.beside.items():
         if parameters:
-            table.add_section()
-            table.add_row(f"[dim]{_TITLES[name]}[/dim]")
-            _add_rows(table, parameters)
-    console.print(table)
+            other = parameter_table(f"beside it: {_TITLES[name]}")
+            _add_rows(other, parameters)
+            console.print(other)
     for warning in fit.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
 

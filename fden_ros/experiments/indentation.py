@@ -42,9 +42,9 @@ _MOST_GRID = 1 << 20
 _EVEN = 1e-6
 _ORDER_RANGE = (1e-3, 0.95)
 _WEAK_ORDER_SD = 0.05
-#: Appendix F takes samples beyond this part of the largest strain, about so many.
+#: Appendix F takes so many samples, at strains from this part of the largest on.
 _STATIC_FROM = 0.2
-_STATIC_SAMPLES = 400
+_STATIC_PAIRS = 60
 
 
 def fit_indentation(
@@ -231,9 +231,14 @@ def _appendix_f(time: Array, strain: Array, stress: Array, alpha: float) -> dict
     """Return G, Gn, Gi, xb by Appendix D on the fractional stress; deviations are not known."""
     static = fractional_stress(time, stress, alpha)
     useful = np.flatnonzero((strain > _STATIC_FROM * strain.max()) & (static > 0.0))
-    if useful.size < 6:
+    if useful.size == 0:
         return {}
-    some = useful[:: max(useful.size // _STATIC_SAMPLES, 1)]
+    # The filter starts from three pairs at either end: they must differ, so no hold.
+    levels = np.linspace(_STATIC_FROM, 1.0, _STATIC_PAIRS) * strain.max()
+    reached = [useful[np.argmax(strain[useful] >= level)] for level in levels]
+    some = np.unique(reached)
+    if np.unique(strain[some]).size < 6:
+        return {}
     found = appendix_d(strain[some], static[some])
     # The integral has coloured the noise: the filter's own deviations would be too small.
     return {name: Parameter(p.value, *[math.nan] * 3) for name, p in found.items()}

@@ -135,8 +135,8 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
     stresses = np.array([test.stress for test in tests])
     creeps = [fit_creep(*test) for test in tests]
     coefficients = np.array([creep["x_c"].value for creep in creeps])
-    alpha = creeps[int(np.argmin(stresses))]["alpha"].value
-    pairs = fit_nonlinearity(stresses, coefficients, alpha)
+    alpha, alpha_sd = creeps[int(np.argmin(stresses))]["alpha"][:2]
+    pairs = fit_nonlinearity(stresses, coefficients, alpha, alpha_sd if alpha_sd > 0.0 else 0.0)
     time = np.concatenate([test.time for test in tests])
     strain = np.concatenate([test.strain for test in tests])
     stress = np.concatenate([np.full(test.time.size, test.stress) for test in tests])
@@ -289,7 +289,7 @@ def _creep_panel(tests: Sequence[CreepTest], values: Array) -> Panel:
     for index, test in enumerate(tests):
         log_phis = math.log(test.stress) + alpha * np.log(test.time) - gammaln(1.0 + alpha)
         model = np.exp(log_strain(log_phis, log_g, log_g_n))
-        thinned = slice(None, None, max(test.time.size // 40, 1))
+        thinned = np.unique(np.geomspace(1, test.time.size, 30).astype(int)) - 1
         first = index == 0
         curves += [
             Curve(

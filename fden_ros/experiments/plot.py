@@ -6,6 +6,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from fden_ros.errors import InputError
 from fden_ros.experiments.result import Fit, Panel
@@ -77,6 +78,10 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
         xscale="log" if panel.x_log else "linear",
         yscale="log" if panel.y_log else "linear",
     )
+    for axis, log in ((axes.xaxis, panel.x_log), (axes.yaxis, panel.y_log)):
+        if log:
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.5)))
     axes.grid(True, which="both", color="#e4e4e7", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -30,6 +30,8 @@ from fden_ros.experiments.result import Array
 #: Fewer rows say nothing about correlation.
 _MIN_ROWS_FOR_CORRELATION = 20
 _MAX_LEVERAGE = 0.99
+#: The widening is an upper estimate where few independent rows are left; t need not add much.
+_LEAST_DOF = 4.0
 #: Residuals here are relative: below this there is nothing to warn of.
 _NEGLIGIBLE_RESIDUAL = 1e-4
 
@@ -189,5 +191,5 @@ def _solution(
     correlation = first_correlation(residuals)
     factor = _widening(correlation, rows, parameters)
     meat = factor * weighted.T @ weighted + prior_variance * prior.T @ prior
-    dof = max(rows / factor - parameters, 1.0)
+    dof = max(rows / factor - parameters, min(rows - parameters, _LEAST_DOF))
     return Solution(values, bread @ meat @ bread, dof, residuals, correlation)

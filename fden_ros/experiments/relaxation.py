@@ -224,6 +224,6 @@ def _minimise_logs(predicted, logs: Array, start: Array) -> Solution:  # type: i
 
 
 def _residual_panel(time: Array, residuals: Array) -> Panel:
-    curve = Curve(time, 100.0 * residuals, "", line=False)
+    curve = Curve(time, 100.0 * np.expm1(residuals), "", line=False)
     zero = Curve(np.array([time.min(), time.max()]), np.zeros(2), "", color=1)
     return Panel("Residual", "time [s]", "measured over model - 1 [%]", (curve, zero), x_log=True)
