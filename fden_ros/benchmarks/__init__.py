@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 #: Name of every benchmark, which is that of its module, and what it measures in a line.
-BENCHMARKS: dict[str, str] = {}
+BENCHMARKS: dict[str, str] = {
+    "accuracy": "errors over the Cramér-Rao bound, honesty of the intervals; simulated contacts",
+}
 
 
 @dataclass(frozen=True)

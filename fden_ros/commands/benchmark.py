@@ -29,6 +29,10 @@ whatever came out; 1 the input cannot be used; 2 wrong usage.
 """
 
 
+#: Columns of a table that goes into a file.
+_WIDTH = 120
+
+
 class _BenchmarkParser(argparse.ArgumentParser):
     """Parser of one benchmark, which imports it only when it is asked for."""
 
@@ -102,6 +106,8 @@ def run(args: argparse.Namespace) -> int:
         print()
         return 0
     console = Console()
+    if not console.is_terminal:
+        console.width = _WIDTH
     for table in report.tables:
         console.print(table)
     console.print(_goal_table(report.goals))
