@@ -17,6 +17,7 @@ COMMANDS = (
     "play",
     "demo",
     "fit",
+    "reproduce",
     "parameters",
     "benchmark",
     "monitor",

@@ -41,12 +41,10 @@ def start_from_points(strain: Array, phi_values: Array) -> Array:
     log_g = np.linspace(secants.min() - 1.0, secants.max(), 40)
     scaled = np.geomspace(1.0, 12.0, 40)
     log_g_n = np.clip(np.log(scaled / deepest), *LOG_NONLINEAR_RANGE)
-    best = min(
-        (float(np.sum((log_phi(strain, g, n) - np.log(phi_values)) ** 2)), g, n)
-        for g in log_g
-        for n in log_g_n
-    )
-    return np.array(best[1:])
+    shapes = np.array([log_phi(strain, 0.0, n) for n in log_g_n]) - np.log(phi_values)
+    misfit = np.sum((log_g[:, None, None] + shapes) ** 2, axis=2)
+    best_g, best_n = np.unravel_index(int(np.argmin(misfit)), misfit.shape)
+    return np.array([log_g[best_g], log_g_n[best_n]])
 
 
 def stiffness_parameters(

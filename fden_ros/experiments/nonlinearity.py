@@ -49,7 +49,7 @@ from fden_ros.experiments.result import (
 #: Pairs that Appendix D takes at either end for its start.
 _START_PAIRS = 3
 _LEAST_NOISE = 1e-7
-_PRIOR_SD = 0.5
+_PRIOR_SD = 0.2
 
 
 class CreepTest(NamedTuple):

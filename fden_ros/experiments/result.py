@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def r_squared(observed: Array, predicted: Array) -> float:
 def _quantile(dof: float) -> float:
     if dof <= 0.0:
         return math.nan
-    return float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, dof))
+    return _NORMAL_REACH if math.isinf(dof) else float(stdtrit(dof, 0.5 + 0.5 * CONFIDENCE))
 
 
 def _flat(parameters: Mapping[str, Parameter]) -> dict[str, Any]:

@@ -94,7 +94,7 @@ class Ladder:
         At s = j omega this is the complex modulus.
         """
         s = np.asarray(laplace, dtype=complex)
-        shunt: ComplexArray = s * self.time_constant
+        shunt = np.asarray(s * self.time_constant, dtype=complex)
         for _ in range(self.levels):
             shunt = _ladder(shunt, self.rungs)
         return np.asarray(self.stiffness * shunt, dtype=complex)
