@@ -323,8 +323,9 @@ class ContactDetector:
             return None
         self._forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
         level = self._level(bias)
+        seen = surface.first > 0 and float(force[0]) < threshold
         # A little before the onset, so that the memory begins with the air.
-        first = max(surface.first - 2, 0)
+        first = max(surface.first - 2, 0) if seen else 0
         onset = Onset(
             samples=tuple(pairs)[first:],
             bias=level.value,
@@ -334,7 +335,7 @@ class ContactDetector:
             noise_sd=level.noise,
             displacement=surface.displacement,
             displacement_sd=surface.displacement_sd,
-            seen=surface.first > 0 and float(force[0]) < threshold,
+            seen=seen,
         )
         self.in_contact = True
         self.force_bias = level.value
@@ -410,18 +411,24 @@ class _Level(NamedTuple):
 
 
 def _noise_of_means(chunks: tuple[_Chunk, ...], air: _Air) -> float:
-    """Return the noise per sample [N] that means over a chunk show.
+    """Return the noise per sample [N] that means over some time show.
 
-    More than that within the chunks where the noise is coloured (half the mean square of the
-    means' differences: Allan's variance), since then averaging helps less.
+    More than that within the chunks where the noise is coloured, since then averaging helps less:
+    half the variance of the differences of successive means (Allan), drift apart, at the scale
+    where it is largest.
     """
     if len(chunks) < _MIN_CHUNKS:
         return air.noise
-    means = np.array([chunk.mean for chunk in chunks])
+    noise = air.fast_noise
     size = air.size / len(chunks)
-    by_means = math.sqrt(0.5 * size * float(np.mean(np.diff(means) ** 2)))
-    chance = 1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / len(chunks))
-    return by_means if by_means > chance * air.fast_noise else air.fast_noise
+    means = np.array([chunk.mean for chunk in chunks])
+    while means.size >= _MIN_CHUNKS:
+        at_scale = math.sqrt(0.5 * size * float(np.var(np.diff(means))))
+        if at_scale > noise * (1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / means.size)):
+            noise = at_scale
+        size *= 2.0
+        means = 0.5 * (means[: means.size // 2 * 2 : 2] + means[1::2])
+    return noise
 
 
 def _level_at_end(chunks: tuple[_Chunk, ...], air: _Air, noise: float) -> _Level:

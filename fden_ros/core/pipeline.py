@@ -445,7 +445,7 @@ class Pipeline:
             position=first.position,
             flags=site.flags,
         )
-        if not onset.seen:
+        if not onset.seen and not self._begins_at_origin(first):
             site.usable = False
             site.flags |= Flag.ORIGIN_UNCERTAIN
             contact.flags |= Flag.ORIGIN_UNCERTAIN
@@ -465,6 +465,14 @@ class Pipeline:
             self._press(pair)
         self._muted = False
         self._press(onset.samples[-1])
+
+    def _begins_at_origin(self, pair: Pair) -> bool:
+        """Whether the origin is given and a sample is there, so that no press came before it."""
+        origin = self.config.strain_origin
+        if origin is None:
+            return False
+        compression = (pair.displacement - origin) / self.config.geometry.length
+        return compression <= self.config.block_compression
 
     def _new_estimator(self, noise_sd: float, origin_sd: float) -> Estimator:
         config = self.config
