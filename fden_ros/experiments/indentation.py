@@ -259,6 +259,6 @@ def _panels(
         Panel("Characteristic", "strain", "fractional stress f' [Pa s^α]", (
             Curve(history.strains, static, "measured", line=False),
             Curve(fine, model, "φ(x)", color=1),
-            Curve(boundary, np.array([0.0, model[-1]]), "1/Gn", color=2),
+            Curve(boundary, np.array([0.0, model[-1]]), "1/Gn", color=2, dashed=True),
         )),
     )  # fmt: skip

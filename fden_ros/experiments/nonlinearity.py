@@ -271,11 +271,11 @@ def _panels(
     curves = (
         Curve(coefficient, stress, "measured", line=False),
         Curve(fine, model, "model", color=1),
-        Curve(boundary, np.array([0.0, stress.max()]), "1/Gn", color=2),
+        Curve(boundary, np.array([0.0, stress.max()]), "1/Gn", color=2, dashed=True),
     )
     positive_curves = (
         *curves[:2],
-        Curve(boundary, np.array([stress.min(), stress.max()]), "1/Gn", color=2),
+        Curve(boundary, np.array([stress.min(), stress.max()]), "1/Gn", color=2, dashed=True),
     )
     return (
         Panel("Nonlinearity", "strain coefficient", "stress [Pa]", curves),

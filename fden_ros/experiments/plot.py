@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from fden_ros.errors import InputError
 from fden_ros.experiments.result import Fit, Panel
@@ -62,7 +64,7 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
         color = _COLORS[curve.color]
         label = curve.label or None
         if curve.line:
-            style = "--" if curve.color == 2 else "-"
+            style = "--" if curve.dashed else "-"
             axes.plot(curve.x, curve.y, style, color=color, linewidth=1.6, label=label, zorder=3)
         else:
             few = curve.x.size <= 60
@@ -80,10 +82,26 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     )
     for axis, log in ((axes.xaxis, panel.x_log), (axes.yaxis, panel.y_log)):
         if log:
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.2, 0.5)))
+            _label_logarithmic(axis)
     axes.grid(True, which="both", color="#e4e4e7", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     if any(curve.label for curve in panel.curves):
         axes.legend(frameon=False, fontsize="small")
+
+
+def _label_logarithmic(axis: Axis) -> None:
+    """Write plain numbers at as many ticks as there is room for."""
+    low, high = sorted(axis.get_view_interval())
+    decades = math.log10(high / low)
+    if decades > 4.0:
+        axis.set_minor_formatter(NullFormatter())
+        return
+    digits = range(1, 10) if decades < 0.4 else (2, 3, 4, 6) if decades < 1.3 else (3,)
+
+    def label(value: float, _: object) -> str:
+        leading = round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))
+        return f"{value:g}" if leading in digits else ""
+
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(FuncFormatter(label) if decades < 2.0 else NullFormatter())

@@ -36,6 +36,7 @@ class Curve:
     label: str
     line: bool = True
     color: int = 0
+    dashed: bool = False
 
 
 @dataclass(frozen=True)

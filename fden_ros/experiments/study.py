@@ -386,8 +386,8 @@ def _origin(average: FdenModel, generator: np.random.Generator) -> Claim:
         f"there phi = (G/(Gn e)) exp(Gn (x - o)) holds G exp(-Gn o) only: o = {shift} with G "
         f"{100 * (other.linear_stiffness / average.linear_stiffness - 1.0):.0f} % larger gives "
         f"the same stress within {same:.0e}. The subtangent 1/Gn is the same everywhere, so "
-        f"it does not tell where xb lies. Data on both sides of xb do give the origin: ± {sd:.4f} (bias "
-        f"{bias:+.4f}) at 1 % of noise from 31 strains, 0.05 to 0.35",
+        f"it does not tell where xb lies. Data on both sides of xb do give the origin: "
+        f"± {sd:.4f} (bias {bias:+.4f}) at 1 % of noise from 31 strains, 0.05 to 0.35",
         {"difference": same, "origin_sd": sd, "origin_bias": bias},
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -189,7 +189,8 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
     """Draw panels side by side."""
     figure = Figure(figsize=(5.2 * len(panels), 4.2), layout="constrained")
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        draw_panel(axes, panel)
+        curves = [replace(c, label=c.label.replace("measured", "simulated")) for c in panel.curves]
+        draw_panel(axes, replace(panel, curves=curves))
     save_figure(figure, path)
 
 
@@ -200,7 +201,7 @@ def _characteristic_panels() -> list[Panel]:
     exponential = 1000.0 / (10.0 * math.e) * np.exp(10.0 * both)
     symmetric = Panel("Symmetry: G = 1000, Gn = 10", "strain", "φ [Pa s^α]", (
         Curve(both, np.asarray(model.phi(both)), "φ(x)"),
-        Curve(both, exponential, "first-order equation alone", color=2),
+        Curve(both, exponential, "first-order equation alone", color=2, dashed=True),
         Curve(np.array([-0.1, 0.1]), np.asarray(model.phi([-0.1, 0.1])), "±1/Gn", line=False,
               color=1),
     ))  # fmt: skip
