@@ -13,7 +13,7 @@ from fden_ros.errors import InputError
 COMMANDS = (
     "bag",
     "info",
-    "replay",
+    "replay", "report",
     "play",
     "demo",
     "fit",
@@ -31,6 +31,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden bag ramp -o /tmp/ramp          make a synthetic palpation bag
   fden info /tmp/ramp                 what is in a bag, and what of it would be used
   fden replay /tmp/ramp               estimate G and Gn from a bag
+  fden report /tmp/ramp -o ramp.html  a page to read: what was pressed, how well it is known
   fden play /tmp/ramp                 publish a bag on live topics
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end

@@ -18,25 +18,24 @@ _FIXED, _LIVE, _TARGET, _LIMIT = "#c44e52", "#2a78b5", "#555555", "#222222"
 def control_table(pairs: Sequence[tuple[Run, Run]], program: Program) -> Table:
     """Return one row a tissue; each pair is the fixed and the scheduled run."""
     table = Table(
-        title=f"Force control: fixed | scheduled gains, limit {program.limit:g} N",
+        title=f"Fixed | scheduled gains, limit {program.limit:g} N",
+        caption="settling to 5 % and overshoot of the plain step; overshoot at the inclusion",
+        padding=(0, 1, 0, 0),
         box=box.SIMPLE_HEAD,
     )
-    for name in ("G", "Gn", "settling [s]", "ratio", "overshoot [%]"):
-        table.add_column(name, justify="right")
-    table.add_column("at the inclusion: overshoot [%]", justify="right")
-    table.add_column("largest force [N]", justify="right")
-    table.add_column("limit passed", justify="right")
+    for name in ("G", "Gn", "settles [s]", "ratio", "over [%]", "incl. [%]", "max [N]", "passed"):
+        table.add_column(name, justify="right", no_wrap=True)
     for fixed, live in pairs:
         model = fixed.model
         table.add_row(
             f"{model.linear_stiffness:.0f}",
             f"{model.nonlinear_stiffness:.1f}",
-            f"{fixed.working.settling:.2f} | {live.working.settling:.2f}",
+            f"{fixed.working.settling:.2f}|{live.working.settling:.2f}",
             f"{live.working.settling / fixed.working.settling:.2f}",
-            f"{100 * fixed.working.overshoot:.1f} | {100 * live.working.overshoot:.1f}",
-            f"{100 * fixed.high.overshoot:.1f} | {100 * live.high.overshoot:.1f}",
-            f"{fixed.largest_force:.3f} | {live.largest_force:.3f}",
-            " | ".join("yes" if run.violated else "no" for run in (fixed, live)),
+            f"{100 * fixed.working.overshoot:.1f}|{100 * live.working.overshoot:.1f}",
+            f"{100 * fixed.high.overshoot:.1f}|{100 * live.high.overshoot:.1f}",
+            f"{fixed.largest_force:.3f}|{live.largest_force:.3f}",
+            "|".join("yes" if run.violated else "no" for run in (fixed, live)),
         )
     return table
 
@@ -52,20 +51,25 @@ def save_control_figure(
 
     shown = [pairs[0], pairs[len(pairs) // 2], pairs[-1]] if len(pairs) > 2 else list(pairs)
     figure, axes = plt.subplots(
-        len(shown) + 1, 2, figsize=(11, 2.3 * len(shown) + 3.2), squeeze=False
+        len(shown) + 1,
+        2,
+        figsize=(11, 1.9 * len(shown) + 2.6),
+        squeeze=False,
+        layout="constrained",
     )
     for row, pair in zip(axes, shown, strict=False):
         _draw_steps(row, pair, program)
-    axes[0][0].set_title("Step on plain tissue")
-    axes[0][1].set_title(f"Step that meets an inclusion, {program.stiffening:g} times stiffer")
-    axes[len(shown) - 1][0].set_xlabel("time since the step [s]")
-    axes[len(shown) - 1][1].set_xlabel("time since the step [s]")
+    axes[0][0].set_title("Step on plain tissue", fontsize=10)
+    axes[0][1].set_title(
+        f"Step that meets an inclusion, {program.stiffening:g} times stiffer", fontsize=10
+    )
+    axes[len(shown) - 1][0].set_xlabel("time since the step [s]", fontsize=9)
+    axes[len(shown) - 1][1].set_xlabel("time since the step [s]", fontsize=9)
     axes[0][1].legend(loc="lower right", fontsize=8, frameon=False)
     _draw_figures(axes[-1], pairs, program)
     for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)
         axis.tick_params(labelsize=8)
-    figure.tight_layout()
     figure.savefig(path, dpi=130)
     plt.close(figure)
 
@@ -114,11 +118,10 @@ def _draw_figures(row: np.ndarray, pairs: Sequence[tuple[Run, Run]], program: Pr
         # What never settles has no bar.
         settling = [r.working.settling if math.isfinite(r.working.settling) else 0 for r in runs]
         row[0].bar(numbers + offset, settling, 0.38, color=colour)
-        row[1].bar(numbers + offset, [r.largest_force for r in runs], 0.38, color=colour)
+        row[1].plot(numbers, [r.largest_force for r in runs], "o-", color=colour, lw=0.8)
     row[0].set_title("Settling to 5 % on plain tissue [s]", fontsize=10)
     row[1].set_title("Largest force, inclusion included [N]", fontsize=10)
-    row[1].set_ylim(0.9 * program.high, None)
     row[1].axhline(program.limit, color=_LIMIT, lw=0.8, ls="--")
     for axis in row:
-        axis.set_xlabel("tissue, from the softest to the stiffest")
+        axis.set_xlabel("tissue, from the softest to the stiffest", fontsize=9)
         axis.set_xticks(numbers)

@@ -1,0 +1,96 @@
+"""``fden report``: a page that a person reads, from a recording."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+
+if TYPE_CHECKING:
+    from fden_ros.report.session import Session
+
+DESCRIPTION = """\
+Replay a recording and write a page on it: what was pressed, where and how often; per contact force
+and depth, the fitted law with its band, the estimates converging, the innovations with their test,
+the classification; across contacts a comparison, and a map where there are positions. What the
+data do not allow to conclude is said in words. One file, no network; light, dark and print.
+"""
+
+EPILOG = """\
+examples:
+  fden report palpation.mcap --config probe.yaml -o report.html
+  fden report palpation.mcap --config probe.yaml --png figure.png --csv contacts.csv
+
+Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "report",
+        help="write a page on a recording",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page, HTML")
+    parser.add_argument("--png", type=Path, metavar="FILE", help="one picture of the session")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row a contact")
+    add_input_options(parser)
+    parser.set_defaults(run=run, parser=parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write what was asked for; return the exit code."""
+    if args.output is None and args.png is None and args.csv is None:
+        args.parser.error("nothing to write: give -o FILE.html, --png FILE or --csv FILE")
+    from fden_ros.report.session import gather
+
+    session = gather(
+        args.bag, parameters_of(args), selection_of(args), progress=sys.stderr.isatty()
+    )
+    if args.output is not None:
+        from fden_ros.report.page import save_page
+
+        save_page(session, args.output)
+        print(f"wrote {args.output}")
+    if args.png is not None:
+        _save_picture(session, args.png)
+        print(f"wrote {args.png}")
+    if args.csv is not None:
+        _save_table(session, args.csv)
+        print(f"wrote {args.csv}")
+    for warning in session.replay.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return 0
+
+
+def _save_picture(session: Session, path: Path) -> None:
+    from fden_ros.errors import InputError
+    from fden_ros.report import figure
+
+    states = [state for contact in session.contacts for state in contact.states.items]
+    shown = figure.Session(states, session.replay.summaries, session.truth)
+    try:
+        figure.save_session_figure(shown, path, session.path.name)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be written ({error}): give a .png file") from None
+
+
+def _save_table(session: Session, path: Path) -> None:
+    from fden_ros.report.page import COLUMNS, contact_rows, write_text
+
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(contact_rows(session))
+    write_text(path, text.getvalue())

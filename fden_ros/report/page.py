@@ -1,0 +1,243 @@
+"""The report as one page of HTML that needs nothing else: no network, no other file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from fden_ros import __version__
+from fden_ros.core.model import exponential_scale
+from fden_ros.core.pipeline import ContactSummary, OrderSource
+from fden_ros.errors import InputError
+from fden_ros.replay import contact_object
+from fden_ros.report import plots
+from fden_ros.report.session import DETAILED_CONTACTS, Contact, Session, remarks
+
+#: Stamps before this are no dates, but times since something else began.
+_FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
+_OPEN_CONTACTS = 8
+
+_SOURCES = {
+    OrderSource.NONE: "",
+    OrderSource.GIVEN: "given",
+    OrderSource.PRIOR: "prior",
+    OrderSource.LEARNED: "learned",
+}
+
+
+def save_page(session: Session, path: str | Path) -> None:
+    """Write the report.
+
+    Raises
+    ------
+    InputError
+        If `path` cannot be written.
+    """
+    write_text(path, page(session))
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file that is complete or not there.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    path = Path(path)
+    draft = path.with_name(f".{path.name}.part")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise InputError(f"{path} cannot be written ({error.strerror}): choose another") from None
+
+
+def page(session: Session) -> str:
+    """Return the report as HTML."""
+    environment = Environment(
+        loader=PackageLoader("fden_ros.report", "."),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    summaries = session.replay.summaries
+    return environment.get_template("page.html").render(
+        name=session.path.name,
+        version=__version__,
+        facts=list(_facts(session)),
+        headline=_headline(session),
+        warnings=list(_warnings(session)),
+        overview=Markup(plots.overview(session)) if session.end_ns else None,
+        comparison=(
+            Markup(plots.comparison(session)) if any(s.estimate for s in summaries) else None
+        ),
+        site_map=(Markup(plots.site_map(session)) if any(s.position for s in summaries) else None),
+        rows=[_row(summary) for summary in summaries],
+        contacts=[_contact(session, contact) for contact in session.contacts[:DETAILED_CONTACTS]],
+        left_out=max(0, len(summaries) - DETAILED_CONTACTS),
+        open_contacts=len(summaries) <= _OPEN_CONTACTS,
+        parameters=sorted(session.parameters.items()),
+    )
+
+
+def _facts(session: Session) -> Iterator[tuple[str, str]]:
+    if session.start_ns >= _FIRST_DATE_NS:
+        start = datetime.fromtimestamp(session.start_ns // 10**9, tz=timezone.utc)
+        yield "Recorded", f"{start:%Y-%m-%d %H:%M:%S} UTC"
+    yield "Length", f"{session.duration:.1f} s"
+    for what, name in session.replay.inputs.items():
+        yield what.capitalize(), name
+    rejected = sum(session.replay.rejected.values())
+    yield "Samples", f"{session.replay.samples}, {rejected} rejected"
+    yield "Geometry", str(session.parameters["geometry.kind"]).replace("_", " ")
+
+
+def _headline(session: Session) -> str:
+    summaries = session.replay.summaries
+    if not summaries:
+        return "No contact was found."
+    sites = len({summary.site_id for summary in summaries})
+    converged = sum(summary.converged for summary in summaries)
+    return (
+        f"{_count(len(summaries), 'contact')} at {_count(sites, 'site')}; "
+        f"{'all' if converged == len(summaries) else converged or 'none'} converged."
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+def _warnings(session: Session) -> Iterator[str]:
+    for warning in session.replay.warnings:
+        yield warning[:1].upper() + warning[1:] + "."
+    for reason, count in session.replay.rejected.items():
+        stream, _, why = reason.partition(".")
+        yield f"{count} samples of the {stream} were rejected: {why.replace('_', ' ')}."
+    unsure = [str(s.contact_id) for s in session.replay.summaries if not s.converged]
+    if unsure:
+        yield (f"Contact {', '.join(unsure)}: the data do not allow a conclusion; see there why.")
+    tests = [(c.contact_id, c.test) for c in session.contacts]
+    poor = [str(n) for n, test in tests if test and test.count >= 10 and test.mean_square > 2.0]
+    if poor:
+        yield (
+            f"Contact {', '.join(poor)}: the innovations are larger than model and noise explain, "
+            "so the intervals are too narrow."
+        )
+
+
+def _row(summary: ContactSummary) -> dict[str, Any]:
+    """Return a line of the table: texts, and a dash where there is nothing."""
+    row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha"), "–")
+    estimate = summary.estimate
+    if estimate is not None:
+        g, gn = math.exp(estimate[0]), math.exp(estimate[1])
+        deviations = [math.sqrt(estimate.covariance[i, i]) for i in range(3)]
+        row |= {
+            "g": _pm(g, g * deviations[0]),
+            "gn": _pm(gn, gn * deviations[1]),
+            "boundary": _pm(1 / gn, deviations[1] / gn),
+            "gi": f"{exponential_scale(g, gn):.3g}",
+            "alpha": f"{_pm(estimate.fractional_order, deviations[2])} "
+            f"({_SOURCES[summary.order_source]})",
+        }
+    status = "converged" if summary.converged else "not converged"
+    return {
+        **row,
+        "id": summary.contact_id,
+        "site": summary.site_id,
+        "seconds": f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
+        "strain": f"{summary.max_strain:.3f}",
+        "force": f"{summary.max_force:.3g}",
+        "status": status if summary.complete else f"{status}, cut short",
+        "converged": summary.converged,
+        "label": _label(summary),
+    }
+
+
+def _pm(value: float, deviation: float) -> str:
+    """Return value ± deviation, with two digits of the deviation."""
+    if not deviation > 0.0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(deviation)))
+    return f"{value:.{digits}f} ± {deviation:.{digits}f}"
+
+
+def _label(summary: ContactSummary) -> str:
+    if summary.classes is None:
+        return "undetermined"
+    return f"{summary.classes.label} {max(summary.classes.probabilities):.0%}"
+
+
+def _contact(session: Session, contact: Contact) -> dict[str, Any]:
+    summary = contact.summary
+    assert summary is not None
+    states = contact.states.items
+    drawings = []
+    if any(state.signals is not None for state in states):
+        drawings += [plots.signals(session, contact), plots.characteristic(contact, summary)]
+    if any(state.estimate is not None for state in states):
+        drawings.append(plots.convergence(contact, session.truth.get(summary.site_id)))
+    if any(state.innovation is not None for state in states):
+        drawings.append(plots.innovations(contact))
+    place = ""
+    if summary.position is not None:
+        place = (
+            ", ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in summary.position) + " mm"
+        )
+    return {
+        "row": _row(summary),
+        "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
+        "place": place,
+        "remarks": list(remarks(summary)),
+        "drawings": [Markup(drawing) for drawing in drawings],
+        "test": contact.test,
+        "domain": "stress" if contact.observes_stress else "fractional stress",
+        "classes": (
+            list(zip(summary.classes.names, summary.classes.probabilities, strict=True))
+            if summary.classes is not None
+            else []
+        ),
+        "truth": session.truth.get(summary.site_id),
+    }
+
+
+#: The columns of the table of contacts, in their order.
+COLUMNS = (
+    "recording", "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n",
+    "g_n_sd", "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale",
+    "converged", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
+    "rejected", "label", "probability", "mean_nis",
+)  # fmt: skip
+
+
+def contact_rows(session: Session) -> Iterator[dict[str, Any]]:
+    """Yield one flat row a contact: numbers in SI units, None where there is nothing."""
+    tests = {contact.contact_id: contact.test for contact in session.contacts}
+    for summary in session.replay.summaries:
+        row = contact_object(summary)
+        probabilities = row.pop("probabilities")
+        row["flags"] = " ".join(row["flags"])
+        row["recording"] = str(session.path)
+        row["x"], row["y"], row["z"] = summary.position or (None, None, None)
+        row["rejected"] = summary.rejected_count
+        row["probability"] = max(probabilities.values(), default=None)
+        row["boundary_strain"] = row["exponential_scale"] = None
+        if row["g"] is not None:
+            row["boundary_strain"] = 1.0 / row["g_n"]
+            row["exponential_scale"] = exponential_scale(row["g"], row["g_n"])
+        test = tests.get(summary.contact_id)
+        row["mean_nis"] = test.mean_square if test is not None else None
+        yield {name: row[name] for name in COLUMNS}
+
+
+__all__ = ["COLUMNS", "contact_rows", "page", "save_page", "write_text"]

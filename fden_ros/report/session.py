@@ -1,0 +1,410 @@
+"""What a report shows of a recording: gathered while it is replayed, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from fden_ros.core.estimator import Innovation
+from fden_ros.core.geometry import Geometry
+from fden_ros.core.pipeline import (
+    ContactSummary,
+    Flag,
+    OrderSource,
+    Output,
+    Status,
+    TissueState,
+)
+from fden_ros.core.synchronize import NANOSECONDS, Position
+from fden_ros.parameters import pipeline_config
+from fden_ros.recording.reader import BagReader
+from fden_ros.recording.source import Selection, Sink
+from fden_ros.recording.synthetic import read_truth
+from fden_ros.replay import Replay, replay
+
+Array = NDArray[np.float64]
+
+#: So many contacts are shown in detail; of the others the summary.
+DETAILED_CONTACTS = 60
+_STATES_A_CONTACT = 1500
+_BUCKETS = 1500
+#: The share of white innovations that a test takes for white.
+_CONFIDENCE = 0.99
+
+
+@dataclass
+class Thinned:
+    """A series that halves itself when it grows too long: every 2^k-th of what was added."""
+
+    limit: int
+    items: list[Any] = field(default_factory=list)
+    _stride: int = 1
+    _count: int = 0
+
+    def add(self, item: Any) -> None:
+        """Take the next item."""
+        if self._count % self._stride == 0:
+            self.items.append(item)
+            if len(self.items) >= self.limit:
+                del self.items[1::2]
+                self._stride *= 2
+        self._count += 1
+
+
+class Envelope:
+    """Least and largest value of a signal in each of a bounded number of stretches of time."""
+
+    def __init__(self) -> None:
+        self._width_ns = 1_000_000
+        self._start_ns: int | None = None
+        self._buckets: dict[int, tuple[float, float]] = {}
+
+    def add(self, stamp_ns: int, value: float) -> None:
+        """Take a sample; what is not finite or before the first is left out."""
+        if not math.isfinite(value):
+            return
+        if self._start_ns is None:
+            self._start_ns = stamp_ns
+        index = (stamp_ns - self._start_ns) // self._width_ns
+        if index < 0:
+            return
+        low, high = self._buckets.get(index, (value, value))
+        self._buckets[index] = (min(low, value), max(high, value))
+        if len(self._buckets) > _BUCKETS:
+            self._widen()
+
+    def _widen(self) -> None:
+        wider: dict[int, tuple[float, float]] = {}
+        for index, (low, high) in self._buckets.items():
+            other = wider.get(index // 2, (low, high))
+            wider[index // 2] = (min(low, other[0]), max(high, other[1]))
+        self._buckets, self._width_ns = wider, 2 * self._width_ns
+
+    def arrays(self, origin_ns: int) -> tuple[Array, Array, Array]:
+        """Return time since `origin_ns` [s], least and largest values, shape (n,) each."""
+        if self._start_ns is None:
+            return (np.zeros(0),) * 3
+        indices = sorted(self._buckets)
+        middle = self._start_ns - origin_ns + self._width_ns // 2
+        time = (np.array(indices, dtype=np.int64) * self._width_ns + middle) / NANOSECONDS
+        low, high = np.array([self._buckets[index] for index in indices]).T
+        return time, low, high
+
+
+@dataclass(frozen=True)
+class InnovationTest:
+    """Whether innovations are as large, and as white, as the filter says.
+
+    If they are, the sum of the normalised squares is chi-squared with as many degrees of freedom
+    as there are, and their correlation with the one before is normal with variance 1/count
+    (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+    ch. 5.4).
+    """
+
+    count: int
+    mean_square: float  #: mean of the normalised innovation squared [1]; 1 expected
+    low: float  #: interval that holds `mean_square` with 99 % if the filter is right
+    high: float
+    correlation: float  #: of neighbours [1]; 0 expected
+    correlation_limit: float  #: its magnitude stays below this with 99 % if they are white
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in words."""
+        if self.count < 10:
+            return "too few innovations for a test"
+        size = "as large as the noise explains"
+        if self.mean_square > self.high:
+            size = "larger than the noise explains: the model or the stated noise is off"
+        elif self.mean_square < self.low:
+            size = "smaller than the stated noise: the intervals are wider than they need be"
+        white = abs(self.correlation) <= self.correlation_limit
+        return f"{size}; {'white' if white else 'not white: neighbours resemble each other'}"
+
+
+@dataclass
+class Contact:
+    """One contact: its summary and, in detail, what led to it."""
+
+    contact_id: int
+    states: Thinned = field(default_factory=lambda: Thinned(_STATES_A_CONTACT))
+    summary: ContactSummary | None = None
+    observes_stress: bool = False
+    _count: int = 0
+    _sum: float = 0.0
+    _square: float = 0.0
+    _product: float = 0.0
+    _previous: float | None = None
+
+    def add(self, state: TissueState) -> None:
+        """Take a state of this contact."""
+        self.states.add(state)
+        if state.innovation is not None:
+            self._test(state.innovation)
+
+    def _test(self, innovation: Innovation) -> None:
+        self.observes_stress = innovation.predicted_stress is not None
+        normalized = normalized_innovation(innovation)
+        self._count += 1
+        self._sum += normalized
+        self._square += normalized**2
+        if self._previous is not None:
+            self._product += normalized * self._previous
+        self._previous = normalized
+
+    @property
+    def test(self) -> InnovationTest | None:
+        """The test of this contact's innovations; None without any."""
+        n = self._count
+        if n < 2:
+            return None
+        tail = 0.5 * (1.0 - _CONFIDENCE)
+        mean = self._sum / n
+        variance = max(self._square / n - mean**2, 1e-300)
+        return InnovationTest(
+            count=n,
+            mean_square=self._square / n,
+            low=float(chi2.ppf(tail, n)) / n,
+            high=float(chi2.ppf(1.0 - tail, n)) / n,
+            correlation=(self._product / (n - 1) - mean**2) / variance,
+            correlation_limit=2.576 / math.sqrt(n),
+        )
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording as a report shows it."""
+
+    path: Path
+    parameters: Mapping[str, Any]
+    replay: Replay
+    contacts: list[Contact]
+    force: Envelope
+    displacement: Envelope
+    start_ns: int
+    end_ns: int
+    geometry: Geometry
+    truth: dict[int, dict[str, Any]]  #: by site, of simulated recordings
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return (self.end_ns - self.start_ns) / NANOSECONDS
+
+
+def gather(
+    bag: str | Path,
+    parameters: Mapping[str, Any],
+    selection: Selection | None = None,
+    *,
+    progress: bool = False,
+) -> Session:
+    """Replay a recording and keep what a report shows.
+
+    Parameters
+    ----------
+    bag, parameters, selection, progress
+        As for :func:`fden_ros.replay.replay`.
+
+    Raises
+    ------
+    InputError
+        As :func:`fden_ros.replay.replay`.
+    """
+    gatherer = _Gatherer()
+    result = replay(
+        bag,
+        parameters,
+        selection,
+        progress=progress,
+        on_output=gatherer.take,
+        tap=gatherer.tap,
+    )
+    return Session(
+        path=Path(bag),
+        parameters=parameters,
+        replay=result,
+        contacts=[c for c in gatherer.contacts if c.summary is not None],
+        force=gatherer.force,
+        displacement=gatherer.displacement,
+        start_ns=gatherer.start_ns or 0,
+        end_ns=gatherer.end_ns,
+        geometry=pipeline_config(parameters).geometry,
+        truth=_truth(bag, selection),
+    )
+
+
+def _truth(bag: str | Path, selection: Selection | None) -> dict[int, dict[str, Any]]:
+    if selection is not None and selection.columns is not None:
+        return {}
+    truth = read_truth(BagReader(bag))
+    return {site["site"]: site for site in truth["sites"]} if truth else {}
+
+
+class _Gatherer:
+    """Listens before and after the pipeline."""
+
+    def __init__(self) -> None:
+        self.contacts: list[Contact] = []
+        self.force, self.displacement = Envelope(), Envelope()
+        self.start_ns: int | None = None
+        self.end_ns = 0
+
+    def take(self, output: Output, frame: str) -> None:
+        if isinstance(output, TissueState):
+            if output.status in (Status.CONVERGING, Status.CONVERGED) and output.contact_id:
+                contact = self._contact(output.contact_id)
+                if len(self.contacts) <= DETAILED_CONTACTS:
+                    contact.add(output)
+        elif isinstance(output, ContactSummary):
+            self._contact(output.contact_id).summary = output
+
+    def _contact(self, contact_id: int) -> Contact:
+        if not self.contacts or self.contacts[-1].contact_id != contact_id:
+            self.contacts.append(Contact(contact_id))
+        return self.contacts[-1]
+
+    def tap(self, sink: Sink) -> Sink:
+        return _Tap(self, sink)
+
+    def see(self, stamp_ns: int) -> None:
+        if self.start_ns is None:
+            self.start_ns = stamp_ns
+        self.end_ns = max(self.end_ns, stamp_ns)
+
+
+class _Tap:
+    """Hands samples on and keeps their envelope."""
+
+    def __init__(self, gatherer: _Gatherer, sink: Sink) -> None:
+        self._gatherer, self._sink = gatherer, sink
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        self._gatherer.see(stamp_ns)
+        self._gatherer.force.add(stamp_ns, force)
+        self._sink.add_force(stamp_ns, force)
+
+    def add_displacement(
+        self, stamp_ns: int, displacement: float, position: Position | None = None
+    ) -> None:
+        self._gatherer.see(stamp_ns)
+        self._gatherer.displacement.add(stamp_ns, displacement)
+        self._sink.add_displacement(stamp_ns, displacement, position)
+
+    def reject(self, stream: str, reason: str) -> None:
+        self._sink.reject(stream, reason)
+
+
+def normalized_innovation(innovation: Innovation) -> float:
+    """Return the innovation over its standard deviation [1]."""
+    return innovation.innovation / math.sqrt(innovation.variance)
+
+
+def fractional_derivative(time: Array, values: Array, order: float) -> Array:
+    """Return D^order of a series that is 0 up to its first time, by the L1 scheme.
+
+    Parameters
+    ----------
+    time : array, shape (n,)
+        Increasing times [s], any steps.
+    values : array, shape (n,)
+        The series, linear in between; its first value is reached at once.
+    order : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    array, shape (n,)
+        The Caputo derivative of what follows the first value (Oldham and Spanier, The Fractional
+        Calculus, 1974, ch. 8.2).
+    """
+    result = np.zeros(time.size)
+    slopes = np.diff(values) / np.diff(time)
+    for index in range(1, time.size):
+        away = (time[index] - time[: index + 1]) ** (1.0 - order)
+        result[index] = slopes[:index] @ (away[:-1] - away[1:]) / math.gamma(2.0 - order)
+    return result
+
+
+def predicted_stress(contact: Contact) -> tuple[Array, Array, Array]:
+    """Return time [s], measured and predicted stress [Pa], shape (n,) each.
+
+    Where the fractional stress is observed, its innovations are carried over to the stress:
+    both are linear in each other, f - D^alpha (f' - f'_predicted).
+    """
+    states = [
+        s for s in contact.states.items if s.signals is not None and s.innovation is not None
+    ]
+    if len(states) < 2:
+        return (np.zeros(0),) * 3
+    time = np.array([(s.stamp_ns - states[0].stamp_ns) / NANOSECONDS for s in states])
+    measured = np.array([s.signals.stress for s in states])
+    if contact.observes_stress:
+        return time, measured, np.array([s.innovation.predicted_stress for s in states])
+    order = states[-1].estimate.fractional_order if states[-1].estimate is not None else 0.0
+    innovations = np.array([s.innovation.innovation for s in states])
+    return time, measured, measured - fractional_derivative(time, innovations, order)
+
+
+def compression_of(geometry: Geometry, strain: float) -> float:
+    """Return the compression that has this strain, by bisection; strain grows with compression."""
+    low, high = -1.0, 1.0
+    while geometry.strain(high) < strain and high < 1e6:
+        high *= 2.0
+    while geometry.strain(low) > strain and low > -1e6:
+        low *= 2.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if geometry.strain(middle) < strain:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def remarks(summary: ContactSummary) -> Iterator[str]:
+    """Yield, in words, what stands against a conclusion from a contact."""
+    estimate = summary.estimate
+    if not summary.complete:
+        yield "The contact was cut short: its release is not in the recording, or data were lost."
+    if summary.flags & Flag.ORIGIN_UNCERTAIN:
+        yield (
+            "The force was there when the data began, so the touch was not seen: there is no "
+            "strain origin, and no estimate for this site."
+        )
+    if summary.flags & Flag.GAP:
+        yield "Samples are missing within this site's memory."
+    if summary.flags & Flag.MODEL_MISMATCH:
+        yield "The model does not describe this contact: the force is not what it predicts."
+    if summary.flags & Flag.TISSUE_CHANGED:
+        yield "The tissue changed within the contact, and was learned anew."
+    if summary.flags & Flag.SATURATED:
+        yield "A sensor was at its limit."
+    if summary.rejected_count:
+        yield f"{summary.rejected_count} samples were rejected during the contact."
+    if estimate is None:
+        yield "There is no estimate."
+    elif not summary.converged:
+        boundary = math.exp(-estimate.log_nonlinear_stiffness)
+        deviation = math.sqrt(estimate.covariance[1, 1])
+        if summary.max_strain < boundary * math.exp(2.0 * deviation):
+            yield (
+                f"Not converged: the strain reached {summary.max_strain:.3f} and did not surely "
+                f"pass the boundary 1/Gn, about {boundary:.3f}. Gn is prior knowledge still: "
+                "press deeper."
+            )
+        else:
+            yield f"Not converged: Gn is known to {100 * deviation:.1f} % only."
+    if estimate is not None and summary.order_source is OrderSource.PRIOR:
+        yield (
+            f"alpha is prior knowledge ({estimate.fractional_order:.3f}): the data did not "
+            "determine it."
+        )
+

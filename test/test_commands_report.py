@@ -1,0 +1,252 @@
+"""``fden report``: what the page says, and that a browser shows it without a complaint."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from fden_ros.cli import main
+from fden_ros.core.geometry import FlatPunch, Sphere
+from fden_ros.parameters import read_parameter_file
+from fden_ros.report.session import (
+    Contact,
+    Envelope,
+    Session,
+    Thinned,
+    compression_of,
+    fractional_derivative,
+    gather,
+)
+
+GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
+POSE = GOLDEN / "golden_pose"
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium is installed: sudo apt-get install chromium"
+)
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return gather(POSE, read_parameter_file(POSE / "identifier.yaml"))
+
+
+@pytest.fixture(scope="module")
+def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from fden_ros.report.page import save_page
+
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    save_page(session, path)
+    return path
+
+
+def browse(page: Path, *options: str) -> tuple[str, list[str]]:
+    """Return the page after its scripts ran, and what they, and the page's policy, complained."""
+    assert CHROMIUM is not None
+    done = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+            *(f"--user-data-dir={page.parent / 'profile'}", "--enable-logging=stderr"),
+            *(*options, f"file://{page}"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+
+
+# The page
+
+
+@needs_browser
+def test_a_browser_shows_the_numbers_without_a_script_error(page: Path, session: Session) -> None:
+    dom, complaints = browse(page, "--dump-dom")
+    assert complaints == []
+    text = re.sub(r"<[^>]+>", " ", dom)
+    shown = np.array([float(number) for number in re.findall(r"\d+\.\d+", text)])
+    for summary in session.replay.summaries:
+        assert summary.estimate is not None
+        for value in np.exp(summary.estimate[:2]):
+            assert np.min(np.abs(shown / value - 1.0)) < 1e-3
+    assert "2 contacts at 2 sites; all converged." in text
+    assert dom.count('<details class="contact" open') == 2
+    assert dom.count("<svg") == 3 + 4 * 2
+
+
+@needs_browser
+def test_a_script_error_and_a_reach_for_the_network_do_not_go_unseen(
+    page: Path, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken.html"
+    for change in ("<script>nowhere();</script>", '<img src="http://localhost:9/x.png">'):
+        broken.write_text(page.read_text().replace("</main>", f"{change}</main>"))
+        assert len(browse(broken, "--dump-dom")[1]) >= 1
+
+
+@needs_browser
+def test_the_page_follows_light_and_dark(page: Path, tmp_path: Path) -> None:
+    def brightness(scheme: int) -> tuple[float, float]:
+        shot = tmp_path / f"{scheme}.png"
+        browse(
+            page,
+            f"--blink-settings=preferredColorScheme={scheme}",
+            "--window-size=1200,1000",
+            f"--screenshot={shot}",
+        )
+        pixels = matplotlib.image.imread(shot)[..., :3].mean(axis=2)
+        return float(np.median(pixels)), float(np.ptp(pixels))
+
+    (dark, dark_contrast), (light, light_contrast) = brightness(0), brightness(1)
+    assert dark < 0.2 and light > 0.9
+    assert min(dark_contrast, light_contrast) > 0.7
+
+
+@needs_browser
+def test_the_page_prints(page: Path, tmp_path: Path) -> None:
+    browse(page, f"--print-to-pdf={tmp_path / 'report.pdf'}")
+    content = (tmp_path / "report.pdf").read_bytes()
+    assert content.startswith(b"%PDF")
+    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 8
+
+
+def test_the_page_needs_nothing_from_elsewhere(page: Path) -> None:
+    text = page.read_text()
+    references = re.findall(r'(?:src|href|xlink:href)="([^"]*)"|url\(([^)]*)\)', text)
+    assert references
+    assert all((a or b).startswith(("#", "data:")) for a, b in references)
+    assert "default-src 'none'" in text
+    # Colours of the pictures come from the page.
+    assert "var(--estimate)" in text and not re.search(r"#(0[1-8])\1\1\b", text)
+
+
+def test_text_from_the_recording_is_escaped(tmp_path: Path, session: Session) -> None:
+    from dataclasses import replace
+
+    from fden_ros.report.page import page as render
+
+    html = render(replace(session, path=Path("<script>alert(1)</script>"), contacts=[]))
+    assert "<script>alert" not in html
+
+
+def test_what_the_data_do_not_allow_is_said_in_words(tmp_path: Path) -> None:
+    config = tmp_path / "narrow.yaml"
+    text = (POSE / "identifier.yaml").read_text()
+    # A stiffness this nonlinear would begin at strains that were not reached.
+    config.write_text(
+        text + "    prior: {nonlinear_stiffness: 2.0, nonlinear_stiffness_log_sd: 0.02}\n"
+    )
+    cut = tmp_path / "cut.mcap"
+    (source,) = POSE.glob("*.mcap")
+    cut.write_bytes(source.read_bytes()[: source.stat().st_size // 3])
+    out = tmp_path / "report.html"
+    assert main(["report", str(cut), "--config", str(config), "-o", str(out)]) == 0
+    said = out.read_text()
+    assert "is cut off at byte" in said
+    assert "The contact was cut short" in said
+    assert "press deeper" in said
+    assert "the data do not allow a conclusion" in said
+
+
+def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path: Path) -> None:
+    table = tmp_path / "air.csv"
+    table.write_text("t,f,d\n" + "".join(f"{i * 1e-2},0.0{i % 7},0\n" for i in range(300)))
+    out = tmp_path / "report.html"
+    assert main(["report", str(table), "--columns", "t,f,d", "-o", str(out)]) == 0
+    assert "No contact was found" in out.read_text()
+
+
+# Table and picture
+
+
+def test_the_table_has_a_row_a_contact_and_the_picture_is_one(
+    tmp_path: Path, session: Session
+) -> None:
+    table, picture = tmp_path / "contacts.csv", tmp_path / "figure.png"
+    arguments = ("report", str(POSE), "--config", str(POSE / "identifier.yaml"))
+    assert main([*arguments, "--csv", str(table), "--png", str(picture)]) == 0
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["contact_id"]) for row in rows] == [1, 2]
+    for row, summary in zip(rows, session.replay.summaries, strict=True):
+        assert summary.estimate is not None and summary.position is not None
+        assert float(row["g"]) == pytest.approx(np.exp(summary.estimate[0]), rel=1e-12)
+        assert float(row["x"]) == summary.position[0]
+    image = matplotlib.image.imread(picture)
+    assert image.shape[0] > 500 and float(image[..., :3].std()) > 0.02
+
+
+def test_nothing_to_write_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main(["report", str(POSE)])
+    assert exit_.value.code == 2
+    assert main(["report", str(POSE), "-o", "/proc/no/report.html"]) == 1
+
+
+# What is gathered
+
+
+def test_innovations_of_simulated_tissue_pass_their_test(session: Session) -> None:
+    for contact in session.contacts:
+        test = contact.test
+        assert test is not None and test.count > 50
+        if contact.observes_stress:
+            assert 0.5 < test.mean_square < 1.7
+
+
+def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None:
+    from fden_ros.core.estimator import Innovation
+
+    def verdict(values: np.ndarray) -> str:
+        contact = Contact(1)
+        for value in values:
+            contact._test(Innovation(0.0, 0.0, float(value), 1.0))
+        assert contact.test is not None
+        return contact.test.verdict
+
+    passed = 0
+    for seed in range(200):
+        white = np.random.default_rng(seed).normal(size=300)
+        passed += verdict(white) == "as large as the noise explains; white"
+        assert "larger than" in verdict(2.0 * white)
+        assert "smaller than" in verdict(0.5 * white)
+        assert "not white" in verdict(np.convolve(white, np.ones(4) / 2.0, "valid"))
+    assert passed >= 190  # 98 % expected of the two tests of 99 %
+
+
+def test_series_stay_bounded_and_keep_their_extremes() -> None:
+    envelope, thinned = Envelope(), Thinned(100)
+    values = np.sin(np.arange(200_000) * 1e-3)
+    values[123_456] = 7.0
+    for index, value in enumerate(values):
+        envelope.add(index * 1_000_000, float(value))
+        thinned.add(index)
+    time, low, high = envelope.arrays(0)
+    assert time.size <= 1500 and high.max() == 7.0 and low.min() == values.min()
+    assert 50 <= len(thinned.items) <= 100
+    assert len(set(np.diff(thinned.items))) == 1
+
+
+def test_the_fractional_derivative_of_a_ramp_is_exact() -> None:
+    from math import gamma
+
+    time = np.cumsum(np.random.default_rng(1).uniform(0.001, 0.02, 200))
+    derivative = fractional_derivative(time, 3.0 * (time - time[0]), 0.13)
+    exact = 3.0 * (time - time[0]) ** 0.87 / gamma(1.87)
+    assert derivative == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("geometry", [FlatPunch(1e-4, 0.02), Sphere(0.005)])
+def test_compression_is_found_from_strain(geometry: FlatPunch | Sphere) -> None:
+    for compression in (0.01, 0.3, 0.9):
+        assert compression_of(geometry, geometry.strain(compression)) == pytest.approx(compression)
