@@ -2,10 +2,11 @@
 ENV := scripts/ros_env
 PYTEST_ARGS ?= -n 2
 
-.PHONY: help setup demo test lint clean
+.PHONY: help setup demo live test lint clean
 
 help:
 	@echo "make demo    identify a synthetic palpation live over DDS; picture and JSON in demo/"
+	@echo "make live    simulator, node, controller and monitor together, until Ctrl-C"
 	@echo "make test    lint, then every test"
 	@echo "make lint    ruff and mypy"
 	@echo "make setup   make or mend the environment (PYTHON=... chooses the interpreter)"
@@ -16,6 +17,9 @@ setup:
 
 demo:
 	@$(ENV) fden demo -o demo
+
+live:
+	@$(ENV) fden live
 
 lint:
 	@$(ENV) ruff check

@@ -63,6 +63,8 @@ setup(
         "console_scripts": [
             "fden = fden_ros.cli:main",
             "identifier = fden_ros.nodes.identifier:main",
+            "tissue_simulator = fden_ros.nodes.tissue_simulator:main",
+            "force_controller = fden_ros.nodes.force_controller:main",
         ]
     },
 )

@@ -55,7 +55,7 @@ _QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 _STEP = 1e-3
 _TICK = 0.002
 #: After a longer pause than this [s] simulated time does not catch up with the clock.
-_LONGEST_LAG = 0.2
+_LONGEST_LAG = 30.0
 
 
 class TissueSimulator(Node):

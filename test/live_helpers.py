@@ -1,0 +1,88 @@
+"""Nodes of the live system in processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+ROOT = Path(__file__).parent.parent
+PARAMETERS = ROOT / "config" / "tissue_simulator.yaml"
+
+
+class Ears:
+    """A plain node with its executor, in a context of its own."""
+
+    def __enter__(self) -> Ears:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("ears", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+    def hear(self, kind: type, topic: str, qos: Any = 1000) -> list[Any]:
+        """Return a list that every message of a topic goes into."""
+        heard: list[Any] = []
+        self.node.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def wait_for(self, condition: Callable[[], Any], what: str, timeout: float = 60.0) -> Any:
+        """Spin until `condition` holds; return its value."""
+        end = time.monotonic() + timeout
+        while not (value := condition()):
+            assert time.monotonic() < end, f"waited {timeout:g} s in vain for {what}"
+            self.executor.spin_once(timeout_sec=0.02)
+        return value
+
+
+@contextlib.contextmanager
+def node_process(
+    name: str, parameters: Mapping[str, Any] | None = None, *, file: Path | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """Run a node; stop it by SIGINT, and keep its output."""
+    command = [sys.executable, "-m", f"fden_ros.nodes.{name}", "--ros-args"]
+    if file is not None:
+        command += ["--params-file", str(file)]
+    for key, value in (parameters or {}).items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ["-p", f"{key}:={text}"]
+    with process_of(command) as process:
+        yield process
+
+
+@contextlib.contextmanager
+def process_of(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """Run a program; continue, stop and reap it whatever was done to it."""
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGINT)
+        try:
+            output, _ = process.communicate(timeout=15.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            output, _ = process.communicate()
+            raise
+        finally:
+            process.output = output  # type: ignore[attr-defined]
+            # Shown by pytest if the test fails.
+            print(output)

@@ -1,0 +1,160 @@
+"""The force controller: its law, and in closed loop with simulated tissue and the pipeline."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fden_ros.cli import main
+from fden_ros.control.closed_loop import Program, Run, run, tissues
+from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
+from fden_ros.control.live_tissue import Reading
+from fden_ros.core.estimator import Estimate
+from fden_ros.core.pipeline import ApparentStiffness, Flag, Phase, Status, TissueState
+from fden_ros.errors import InputError
+from fden_ros.report.control import save_control_figure
+
+#: Shorter than that of `fden control`, which runs all ten.
+PROGRAM = Program(rest=2.5, work=1.5, back=1.0)
+CONFIG = ForceControlConfig(safe_stiffness=100.0, force_limit=1.0, bandwidth=10.0)
+
+
+def reading(stiffness: float, sd: float = 0.0) -> Reading:
+    estimate = Estimate(6.3, 2.1, 0.0, np.zeros((3, 3)), 0.0, 0.0, 1.0, True, 1000)
+    state = TissueState(
+        stamp_ns=0,
+        status=Status.CONVERGED,
+        flags=Flag.NONE,
+        site_id=1,
+        contact_id=1,
+        phase=Phase.LOADING,
+        estimate=estimate,
+        apparent_stiffness=ApparentStiffness(stiffness, sd, 0.1),
+    )
+    return Reading(state, estimate, 0.0)
+
+
+def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness() -> None:
+    controller = ForceController(CONFIG)
+    velocity = controller.step(0.0, 0.30, 0.0, 0.35, reading(40.0, 10.0))
+    assert velocity == pytest.approx(10.0 * 0.05 / 50.0)
+    assert controller.gains is Gains.LIVE
+
+
+def test_without_an_estimate_the_safe_gains_are_used_at_once() -> None:
+    controller = ForceController(CONFIG)
+    controller.step(0.0, 0.30, 0.0, 0.35, reading(40.0))
+    velocity = controller.step(0.005, 0.30, 0.0, 0.35, None)
+    assert controller.gains is Gains.SAFE
+    assert velocity == pytest.approx(10.0 * 0.05 / 100.0)
+
+
+def test_on_tissue_stiffer_than_the_safe_one_a_loss_makes_nothing_faster() -> None:
+    controller = ForceController(CONFIG)
+    before = controller.step(0.0, 0.30, 0.0, 0.35, reading(300.0))
+    assert controller.step(0.005, 0.30, 0.0, 0.35, None) == pytest.approx(before)
+
+
+def test_fixed_gains_know_nothing_of_the_estimate() -> None:
+    controller = ForceController(replace(CONFIG, scheduled=False))
+    assert controller.step(0.0, 0.3, 0.0, 0.35, reading(1.0)) == pytest.approx(0.5 / 100.0)
+    assert controller.gains is Gains.FIXED
+
+
+def test_the_rate_leaves_room_below_the_limit() -> None:
+    controller = ForceController(CONFIG)
+    velocity = controller.step(0.0, 0.9, 0.0, 5.0, reading(100.0))
+    guard = CONFIG.guarded_stiffening * CONFIG.reaction_time
+    assert velocity == pytest.approx((1.0 - 0.9) / guard / 100.0)
+
+
+def test_a_measured_stiffening_counts_at_once_and_noise_does_not() -> None:
+    controller = ForceController(CONFIG)
+    generator = np.random.default_rng(1)
+    stiffness = []
+    for n in range(60):
+        depth = 1e-5 * n
+        force = 0.2 + 40.0 * depth + (360.0 * (depth - 4e-4) if n > 40 else 0.0)
+        force += 1e-3 * generator.standard_normal()
+        controller.step(0.005 * n, force, depth, 0.5, reading(40.0))
+        stiffness.append(controller.stiffness)
+    assert stiffness[:41] == pytest.approx([40.0] * 41)
+    assert max(stiffness[41:]) > 120.0
+
+
+def test_in_the_air_the_probe_approaches_or_leaves() -> None:
+    controller = ForceController(CONFIG)
+    assert controller.step(0.0, 0.0, -0.01, 0.2, None) == CONFIG.approach_speed
+    assert controller.step(0.01, 0.0, -0.01, 0.0, None) == -CONFIG.approach_speed
+
+
+def test_a_configuration_without_sense_is_refused() -> None:
+    with pytest.raises(InputError, match="safe_stiffness"):
+        ForceControlConfig(safe_stiffness=0.0, force_limit=1.0)
+
+
+@pytest.fixture(scope="module")
+def loops() -> dict[int, tuple[Run, Run]]:
+    """The stiffest of the soft half and of all ten: fixed and scheduled."""
+    models = tissues(10)
+    return {
+        number: (
+            run(models[number], scheduled=False, program=PROGRAM),
+            run(models[number], scheduled=True, program=PROGRAM),
+        )
+        for number in (4, 9)
+    }
+
+
+def test_the_ten_tissues_span_table_two() -> None:
+    models = tissues(10)
+    assert (models[0].linear_stiffness, models[0].nonlinear_stiffness) == (341.8, 5.26)
+    assert models[-1].linear_stiffness == pytest.approx(1294.0)
+    assert models[-1].nonlinear_stiffness == pytest.approx(13.18)
+    values = [model.linear_stiffness for model in models]
+    assert values == sorted(values)
+
+
+def test_scheduled_gains_keep_their_promises(loops: dict[int, tuple[Run, Run]]) -> None:
+    for fixed, scheduled in loops.values():
+        assert not scheduled.violated
+        assert scheduled.working.overshoot <= 0.05 and scheduled.high.overshoot <= 0.05
+        assert scheduled.working.settling < fixed.working.settling
+    fixed, scheduled = loops[4]
+    assert scheduled.working.settling <= 0.5 * fixed.working.settling
+
+
+def test_fixed_gains_pass_the_limit_where_scheduled_ones_do_not(
+    loops: dict[int, tuple[Run, Run]],
+) -> None:
+    fixed, scheduled = loops[9]
+    assert fixed.violated and not scheduled.violated
+
+
+def test_an_inclusion_takes_the_estimate_back(loops: dict[int, tuple[Run, Run]]) -> None:
+    _, scheduled = loops[4]
+    after = scheduled.times > PROGRAM.steps[-1][0] + 1.0
+    assert scheduled.live[~after].any()
+    assert set(scheduled.refusals) & {"CONTRADICTED", "REJECTED"}
+
+
+def test_a_loss_in_the_middle_of_a_motion_leads_to_safe_gains_within_a_deadline() -> None:
+    lost = PROGRAM.steps[2][0] + 0.1
+    result = run(tissues(10)[4], scheduled=True, program=PROGRAM, lose_estimate_at=lost)
+    assert result.live[(result.times > lost - 0.1) & (result.times < lost)].all()
+    assert not result.live[result.times > lost + 0.1].any()
+    assert not result.violated and result.working.overshoot <= 0.05
+
+
+def test_the_picture_and_the_command(
+    loops: dict[int, tuple[Run, Run]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_control_figure(list(loops.values()), PROGRAM, tmp_path / "control.png")
+    assert (tmp_path / "control.png").stat().st_size > 20_000
+    assert main(["control", "-n", "0"]) == 1
+    assert "at least one" in capsys.readouterr().err
+    assert math.isfinite(loops[4][1].working.settling)

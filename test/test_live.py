@@ -1,0 +1,242 @@
+"""The live system over DDS: controller, example, monitor, markers, and a clean end."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fden_msgs.msg import TissueEstimate
+from geometry_msgs.msg import WrenchStamped
+from live_helpers import PARAMETERS, ROOT, Ears, node_process, process_of
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rich.console import Console
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, String
+from visualization_msgs.msg import MarkerArray
+
+from fden_ros.control.live_tissue import Refusal
+from fden_ros.core.estimator import Estimate
+from fden_ros.core.pipeline import (
+    ContactSummary,
+    Flag,
+    OrderSource,
+    Phase,
+    Signals,
+    Status,
+    TissueState,
+)
+from fden_ros.nodes.markers import StiffnessMap, colour_of
+from fden_ros.report.monitor import MonitorView, monitor_view
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: What a machine that runs every other test beside it can keep pace with.
+SIMULATOR = {"force.rate": 100.0, "displacement.rate": 100.0}
+IDENTIFIER = {"autostart": True, "estimate.period": 0.02}
+ESTIMATE = Estimate(
+    math.log(500.0), math.log(8.0), 0.13, np.diag([0.01, 0.0004, 0.0001]), 0, 0, 1, True, 1000
+)
+
+
+def summary(site: int, sd: float = 0.02, stiffness: float = 500.0) -> ContactSummary:
+    covariance = np.diag([sd**2, 0.0004, 0.0001])
+    estimate = ESTIMATE._replace(log_linear_stiffness=math.log(stiffness), covariance=covariance)
+    return ContactSummary(
+        stamp_ns=site,
+        start_ns=0,
+        end_ns=site,
+        site_id=site,
+        contact_id=site,
+        flags=Flag.NONE,
+        converged=True,
+        complete=True,
+        position=(0.01 * site, 0.02, 0.03),
+        order_source=OrderSource.PRIOR,
+        estimate=estimate,
+        max_strain=0.3,
+        max_stress=900.0,
+        max_force=0.3,
+        sample_count=100,
+        rejected_count=0,
+        classes=None,
+    )
+
+
+def points(cloud: PointCloud2) -> dict[str, np.ndarray]:
+    kind = np.dtype([(field.name, "<f8") for field in cloud.fields])
+    assert kind.itemsize == cloud.point_step
+    rows = np.frombuffer(bytes(cloud.data), kind)
+    assert rows.size == cloud.width
+    return {name: rows[name] for name in rows.dtype.names or ()}
+
+
+def test_a_site_is_one_marker_and_one_point_of_its_newest_contact() -> None:
+    stiffness_map = StiffnessMap()
+    for site, stiffness in ((1, 300.0), (2, 900.0), (1, 320.0)):
+        assert stiffness_map.add(summary(site, stiffness=stiffness))
+    markers = stiffness_map.markers("base").markers
+    assert sorted(m.id for m in markers if m.ns == "sites") == [1, 2]
+    assert all(m.header.frame_id == "base" for m in markers)
+    cloud = points(stiffness_map.cloud("base"))
+    assert cloud["G"] == pytest.approx([320.0, 900.0])
+    assert cloud["x"] == pytest.approx([0.01, 0.02])
+    assert cloud["G_sd"] == pytest.approx([6.4, 18.0])
+
+
+def test_stiffness_is_the_colour_and_uncertainty_the_transparency() -> None:
+    soft, hard = colour_of(300.0, 0.01), colour_of(4000.0, 0.01)
+    assert hard.g > soft.g and hard.r > soft.r
+    opacities = [colour_of(500.0, sd).a for sd in (0.0, 0.05, 0.1, 1.0)]
+    assert opacities == sorted(opacities, reverse=True)
+    assert opacities[0] == 1.0 and opacities[2] == pytest.approx(0.5) and opacities[-1] >= 0.1
+
+
+def test_a_contact_without_position_or_estimate_is_not_on_the_map() -> None:
+    from dataclasses import replace
+
+    stiffness_map = StiffnessMap()
+    assert not stiffness_map.add(replace(summary(1), position=None))
+    assert not stiffness_map.add(replace(summary(1), estimate=None))
+    assert stiffness_map.cloud("base").width == 0
+
+
+def shown(view: MonitorView) -> str:
+    console = Console(width=110, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(monitor_view(view))
+    return console.export_text()
+
+
+def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
+    assert "nothing heard yet" in shown(MonitorView("/identifier"))
+    state = TissueState(
+        stamp_ns=0,
+        status=Status.CONVERGED,
+        flags=Flag.GAP,
+        site_id=2,
+        contact_id=3,
+        phase=Phase.HOLDING,
+        order_source=OrderSource.LEARNED,
+        estimate=ESTIMATE,
+        signals=Signals(0.2, 500.0, 400.0),
+    )
+    text = shown(
+        MonitorView(
+            "/identifier",
+            state=state,
+            age=0.01,
+            rate=99.0,
+            refusal=Refusal.REJECTED,
+            label="liver",
+            probabilities={"liver": 0.97, "unknown": 0.03},
+            summaries=(summary(1),),
+            diagnostics={"message": "3 samples rejected in the last second"},
+            gains="safe",
+        )
+    )
+    for words in (
+        *("converged", "gap", "99 Hz", "3 at site 2", "holding", "0.130", "learned"),
+        *("liver 97%", "3 samples rejected", "safe", "Contacts"),
+        f"[{500 * math.exp(-0.2):.4g}, {500 * math.exp(0.2):.4g}]",
+    ):
+        assert words in text
+    lost = MonitorView("/identifier", state=state, age=3.0, refusal=Refusal.LOST)
+    assert "no estimate for 3.0 s" in shown(lost)
+
+
+def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> None:
+    with Ears() as ears:
+        gains = ears.hear(String, "/force_controller/gains", LATCHED)
+        forces = ears.hear(WrenchStamped, "/force")
+        estimates = ears.hear(TissueEstimate, "/identifier/estimate")
+        maps = ears.hear(PointCloud2, "/identifier/stiffness_map", LATCHED)
+        markers = ears.hear(MarkerArray, "/identifier/markers", LATCHED)
+        target = ears.node.create_publisher(Float64, "/target_force", 10)
+        with (
+            node_process("tissue_simulator", SIMULATOR, file=PARAMETERS),
+            node_process("identifier", IDENTIFIER, file=PARAMETERS) as identifier,
+        ):
+            # The air's noise is measured before the touch.
+            ears.wait_for(lambda: len(estimates) > 50, "the identifier")
+            controller = {"program.forces": "[0.0]", "tare_time": 2.0, "reaction_time": 0.1}
+            with node_process("force_controller", controller, file=PARAMETERS) as node:
+                ears.wait_for(target.get_subscription_count, "the controller")
+                target.publish(Float64(data=0.1))
+                ears.wait_for(lambda: gains and gains[-1].data == "live", "live gains")
+                ears.wait_for(lambda: abs(mean_force(forces) - 0.1) < 0.01, "the force wanted")
+                target.publish(Float64(data=0.0))
+                ears.wait_for(lambda: maps and markers, "the map")
+                cloud = points(maps[-1])
+                assert cloud["G"] == pytest.approx([341.8], rel=0.1)
+                assert cloud["x"] == pytest.approx([0.0], abs=1e-4)
+                assert maps[-1].header.frame_id == "base"
+                target.publish(Float64(data=0.1))
+                ears.wait_for(lambda: gains[-1].data == "live", "live gains again")
+                gains.clear()
+                identifier.kill()
+                ears.wait_for(lambda: gains and gains[-1].data == "safe", "safe gains", 5.0)
+            assert node.returncode == 0
+
+
+def mean_force(forces: list[Any], bias: float = 0.05) -> float:
+    if len(forces) < 50:
+        return math.nan
+    return float(np.mean([message.wrench.force.z for message in forces[-20:]])) - bias
+
+
+def test_the_documented_program_runs_as_it_stands() -> None:
+    program = ROOT / "examples" / "controller.py"
+    text = program.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 40
+    page = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
+    assert "\n".join(f"    {line}".rstrip() for line in text.splitlines()) in page
+    with Ears() as ears:
+        forces = ears.hear(WrenchStamped, "/force")
+        estimates = ears.hear(TissueEstimate, "/identifier/estimate")
+        with (
+            node_process("tissue_simulator", SIMULATOR, file=PARAMETERS),
+            node_process("identifier", IDENTIFIER, file=PARAMETERS),
+        ):
+            # The air's noise is measured before the touch.
+            ears.wait_for(lambda: len(estimates) > 50, "the identifier")
+            with process_of([sys.executable, str(program)]) as controller:
+                ears.wait_for(
+                    lambda: abs(mean_force(forces) - 0.15) < 0.01, "the force it wants", 90.0
+                )
+                assert controller.poll() is None
+    errors = [line for line in controller.output.splitlines() if "Error" in line]
+    assert not errors
+
+
+def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path: Path) -> None:
+    with Ears() as ears:
+        forces = ears.hear(WrenchStamped, "/fden_live/force")
+        with process_of([sys.executable, "-m", "fden_ros.cli", "live"]) as live:
+            ears.wait_for(lambda: len(forces) > 100, "the simulator")
+            ears.wait_for(
+                lambda: ears.node.count_publishers("/fden_live/command"), "the controller"
+            )
+            ears.wait_for(
+                lambda: ears.node.count_publishers("/fden_live/identifier/estimate"),
+                "the identifier",
+            )
+            live.send_signal(signal.SIGINT)
+            assert live.wait(40.0) == 0
+        assert "stopped tissue_simulator, identifier, force_controller" in live.output
+        assert "Traceback" not in live.output
+        ears.wait_for(
+            lambda: not ears.node.count_publishers("/fden_live/force"), "everybody's end"
+        )
+
+
+def test_a_missing_parameter_file_is_said_in_one_line() -> None:
+    command = [sys.executable, "-m", "fden_ros.cli", "live", "--parameters", "nowhere.yaml"]
+    with process_of(command) as live:
+        assert live.wait(30.0) == 1
+    assert live.output.strip() == (
+        "fden live: nowhere.yaml: there is no such parameter file; give one by --parameters"
+    )
