@@ -94,6 +94,11 @@ class Inputs:
         self._force_frame_known = False
         self._displacement_frame: str | None = None
 
+    @property
+    def displacement_frame(self) -> str:
+        """Return the frame_id of the positions; empty before the first."""
+        return self._displacement_frame or ""
+
     def add_force(self, message: Any) -> None:
         """Take a force message."""
         header = message.header

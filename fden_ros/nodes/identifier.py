@@ -42,10 +42,13 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from fden_ros.core.pipeline import (
     Classification,
+    ContactSummary,
     Output,
     Pipeline,
     TissueState,
@@ -61,6 +64,7 @@ from fden_ros.messages import (
     summary_message,
 )
 from fden_ros.nodes.diagnostics import Diagnostics
+from fden_ros.nodes.markers import StiffnessMap
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config
 
 Callback = Callable[[Any], None]
@@ -235,6 +239,8 @@ class Identifier(LifecycleNode):
             (TissueEstimate, "~/estimate", ESTIMATE_QOS),
             (TissueClassification, "~/classification", CLASSIFICATION_QOS),
             (PalpationSummary, "~/palpation", LATCHED_QOS),
+            (MarkerArray, "~/markers", CLASSIFICATION_QOS),
+            (PointCloud2, "~/stiffness_map", CLASSIFICATION_QOS),
         ):
             publisher = self.create_lifecycle_publisher(
                 # rclpy writes the overrides into the profile that it is given.
@@ -256,6 +262,7 @@ class Identifier(LifecycleNode):
         # Afresh: what was learned before an interruption is not trusted after it.
         self._pipeline = Pipeline(pipeline_config(values), self._publish)
         self._inputs = Inputs(values, self._pipeline)
+        self._map = StiffnessMap()
         self._last_state = None
         self._is_stale = False
         self._seen_pairs = 0
@@ -328,6 +335,14 @@ class Identifier(LifecycleNode):
             )
         else:
             self._publishers_made[PalpationSummary].publish(summary_message(output, frame))
+            self._publish_map(output)
+
+    def _publish_map(self, summary: ContactSummary) -> None:
+        assert self._inputs is not None
+        frame = self._inputs.displacement_frame
+        if self._map.add(summary):
+            self._publishers_made[MarkerArray].publish(self._map.markers(frame))
+            self._publishers_made[PointCloud2].publish(self._map.cloud(frame))
 
     def _check_stale(self) -> None:
         pipeline = self._pipeline
