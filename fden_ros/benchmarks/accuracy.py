@@ -236,10 +236,6 @@ _Task = tuple[Case, int, int]
 def _completed(
     tasks: Sequence[_Task], methods: tuple[str, ...], workers: int
 ) -> Iterator[tuple[Case, int, list[Trial]]]:
-    if workers == 1:
-        for task in tasks:
-            yield task[0], task[1], _run_task(task, methods)
-        return
     with _single_threaded():
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
         try:

@@ -9,6 +9,10 @@ noise :math:`\sigma` has a smaller mean squared error than
 (Van Trees, Detection, Estimation, and Modulation Theory I, 1968, sec. 2.4; the information at the
 true parameters, for each contact its own). :math:`\theta` is (ln G, ln Gn, alpha, origin, bias):
 what an estimator does not know counts as unknown here too.
+
+The derivative by the origin is singular at the touch, as :math:`(t - t_0)^{-\alpha}`, and a single
+sample close to it would count for more than it can tell. So that derivative is a difference over
+the origin's own standard deviation to either side, found by iteration.
 """
 
 from __future__ import annotations
@@ -27,7 +31,10 @@ Array = NDArray[np.float64]
 
 #: Parameters, in this order everywhere.
 PARAMETERS = ("log_g", "log_gn", "alpha", "origin", "bias")
-_STEPS = (1e-4, 1e-4, 1e-4, 1e-5)
+_ORIGIN = PARAMETERS.index("origin")
+_STEP = 1e-4
+#: Where the iteration for the origin's step starts, and how long it goes on.
+_FIRST_ORIGIN_STEP, _ITERATIONS = 5e-4, 2
 _TIMES = 800
 
 
@@ -50,8 +57,8 @@ class PriorDeviations:
     bias: float
 
 
-def information(response: Callable[[Array], Array], parameters: Array, steps: Array) -> Array:
-    """Return the sum of J J^T, shape (n, n), of a response with unit noise.
+def slope(response: Callable[[Array], Array], parameters: Array, index: int, step: float) -> Array:
+    """Return the central difference of a response by one parameter, shape (samples,).
 
     Parameters
     ----------
@@ -59,31 +66,29 @@ def information(response: Callable[[Array], Array], parameters: Array, steps: Ar
         From parameters, shape (n,), to what is observed without noise, shape (samples,).
     parameters : ndarray, shape (n,)
         The truth.
-    steps : ndarray, shape (n,)
-        Half the distance of the central differences.
+    index : int
+        Which parameter.
+    step : float
+        Half the distance of the two responses.
     """
-    jacobian = np.array(
-        [
-            (response(parameters + offset) - response(parameters - offset)) / (2.0 * step)
-            for step, offset in zip(steps, np.diag(steps), strict=True)
-        ]
-    )
-    result: Array = jacobian @ jacobian.T
+    offset = np.zeros_like(parameters)
+    offset[index] = step
+    result: Array = (response(parameters + offset) - response(parameters - offset)) / (2.0 * step)
     return result
 
 
-def bounds(information_matrix: Array, prior: Array) -> Array:
+def bounds(information: Array, prior: Array) -> Array:
     """Return the least standard deviations, shape (n,); 0 where the prior knows exactly.
 
     Parameters
     ----------
-    information_matrix : ndarray, shape (n, n)
-        Of the data.
+    information : ndarray, shape (n, n)
+        Of the data: the sum of J J^T over the noise's variance.
     prior : ndarray, shape (n,)
         Standard deviations beforehand; 0: known, inf: nothing is known.
     """
     unknown = np.flatnonzero(prior > 0.0)
-    total = information_matrix[np.ix_(unknown, unknown)] + np.diag(prior[unknown] ** -2.0)
+    total = information[np.ix_(unknown, unknown)] + np.diag(prior[unknown] ** -2.0)
     result = np.zeros(prior.size)
     # Scaled, because a bias in Pa and an origin differ by orders of magnitude.
     scale = total.diagonal() ** -0.5
@@ -128,22 +133,30 @@ def contact_bounds(
     weight = math.sqrt(inside.sum() / max(times.size, 1)) / noise_pa
 
     def response(parameters: Array) -> Array:
-        log_g, log_gn, alpha, origin, bias = parameters
-        tissue = FdenModel(math.exp(log_g), math.exp(log_gn), float(alpha))
+        log_gn, alpha, origin = parameters
+        tissue = FdenModel(model.linear_stiffness, math.exp(log_gn), float(alpha))
         stress = contacts_of_moves(_shifted(moves, float(origin)), tissue).stress(times)
-        return weight * (stress + bias)
+        return weight * stress
 
-    truth = np.array(
+    truth = np.array([math.log(model.nonlinear_stiffness), model.fractional_order, 0.0])
+    rows = np.array(
         [
-            math.log(model.linear_stiffness),
-            math.log(model.nonlinear_stiffness),
-            model.fractional_order,
-            0.0,
-            0.0,
+            response(truth),  # by ln G
+            slope(response, truth, 0, _STEP),
+            slope(response, truth, 1, _STEP),
+            np.zeros_like(times),
+            np.full_like(times, weight),  # by the bias
         ]
     )
     deviations = np.array([getattr(prior, name) for name in PARAMETERS])
-    return bounds(information(response, truth, np.array([*_STEPS, 1.0])), deviations)
+    if prior.origin == 0.0:
+        return bounds(rows @ rows.T, deviations)
+    step = _FIRST_ORIGIN_STEP
+    for _ in range(_ITERATIONS):
+        rows[_ORIGIN] = slope(response, truth, 2, step)
+        found = bounds(rows @ rows.T, deviations)
+        step = float(found[_ORIGIN])
+    return found
 
 
 def _shifted(moves: Sequence[Move], origin: float) -> list[Move]:

@@ -43,6 +43,8 @@ _NOISE_SHARE = 0.9
 #: Off by more than this factor an estimate is a failure.
 _FAILURE = math.log(1.5)
 _NANO = 1e-9
+#: Beside the seed, so that these draws are none of the simulation's own.
+_CASE_DRAWS = 17
 
 
 class Group(enum.Enum):
@@ -159,14 +161,16 @@ def run_trial(case: Case, number: int, methods: tuple[str, ...]) -> Trial:
 
 
 def _scenario(case: Case, seed: int) -> Scenario:
+    generator = np.random.default_rng([seed, _CASE_DRAWS])
+    # Where the touch lies between two samples is chance.
+    distance = float(generator.uniform(0.003, 0.0035))
     order = None
     if not case.is_liver:
-        generator = np.random.default_rng([seed, 17])
         order = float(generator.normal(case.alpha, case.alpha_sd))
     rate = getattr(case.press, "strain_rate", 1.0)
     length = _GEOMETRY.length_m
     approach = Approach(
-        distance_m=0.003,
+        distance_m=distance,
         speed_m_per_s=0.01,
         slow_distance_m=min(0.002, _SLOW_TIME * rate * length),
         retract_speed_m_per_s=0.02,
@@ -231,7 +235,7 @@ def _bound(
 
 def _times(stamp_ns: NDArray[np.int64]) -> Array:
     """Return times since the beginning of the recording [s]."""
-    times: Array = (stamp_ns - START_NS) * _NANO
+    times: Array = (stamp_ns - START_NS).astype(np.float64) * _NANO
     return times
 
 
