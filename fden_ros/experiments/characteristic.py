@@ -66,7 +66,7 @@ def stiffness_parameters(
 
 def undetermined_nonlinearity(deepest: float, log_g_n: float) -> tuple[str, ...]:
     """Return a warning if no strain lies beyond 1/Gn, where alone Gn shows."""
-    if deepest * math.exp(log_g_n) > 1.0:
+    if deepest * math.exp(log_g_n) > 1.0 + 1e-9:
         return ()
     return (
         f"no strain is beyond 1/Gn (the largest is {deepest:.3g}): the data do not determine Gn; "

@@ -129,8 +129,8 @@ def minimise(
             return rows
 
         found = least_squares(
-            scaled, begin, jac="3-point", bounds=limits, x_scale="jac",
-            xtol=1e-13, ftol=1e-15, gtol=1e-15, max_nfev=200,
+            scaled, begin, bounds=limits, x_scale="jac",
+            xtol=1e-11, ftol=1e-12, gtol=1e-14, max_nfev=200,
         )  # fmt: skip
         return found.x, found.jac
 

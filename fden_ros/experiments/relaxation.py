@@ -44,7 +44,7 @@ from fden_ros.experiments.regression import (
 )
 from fden_ros.experiments.result import Array, Curve, Fit, Panel, plain, positive, r_squared
 
-_NODES = 64
+_NODES = 24
 _LEAST_ORDER, _GREATEST_ORDER = 1e-4, 0.999
 
 

@@ -316,7 +316,7 @@ def _two_points_in_time(average: FdenModel, generator: np.random.Generator) -> C
     spreads = {}
     for name, some in (("two", two), ("all", np.arange(quiet.time.size))):
         found = []
-        for _ in range(300):
+        for _ in range(150):
             strain = quiet.strain * (1.0 + 0.01 * generator.standard_normal(quiet.time.size))
             found.append(fit_creep(quiet.time[some], strain[some], 10.0)["alpha"].value)
         spreads[name] = float(np.std(found))
@@ -376,7 +376,7 @@ def _origin(average: FdenModel, generator: np.random.Generator) -> Claim:
     same = float(np.max(np.abs(other.phi(beyond - shift) / average.phi(beyond) - 1.0)))
     across = np.linspace(0.05, 0.35, 31)
     origins = []
-    for _ in range(200):
+    for _ in range(80):
         f = average.phi(across) * (1.0 + 0.01 * generator.standard_normal(across.size))
         origins.append(_fit_with_origin(across + shift, f)[2])
     sd, bias = float(np.std(origins)), float(np.mean(origins)) - shift
@@ -512,7 +512,7 @@ def _stiffness_spread(
     x: Array, truth: FdenModel, generator: np.random.Generator
 ) -> tuple[float, float]:
     logs = []
-    for _ in range(100):
+    for _ in range(60):
         phi = truth.phi(x) * (1.0 + 0.01 * generator.standard_normal(x.size))
         fit = fit_nonlinearity(phi, x)
         logs.append([math.log(fit["g"].value), math.log(fit["g_n"].value)])
