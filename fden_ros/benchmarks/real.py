@@ -1,0 +1,616 @@
+"""Measured tissue: from the ramp and the first 2 s of the hold, predict the rest of the hold.
+
+Every test goes through the online pipeline sample by sample, and the same samples go to the
+estimators of others. Nothing is fitted afterwards. A table of tests (CSV) has the columns test,
+material, time_s, force_N, displacement_mm and gap_mm; each test is a ramp and a hold, the
+displacement is 0 at contact, and the gap at contact is the thickness. The indenter's shape is not
+known, so G comes in force units: N s^alpha.
+
+FDEN appears three times: with wide priors, with the prior of alpha learned from the other
+specimens of the same material, and with that alpha given. A specimen is the first word of a test's
+name, so that other places of one piece of meat do not count as others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import os
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks.peers import (
+    DiolaitiHuntCrossley,
+    HaddadiHuntCrossley,
+    KelvinVoigt,
+    LastValue,
+    LinearFractional,
+    Peer,
+)
+from fden_ros.control.prediction import Predictor, StressMemory
+from fden_ros.core.contact import ContactConfig
+from fden_ros.core.estimator import Estimate, EstimatorConfig, Prior
+from fden_ros.core.geometry import FlatPunch
+from fden_ros.core.pipeline import Flag, Output, Pipeline, PipelineConfig, TissueState
+from fden_ros.errors import InputError
+from fden_ros.library import load_library
+from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+Array = NDArray[np.float64]
+
+EPILOG = """\
+examples:
+  fden benchmark real measured/                     every CSV in the folder that is such a table
+  FDEN_DATA=measured fden benchmark real --quick    a few tests of each material
+  fden benchmark real measured/ --json | jq '.figures.methods'
+
+Columns: test, material, time_s, force_N, displacement_mm, gap_mm (others are ignored).
+"""
+
+DATA_VARIABLE = "FDEN_DATA"
+COLUMNS = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
+#: Materials by the beginning of their name: which the model describes, and which it does not.
+TISSUE, NOT_TISSUE = "beef", "silicone"
+
+#: How much of the hold is seen [s].
+_SEEN_HOLD = 2.0
+#: The hold begins where the probe is this close to its deepest point [m].
+_AT_HOLD = 1e-5
+#: The force noise of these tests, as their README states it [N].
+_FORCE_NOISE = 1e-3
+#: Wide: G anywhere within a factor of 400 of 1 N s^alpha, Gn of 1.7 to 42, alpha of 0 to 0.5.
+_WIDE = Prior(1.0, 3.0, 8.4, 0.8, 0.2, 0.15)
+_LEAST_ORDER_SD = 0.005
+_TWO_SIDED_95 = 1.96
+_NANOSECONDS = 1_000_000_000
+#: Tests of each material, and simulated contacts, with --quick and without.
+_QUICK_TESTS, _QUICK_SIMULATED, _SIMULATED = 6, 20, 300
+#: The mismatch is told where the model is right at most so often.
+FALSE_ALARMS = 0.01
+#: Forgetting of the estimators that forget: a time constant of 1 s.
+_FORGETTING_TIME = 1.0
+
+FREE, LEARNED, GIVEN = (
+    "FDEN, wide priors",
+    "FDEN, alpha's prior of others",
+    "FDEN, alpha given by others",
+)
+
+
+@dataclass(frozen=True)
+class Test:
+    """One ramp and hold on one specimen; arrays of shape (n,)."""
+
+    #: Not a test of pytest's.
+    __test__ = False
+
+    name: str
+    material: str
+    times: Array  #: [s]
+    forces: Array  #: [N]
+    displacements: Array  #: into the tissue, 0 at contact [m]
+    thickness: float  #: [m]
+
+    @property
+    def specimen(self) -> str:
+        """First word of the name: other places on the same piece share it."""
+        return self.name.split()[0]
+
+    @property
+    def kind(self) -> str:
+        """Material up to the first underscore: beef for beef_RDG."""
+        return self.material.split("_")[0]
+
+    @property
+    def seen(self) -> int:
+        """How many samples the estimators get: the ramp and the first 2 s of the hold."""
+        hold = int(np.argmax(self.displacements >= self.displacements.max() - _AT_HOLD))
+        last = self.times[hold] + _SEEN_HOLD
+        return int(np.searchsorted(self.times, last, side="right"))
+
+    def error(self, predicted: Array) -> float:
+        """Return the RMS error of the rest of the hold, in percent of the peak force."""
+        rest = self.forces[self.seen :]
+        return 100.0 * float(np.sqrt(np.mean((predicted - rest) ** 2)) / self.forces.max())
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What FDEN made of one test."""
+
+    predicted: Array  #: [N], shape (m,)
+    predicted_sd: Array  #: [N], shape (m,)
+    error: float  #: RMS, in percent of the peak force
+    coverage: float  #: share of the rest of the hold within the 95 % interval
+    is_mismatch: bool
+    estimate: Estimate
+
+    @property
+    def order(self) -> float:
+        """Fractional order [1]."""
+        return self.estimate.fractional_order
+
+    @property
+    def order_sd(self) -> float:
+        """Its standard deviation [1]."""
+        return math.sqrt(self.estimate.covariance[2, 2])
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the benchmark's own arguments."""
+    parser.epilog = EPILOG
+    parser.add_argument(
+        "data",
+        nargs="?",
+        type=Path,
+        metavar="DIR",
+        default=os.environ.get(DATA_VARIABLE),
+        help=f"folder with the measured tests (default: the variable {DATA_VARIABLE})",
+    )
+
+
+def run(args: argparse.Namespace) -> Report:
+    """Measure; return the report."""
+    if args.data is None:
+        raise InputError(
+            f"no data: name the folder with the measured tests, or set {DATA_VARIABLE}"
+        )
+    tests = read_tests(Path(args.data))
+    if args.quick:
+        tests = _some(tests)
+    simulated = _QUICK_SIMULATED if args.quick else _SIMULATED
+    with progress("measured tests", 4 * len(tests) + simulated) as advance:
+        outcomes = _outcomes(tests, advance)
+        errors = _peer_errors(tests)
+        alarms = sum(_false_alarm(tests, seed, advance) for seed in range(simulated))
+    for method, by_test in outcomes.items():
+        errors[method] = {name: outcome.error for name, outcome in by_test.items()}
+    return Report(
+        goals=_goals(tests, outcomes, errors, (alarms, simulated), args.quick),
+        figures=_figures(tests, outcomes, errors, (alarms, simulated)),
+        draw=lambda figure: _draw(figure, tests, outcomes, errors),
+        tables=[_table(kind, tests, outcomes, errors) for kind in _kinds(tests)],
+    )
+
+
+# The tests
+
+
+def read_tests(folder: Path) -> list[Test]:
+    """Return the tests in every table of a folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, no such table in it, or a number that cannot be read.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name the one with the measured tests")
+    tests: list[Test] = []
+    for path in sorted(folder.glob("*.csv")):
+        tests += _read_table(path)
+    if not tests:
+        raise InputError(f"{folder}: no CSV file in it has the columns {', '.join(COLUMNS)}")
+    return tests
+
+
+def _read_table(path: Path) -> list[Test]:
+    rows: defaultdict[tuple[str, str], list[list[float]]] = defaultdict(list)
+    with path.open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        if not set(COLUMNS) <= set(reader.fieldnames or ()):
+            return []
+        for row in reader:
+            try:
+                numbers = [float(row[column]) for column in COLUMNS[2:]]
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"{path}: line {reader.line_num}: {', '.join(COLUMNS[2:])} must be numbers"
+                ) from None
+            rows[row["test"], row["material"]].append(numbers)
+    tests = []
+    for (name, material), samples in rows.items():
+        times, forces, displacements, gaps = np.array(samples).T
+        test = Test(name, material, times, forces, 1e-3 * displacements, 1e-3 * float(gaps[0]))
+        _check(test, path)
+        tests.append(test)
+    return tests
+
+
+def _check(test: Test, path: Path) -> None:
+    if test.thickness <= 0.0 or np.any(np.diff(test.times) <= 0.0):
+        raise InputError(
+            f"{path}: {test.name}: the gap at contact must be positive and the time increase"
+        )
+    if test.times.size - test.seen < 2:
+        raise InputError(
+            f"{path}: {test.name}: no hold of more than {_SEEN_HOLD:g} s, so nothing to predict"
+        )
+
+
+def _some(tests: Sequence[Test]) -> list[Test]:
+    """Return a few tests of each kind, of as many specimens as possible."""
+    chosen: list[Test] = []
+    for kind in _kinds(tests):
+        own = [test for test in tests if test.kind == kind]
+        chosen += own[:: math.ceil(len(own) / _QUICK_TESTS)]
+    return chosen
+
+
+def _kinds(tests: Sequence[Test]) -> list[str]:
+    return sorted({test.kind for test in tests})
+
+
+# FDEN
+
+
+def _outcomes(tests: Sequence[Test], advance: Callable[[], None]) -> dict[str, dict[str, Outcome]]:
+    outcomes: dict[str, dict[str, Outcome]] = {FREE: {}, LEARNED: {}, GIVEN: {}}
+    orders: dict[str, float] = {}
+    for test in tests:
+        orders[test.name] = identify(test, _WIDE, test.times.size)[0].fractional_order
+        advance()
+        outcomes[FREE][test.name] = predict(test, _WIDE)
+        advance()
+    for test in tests:
+        others = [
+            orders[other.name]
+            for other in tests
+            if other.kind == test.kind and other.specimen != test.specimen
+        ]
+        for method in (LEARNED, GIVEN):
+            if len(others) > 1:
+                prior = learned_prior(others)
+                outcomes[method][test.name] = predict(test, prior, given=method == GIVEN)
+            advance()
+    return outcomes
+
+
+def learned_prior(orders: Sequence[float]) -> Prior:
+    """Return the wide prior with the mean and the spread of alpha over other specimens."""
+    return Prior(
+        _WIDE.linear_stiffness,
+        _WIDE.linear_stiffness_log_sd,
+        _WIDE.nonlinear_stiffness,
+        _WIDE.nonlinear_stiffness_log_sd,
+        float(np.mean(orders)),
+        max(float(np.std(orders, ddof=1)), _LEAST_ORDER_SD),
+    )
+
+
+def identify(
+    test: Test, prior: Prior, count: int, given: bool = False
+) -> tuple[Estimate, TissueState]:
+    """Run the pipeline over the first `count` samples; return estimate and last state.
+
+    Raises
+    ------
+    InputError
+        If the pipeline finds no contact that it can use.
+    """
+    last: list[TissueState] = []
+
+    def keep(output: Output) -> None:
+        if isinstance(output, TissueState):
+            last[:] = [output]
+
+    pipeline = Pipeline(_config(test, prior, given), keep)
+    stamps = np.round(test.times * _NANOSECONDS).astype(np.int64) + _NANOSECONDS
+    for stamp, force, displacement in zip(
+        stamps[:count].tolist(), test.forces.tolist(), test.displacements.tolist(), strict=False
+    ):
+        pipeline.add_displacement(stamp, displacement)
+        pipeline.add_force(stamp, force)
+    if not last or last[0].estimate is None:
+        raise InputError(
+            f"{test.name}: no estimate; the displacement must begin at 0, in contact or before it"
+        )
+    return last[0].estimate, last[0]
+
+
+def _config(test: Test, prior: Prior, given: bool) -> PipelineConfig:
+    return PipelineConfig(
+        library=load_library(),
+        # Stress is force and G is in N s^alpha: the indenter's shape is not known.
+        geometry=FlatPunch(area=1.0, thickness=test.thickness),
+        # The recording begins in contact, so bias and noise cannot be measured in the air.
+        contact=ContactConfig(measure_bias=False, force_noise=_FORCE_NOISE),
+        estimator=EstimatorConfig(prior=prior, order_given=given),
+        strain_origin=0.0,
+    )
+
+
+def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
+    """Identify from what is seen of a test, and predict the rest from the measured motion."""
+    seen = test.seen
+    estimate, state = identify(test, prior, seen, given)
+    now = test.times[seen - 1]
+    memory = StressMemory()
+    memory.start(float(test.forces[0]))
+    for step, force in zip(np.diff(test.times[:seen]), test.forces[1:seen], strict=True):
+        memory.advance(float(step), float(force))
+    strain = test.displacements[seen - 1] / test.thickness - estimate.strain_origin
+    predictor = Predictor(
+        FlatPunch(area=1.0, thickness=test.thickness),
+        estimate,
+        memory,
+        float(strain),
+        float(test.forces[seen - 1]),
+        state.innovation.variance if state.innovation is not None else _FORCE_NOISE**2,
+    )
+    plan = test.displacements[seen:] - test.displacements[seen - 1]
+    prediction = predictor.force(test.times[seen:] - now, plan)
+    inside = np.abs(prediction.value - test.forces[seen:]) <= _TWO_SIDED_95 * prediction.sd
+    return Outcome(
+        predicted=prediction.value,
+        predicted_sd=prediction.sd,
+        error=test.error(prediction.value),
+        coverage=float(np.mean(inside)),
+        is_mismatch=bool(state.flags & Flag.MODEL_MISMATCH),
+        estimate=estimate,
+    )
+
+
+def _false_alarm(tests: Sequence[Test], seed: int, advance: Callable[[], None]) -> bool:
+    """Whether a simulated contact with the motion of a test is taken for a mismatch."""
+    generator = np.random.default_rng(seed)
+    test = tests[seed % len(tests)]
+    model = FdenModel(
+        linear_stiffness=1.0,
+        nonlinear_stiffness=float(generator.uniform(5.0, 11.0)),
+        fractional_order=float(generator.uniform(0.1, 0.4)),
+    )
+    times, thickness = test.times[: test.seen], test.thickness
+    strains = np.maximum(test.displacements[: times.size], 0.0) / thickness
+    strains[0] = 0.0
+    forces = stress_of_piecewise_linear_strain(times, strains, times, model)
+    forces *= test.forces.max() / forces.max()
+    forces += generator.normal(0.0, _FORCE_NOISE, times.size)
+    simulated = Test("simulated", "simulated", times, forces, strains * thickness, thickness)
+    _, state = identify(simulated, _WIDE, times.size)
+    advance()
+    return bool(state.flags & (Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED))
+
+
+# The others
+
+
+def peers(interval: float) -> dict[str, Peer]:
+    """Return the estimators of others, for samples so far apart [s]."""
+    forgetting = math.exp(-interval / _FORGETTING_TIME)
+    return {
+        "last value": LastValue(),
+        "linear fractional": LinearFractional(),
+        "Kelvin-Voigt": KelvinVoigt(),
+        "Kelvin-Voigt, forgets": KelvinVoigt(forgetting),
+        "Hunt-Crossley, Diolaiti": DiolaitiHuntCrossley(),
+        "Hunt-Crossley, Diolaiti, forgets": DiolaitiHuntCrossley(forgetting),
+        "Hunt-Crossley, Haddadi": HaddadiHuntCrossley(),
+        "Hunt-Crossley, Haddadi, forgets": HaddadiHuntCrossley(forgetting),
+    }
+
+
+def _peer_errors(tests: Sequence[Test]) -> dict[str, dict[str, float]]:
+    errors: dict[str, dict[str, float]] = {}
+    for test in tests:
+        seen = test.seen
+        for name, peer in peers(float(np.median(np.diff(test.times)))).items():
+            peer.learn(test.times[:seen], test.displacements[:seen], test.forces[:seen])
+            predicted = peer.predict(test.times[seen:], test.displacements[seen:])
+            errors.setdefault(name, {})[test.name] = test.error(predicted)
+    return errors
+
+
+# What came out
+
+_Errors = Mapping[str, Mapping[str, float]]
+_ByMethod = Mapping[str, Mapping[str, Outcome]]
+
+
+def _errors_of(kind: str, tests: Sequence[Test], by_test: Mapping[str, float]) -> Array:
+    return np.array([by_test[t.name] for t in tests if t.kind == kind and t.name in by_test])
+
+
+def _median(kind: str, tests: Sequence[Test], by_test: Mapping[str, float]) -> float:
+    errors = _errors_of(kind, tests, by_test)
+    return float(np.median(errors)) if errors.size else math.nan
+
+
+def _goals(
+    tests: Sequence[Test],
+    outcomes: _ByMethod,
+    errors: _Errors,
+    alarms: tuple[int, int],
+    quick: bool,
+) -> list[Goal]:
+    free, learned = (_median(TISSUE, tests, errors[method]) for method in (FREE, LEARNED))
+    best = min(
+        (
+            _median(TISSUE, tests, by_test)
+            for name, by_test in errors.items()
+            if name[:4] != "FDEN"
+        ),
+        default=math.nan,
+    )
+    silicone = [
+        outcome
+        for test in tests
+        if test.kind == NOT_TISSUE and (outcome := outcomes[FREE].get(test.name)) is not None
+    ]
+    told = float(np.mean([o.is_mismatch for o in silicone])) if silicone else math.nan
+    covered = float(np.mean([o.coverage for o in silicone])) if silicone else math.nan
+    rate = alarms[0] / alarms[1]
+    false_alarms = within(
+        "false alarms of mismatch, simulated contacts", rate, (0.0, FALSE_ALARMS)
+    )
+    if quick:
+        # So few contacts cannot show so small a rate, and so few tests no median.
+        false_alarms = Goal(false_alarms.name, rate, false_alarms.goal, None)
+    return [
+        within("beef, wide priors: median error, % of peak", free, (0.0, 5.5)),
+        within("beef, alpha's prior of others: median error, % of peak", learned, (0.0, 3.0)),
+        within("beef, wide priors: error over the best other's", free / best, (0.0, 1.0)),
+        within("beef, prior of others: error over the best other's", learned / best, (0.0, 1.0)),
+        within("silicone: share told as model mismatch", told, (1.0, math.inf)),
+        within("silicone: coverage of the 95 % interval", covered, (0.9, math.inf)),
+        false_alarms,
+    ]
+
+
+def _figures(
+    tests: Sequence[Test], outcomes: _ByMethod, errors: _Errors, alarms: tuple[int, int]
+) -> dict[str, Any]:
+    methods: dict[str, Any] = {}
+    for kind in _kinds(tests):
+        methods[kind] = {}
+        for name, by_test in errors.items():
+            own = _errors_of(kind, tests, by_test)
+            if own.size:
+                methods[kind][name] = {
+                    "tests": own.size,
+                    "median": np.median(own),
+                    "percentile_90": np.percentile(own, 90.0),
+                } | _own_figures(kind, tests, outcomes.get(name, {}))
+    return {
+        "methods": methods,
+        "false_alarms": {"contacts": alarms[1], "alarms": alarms[0]},
+        "force_noise_n": _FORCE_NOISE,
+        "seen_hold_s": _SEEN_HOLD,
+        "tests": [
+            {"test": test.name, "material": test.material, "error": errors[FREE][test.name]}
+            | {"alpha": outcomes[FREE][test.name].order}
+            for test in tests
+        ],
+    }
+
+
+def _own_figures(
+    kind: str, tests: Sequence[Test], by_test: Mapping[str, Outcome]
+) -> dict[str, float]:
+    own = [by_test[t.name] for t in tests if t.kind == kind and t.name in by_test]
+    if not own:
+        return {}
+    return {
+        "coverage": float(np.mean([o.coverage for o in own])),
+        "mismatch": float(np.mean([o.is_mismatch for o in own])),
+        "alpha": float(np.median([o.order for o in own])),
+        "alpha_sd": float(np.median([o.order_sd for o in own])),
+    }
+
+
+def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Errors) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    count = sum(test.kind == kind for test in tests)
+    table = Table(
+        title=f"{kind}, {count} tests: error of the rest of the hold, RMS in % of the peak force",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("method", no_wrap=True)
+    for label in ("median", "90 %", "in 95 % int.", "mismatch", "alpha", "± sd"):
+        table.add_column(label, justify="right", no_wrap=True)
+    for name, by_test in _by_median(kind, tests, errors):
+        own = _errors_of(kind, tests, by_test)
+        figures = _own_figures(kind, tests, outcomes.get(name, {}))
+        cells = [f"{np.median(own):.2f}", f"{np.percentile(own, 90.0):.2f}"]
+        if figures:
+            cells += [f"{100 * figures[key]:.0f} %" for key in ("coverage", "mismatch")]
+            cells += [f"{figures[key]:.3f}" for key in ("alpha", "alpha_sd")]
+        table.add_row(name, *cells)
+    return table
+
+
+def _by_median(
+    kind: str, tests: Sequence[Test], errors: _Errors
+) -> list[tuple[str, Mapping[str, float]]]:
+    """Return the methods that have errors of a kind, the best first."""
+    own = [item for item in errors.items() if _errors_of(kind, tests, item[1]).size]
+    return sorted(own, key=lambda item: _median(kind, tests, item[1]))
+
+
+# The picture
+
+_COLORS = {FREE: "#1f77b4", LEARNED: "#d95f02", GIVEN: "#1b9e77"}
+
+
+def _draw(figure: Figure, tests: Sequence[Test], outcomes: _ByMethod, errors: _Errors) -> None:
+    kinds = _kinds(tests)
+    figure.set_size_inches(14, 4.4 * len(kinds))
+    figure.suptitle(
+        "From the ramp and 2 s of the hold, the rest of the hold: measured and predicted",
+        fontsize=13,
+    )
+    axes = figure.subplots(len(kinds), 3, squeeze=False, gridspec_kw={"width_ratios": (1, 1, 1.3)})
+    for row, kind in zip(axes, kinds, strict=True):
+        own = sorted(
+            (test for test in tests if test.kind == kind),
+            key=lambda test: errors[FREE][test.name],
+        )
+        typical, worse = own[len(own) // 2], own[min(9 * len(own) // 10, len(own) - 1)]
+        _draw_test(row[0], typical, outcomes, "the median test")
+        _draw_test(row[1], worse, outcomes, "one of the worst tenth")
+        _draw_errors(row[2], kind, tests, errors)
+
+
+def _draw_test(axes: Axes, test: Test, outcomes: _ByMethod, which: str) -> None:
+    seen = test.seen
+    axes.plot(test.times, test.forces, color="0.15", linewidth=1.6, label="measured")
+    axes.axvspan(0.0, test.times[seen - 1], color="0.94", zorder=0)
+    axes.text(0.02, 0.96, "seen", transform=axes.transAxes, va="top", color="0.45")
+    for method, color in _COLORS.items():
+        outcome = outcomes[method].get(test.name)
+        if outcome is None or method == GIVEN:
+            continue
+        axes.plot(test.times[seen:], outcome.predicted, color=color, linewidth=1.6, label=method)
+        reach = _TWO_SIDED_95 * outcome.predicted_sd
+        axes.fill_between(
+            test.times[seen:],
+            outcome.predicted - reach,
+            outcome.predicted + reach,
+            color=color,
+            alpha=0.18,
+            linewidth=0.0,
+        )
+    axes.set_ylim(0.0, 1.15 * test.forces.max())
+    axes.set_xlim(0.0, test.times[-1])
+    axes.set_title(f"{test.name}: {which}", fontsize=10)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("force [N]")
+    axes.legend(fontsize=8, loc="lower right", title="shaded: 95 % interval", title_fontsize=8)
+
+
+def _draw_errors(axes: Axes, kind: str, tests: Sequence[Test], errors: _Errors) -> None:
+    methods = _by_median(kind, tests, errors)[::-1]
+    boxes = axes.boxplot(
+        [_errors_of(kind, tests, by_test) for _, by_test in methods],
+        orientation="horizontal",
+        widths=0.6,
+        whis=(5.0, 95.0),
+        patch_artist=True,
+        medianprops={"color": "0.1"},
+        flierprops={"markersize": 3},
+    )
+    for patch, (name, _) in zip(boxes["boxes"], methods, strict=True):
+        patch.set_facecolor(_COLORS.get(name, "0.85"))
+        patch.set_alpha(0.7)
+    axes.set_yticks(range(1, len(methods) + 1), [name for name, _ in methods], fontsize=9)
+    axes.set_xlim(left=0.0)
+    axes.grid(axis="x", color="0.9")
+    axes.set_axisbelow(True)
+    axes.set_xlabel("error, RMS in % of the peak force")
+    axes.set_title(f"{kind}: every test", fontsize=10)
