@@ -129,6 +129,8 @@ _MIN_EVIDENCE = 12.0
 _RETRY = 1.25
 _BELOW_BASELINE_CHUNKS = 10
 _THRESHOLD_DEVIATIONS = 4.0
+#: Where the noise is coloured, the chunks' means scatter hardly less than the samples.
+_THRESHOLD_DEVIATIONS_OF_MEANS = 6.0
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
@@ -166,6 +168,7 @@ class ContactDetector:
         self._air: _Air | None = None
         self._trend = _Level(0.0, 0.0, 0.0)
         self._trend_end_ns = 0
+        self._means_sd = 0.0
         self._open: list[float] = []
         self._open_start_ns = 0
         self._low_chunks = 0
@@ -228,7 +231,11 @@ class ContactDetector:
             self._keep(chunk)
             return None
         noise = self._config.force_noise or max(air.fast_noise, self._config.noise_floor)
-        threshold = max(self._config.force_threshold, _THRESHOLD_DEVIATIONS * noise)
+        threshold = max(
+            self._config.force_threshold,
+            _THRESHOLD_DEVIATIONS * noise,
+            _THRESHOLD_DEVIATIONS_OF_MEANS * self._means_sd,
+        )
         bias = self._bias_at(chunk.end_ns) if self._config.measure_bias else 0.0
         rise = chunk.mean - bias
         if rise > max(threshold, _RETRY * self._doubted_rise):
@@ -280,6 +287,7 @@ class ContactDetector:
             self._air = _air_of(old)
             self._trend = _level_at_end(old, self._air, _noise_of_means(old, self._air))
             self._trend_end_ns = old[-1].end_ns
+            self._means_sd = float(np.std(np.diff([c.mean for c in old]))) / math.sqrt(2.0)
         return self._air
 
     def _bias_at(self, stamp_ns: int) -> float:

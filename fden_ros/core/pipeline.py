@@ -209,6 +209,8 @@ _BLOCK_SHARE = 0.95
 _GAP_STEPS = 10.0
 _GAP_TIME = 0.02
 _CLASSIFY_EVERY = 10
+#: A first contact whose force stays below this many release thresholds makes no site.
+_FAINT = 4.0
 _PROBABILITY_CHANGE = 0.01
 #: alpha is learned when its standard deviation is below this share of its prior's.
 _LEARNED_SHARE = 0.5
@@ -784,6 +786,10 @@ class Pipeline:
         if complete:
             self._contact = None
             self._sums.clear()
+            is_first = contact.start_ns == site.start_ns
+            if is_first and contact.max_force < _FAINT * contact.release_force:
+                # Perhaps noise: what comes next must not inherit its origin.
+                self._site = None
 
     def _summary(
         self, contact: _Contact, site: _Site, end_ns: int, complete: bool

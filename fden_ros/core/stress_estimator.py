@@ -66,6 +66,9 @@ _NARROW, _WIDE = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 #: A step changes no parameter by more than this.
 _LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf, np.inf])
 _STEPS = 2
+#: The posterior is solved for anew after so many blocks; when it is narrow, a plain extended
+#: Kalman filter goes on from there in between.
+_WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
 #: Steps end when no parameter moves by more than this share of its deviation.
 _CLOSE = 0.05
 #: A node of less weight does not count there.
@@ -151,7 +154,7 @@ class StressEstimator:
         self._node_states = np.tile(self._mean, (nodes, 1))
         self._node_states[:, _LOG_GN] = self._grid.nodes
         self._is_narrow = False
-        self._is_solved = True
+        self._blocks_since_solved = 0
         self._node_weights = np.exp(
             -0.5 * ((self._grid.nodes - self._mean[_LOG_GN]) / (deviations[_LOG_GN] or 1.0)) ** 2
         )
@@ -205,7 +208,7 @@ class StressEstimator:
         elapsed = block.memory_time - self._contact_start
         columns = np.concatenate([free, [1.0, elapsed, float(in_order @ pulse), block.stress]])
         noise = self._noise_variance / block.size + self._noise_of_motion(block)
-        innovation = self._innovation(law, columns, block, noise)
+        innovation, jacobian = self._innovation(law, columns, block, noise)
         if block.memory_time >= self._blind_until:
             self._watch(innovation, noise, block.memory_time)
         if block.memory_time < self._blind_until:
@@ -220,8 +223,21 @@ class StressEstimator:
         self._columns += weight * np.outer(columns, columns)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
-        self._is_solved = False
+        self._blocks_since_solved += 1
+        if self._is_narrow:
+            self._step_on(innovation, jacobian, noise)
         return innovation
+
+    def _step_on(self, innovation: Innovation, jacobian: Array, noise: float) -> None:
+        """Take one step of an extended Kalman filter, good until the next relinearisation."""
+        gain = self._covariance @ jacobian / innovation.variance
+        if self._config.order_given:
+            # Schmidt's filter: what is not learned keeps its deviation.
+            gain[_ORDER] = 0.0
+        self._state = self._bounded(self._state + gain * innovation.innovation)
+        # Joseph's form: positive whatever the rounding.
+        kept = np.eye(_SIZE) - np.outer(gain, jacobian)
+        self._covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
 
     def _noise_of_motion(self, block: Block) -> float:
         """Variance that the displacement's noise gives to a block's mean stress [Pa^2].
@@ -281,7 +297,9 @@ class StressEstimator:
 
     # Solution
 
-    def _innovation(self, law: Array, columns: Array, block: Block, noise: float) -> Innovation:
+    def _innovation(
+        self, law: Array, columns: Array, block: Block, noise: float
+    ) -> tuple[Innovation, Array]:
         first, directions = self._directions(self._state)
         responses = np.concatenate([law[first : first + STENCIL].ravel(), columns])
         residual, *gradient = directions @ responses
@@ -291,12 +309,13 @@ class StressEstimator:
         response = elastic_response(
             strain, math.exp(self._state[_LOG_G]), math.exp(self._state[_LOG_GN])
         )
-        return Innovation(
+        innovation = Innovation(
             predicted_fractional_stress=response.value,
             predicted_stress=block.stress + float(residual),
             innovation=-float(residual),
             variance=variance,
         )
+        return innovation, jacobian
 
     def _directions(self, state: Array) -> tuple[int, Array]:
         """Return the first node of the stencil, and rows of coefficients of stencil and columns.
@@ -422,7 +441,9 @@ class StressEstimator:
         self._state = weights @ states
         centred = states - self._state
         covariance = (weights[:, None] * centred).T @ centred
-        covariance += np.tensordot(weights, self._covariances(hessians, quadratics, free), 1)
+        likely = weights > _LEAST_WEIGHT
+        own = self._covariances(hessians[likely], quadratics[likely], free)
+        covariance += np.tensordot(weights[likely], own, 1)
         self._covariance = covariance
         self._is_narrow = bool(covariance[_LOG_GN, _LOG_GN] < _NARROW**2)
 
@@ -483,9 +504,9 @@ class StressEstimator:
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        if not self._is_solved:
+        if self._blocks_since_solved >= (_NARROW_BLOCKS if self._is_narrow else _WIDE_BLOCKS):
             self._solve()
-            self._is_solved = True
+            self._blocks_since_solved = 0
         config = self._config
         covariance = self._covariance * self._monitor.inflation
         beyond = self._probability_beyond_boundary()
@@ -495,7 +516,7 @@ class StressEstimator:
             fractional_order=float(self._state[_ORDER]),
             covariance=covariance[:3, :3],
             strain_origin=float(self._state[_ORIGIN]),
-            strain_origin_sd=math.sqrt(covariance[_ORIGIN, _ORIGIN]),
+            strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
             converged=beyond >= config.converged_probability
             and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
