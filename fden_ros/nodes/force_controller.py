@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
 from fden_ros.control.force_control import ForceControlConfig, ForceController
+from fden_ros.control.live_tissue import Refusal
 from fden_ros.errors import InputError
 from fden_ros.nodes.running import run_node
 from fden_ros.tissue_feed import TissueFeed
@@ -39,7 +40,8 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("surface", 0.0, "displacement at the surface [m]"),
     ("deadline", 0.1, "older estimates are refused [s]"),
     ("rate", 200.0, "of the control loop [Hz]"),
-    ("tare_time", 1.0, "the force is measured in the air for so long first [s]"),
+    ("tare_time", 2.0, "the force is measured in the air for so long first [s]"),
+    ("patience", 20.0, "the first touch waits so long for the identifier, which must see it [s]"),
     ("program.forces", [0.0], "forces of a program, one after the other [N]; all 0: none"),
     ("program.duration", 3.0, "of each force [s]"),
     ("program.x", [0.0], "places to press, one after the other [m]"),
@@ -92,6 +94,7 @@ class ForceControllerNode(Node):
         self._depth = 0.0
         self._heard = 0.0
         self._target = 0.0
+        self._started = 0.0
         self._began = 0.0
         self._gains = ""
         self._command = self.create_publisher(JointState, "command", _QOS)
@@ -140,6 +143,14 @@ class ForceControllerNode(Node):
 
     def _tare(self, force: float, now: float) -> None:
         """Take the first moments, in the air, for the force's bias."""
+        self._started = self._started or now
+        unheard = self._feed.refusal() is Refusal.NEVER_HEARD
+        if (
+            self._values["scheduled"]
+            and unheard
+            and now - self._started < self._values["patience"]
+        ):
+            return
         self._air.append(force)
         self._began = self._began or now
         if now - self._began >= self._values["tare_time"]:
