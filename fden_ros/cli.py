@@ -13,7 +13,9 @@ from fden_ros.errors import InputError
 COMMANDS = (
     "bag",
     "info",
-    "replay", "report",
+    "replay",
+    "report",
+    "batch",
     "play",
     "demo",
     "fit",
@@ -32,6 +34,8 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden info /tmp/ramp                 what is in a bag, and what of it would be used
   fden replay /tmp/ramp               estimate G and Gn from a bag
   fden report /tmp/ramp -o ramp.html  a page to read: what was pressed, how well it is known
+  fden batch archive -o results.parquet
+                                      an archive of bags, a row a contact
   fden play /tmp/ramp                 publish a bag on live topics
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end

@@ -87,10 +87,11 @@ def _save_picture(session: Session, path: Path) -> None:
 
 
 def _save_table(session: Session, path: Path) -> None:
-    from fden_ros.report.page import COLUMNS, contact_rows, write_text
+    from fden_ros.report.page import write_text
+    from fden_ros.report.rows import COLUMNS, session_rows
 
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, ("recording", *COLUMNS), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(contact_rows(session))
+    writer.writerows(session_rows(session))
     write_text(path, text.getvalue())

@@ -15,7 +15,6 @@ from fden_ros import __version__
 from fden_ros.core.model import exponential_scale
 from fden_ros.core.pipeline import ContactSummary, OrderSource
 from fden_ros.errors import InputError
-from fden_ros.replay import contact_object
 from fden_ros.report import plots
 from fden_ros.report.session import DETAILED_CONTACTS, Contact, Session, remarks
 
@@ -209,35 +208,3 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         ),
         "truth": session.truth.get(summary.site_id),
     }
-
-
-#: The columns of the table of contacts, in their order.
-COLUMNS = (
-    "recording", "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n",
-    "g_n_sd", "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale",
-    "converged", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
-    "rejected", "label", "probability", "mean_nis",
-)  # fmt: skip
-
-
-def contact_rows(session: Session) -> Iterator[dict[str, Any]]:
-    """Yield one flat row a contact: numbers in SI units, None where there is nothing."""
-    tests = {contact.contact_id: contact.test for contact in session.contacts}
-    for summary in session.replay.summaries:
-        row = contact_object(summary)
-        probabilities = row.pop("probabilities")
-        row["flags"] = " ".join(row["flags"])
-        row["recording"] = str(session.path)
-        row["x"], row["y"], row["z"] = summary.position or (None, None, None)
-        row["rejected"] = summary.rejected_count
-        row["probability"] = max(probabilities.values(), default=None)
-        row["boundary_strain"] = row["exponential_scale"] = None
-        if row["g"] is not None:
-            row["boundary_strain"] = 1.0 / row["g_n"]
-            row["exponential_scale"] = exponential_scale(row["g"], row["g_n"])
-        test = tests.get(summary.contact_id)
-        row["mean_nis"] = test.mean_square if test is not None else None
-        yield {name: row[name] for name in COLUMNS}
-
-
-__all__ = ["COLUMNS", "contact_rows", "page", "save_page", "write_text"]

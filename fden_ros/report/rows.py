@@ -1,0 +1,45 @@
+"""Contacts as flat rows, for tables: one row a contact, SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from fden_ros.core.model import exponential_scale
+from fden_ros.core.pipeline import ContactSummary
+from fden_ros.replay import contact_object
+from fden_ros.report.session import Session
+
+#: The columns, in their order. x, y, z: place of the touch [m]; mean_nis: mean of the normalised
+#: innovation squared, 1 where model and noise are right.
+COLUMNS = (
+    "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n", "g_n_sd",
+    "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale", "converged",
+    "complete", "flags", "max_strain", "max_stress", "max_force", "samples", "rejected", "label",
+    "probability", "mean_nis",
+)  # fmt: skip
+
+
+def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, Any]:
+    """Return a contact as a flat row with `COLUMNS`; None where there is nothing."""
+    row = contact_object(summary)
+    probabilities: Mapping[str, float] = row.pop("probabilities")
+    row["flags"] = " ".join(row["flags"])
+    row["x"], row["y"], row["z"] = summary.position or (None, None, None)
+    row["rejected"] = summary.rejected_count
+    row["probability"] = max(probabilities.values(), default=None)
+    row["boundary_strain"] = row["exponential_scale"] = None
+    if row["g"] is not None:
+        row["boundary_strain"] = 1.0 / row["g_n"]
+        row["exponential_scale"] = exponential_scale(row["g"], row["g_n"])
+    row["mean_nis"] = mean_nis
+    return {name: row[name] for name in COLUMNS}
+
+
+def session_rows(session: Session) -> Iterator[dict[str, Any]]:
+    """Yield one row a contact of a session, headed by the recording's path."""
+    tests = {contact.contact_id: contact.test for contact in session.contacts}
+    for summary in session.replay.summaries:
+        test = tests.get(summary.contact_id)
+        mean_nis = test.mean_square if test is not None else None
+        yield {"recording": str(session.path), **contact_row(summary, mean_nis)}
