@@ -71,7 +71,7 @@ class Lagrange:
     def __call__(self, value: float | Array) -> tuple[Array, Array]:
         """Return the weight of each node at `value` and its derivative, shape (..., n)."""
         x = (value - self._middle) / self._half
-        polynomials = [np.ones_like(x), x]
+        polynomials = [x**0, x]
         for _ in range(2, self._size):
             polynomials.append(2.0 * x * polynomials[-1] - polynomials[-2])
         both = np.array(polynomials[: self._size]).T @ self._coefficients
@@ -176,7 +176,8 @@ class StressBasis:
         np.multiply(self._gn, np.abs(strains), out=self._exponent)
         self._exponent -= 1.0
         np.minimum(self._exponent, 0.0, out=self._linear)
-        np.clip(self._exponent, 0.0, _MAX_EXPONENT, out=self._exponent)
+        np.maximum(self._exponent, 0.0, out=self._exponent)
+        np.minimum(self._exponent, _MAX_EXPONENT, out=self._exponent)
         np.exp(self._exponent, out=self._exponent)
         self._exponent += self._linear
         np.multiply(self._exponent, self._inverse_gn, out=self._law_signals)

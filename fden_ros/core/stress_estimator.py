@@ -69,6 +69,8 @@ _STEPS = 2
 #: The posterior is solved for anew after so many blocks; when it is narrow, a plain extended
 #: Kalman filter goes on from there in between.
 _WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
+#: Blocks that may wait to be added to the sums together, which is faster.
+_MOST_PENDING = 32
 #: Steps end when no parameter moves by more than this share of its deviation.
 _CLOSE = 0.05
 #: A node of less weight does not count there.
@@ -128,6 +130,7 @@ class StressEstimator:
         self._law = np.zeros((STENCIL, nodes, inner, inner))
         self._cross = np.zeros((nodes, inner, _COLUMNS))
         self._columns = np.zeros((_COLUMNS, _COLUMNS))
+        self._pending: list[tuple[Array, Array, float]] = []
         self._mean = np.array(
             [
                 math.log(prior.linear_stiffness),
@@ -213,14 +216,9 @@ class StressEstimator:
             self._watch(innovation, noise, block.memory_time)
         if block.memory_time < self._blind_until:
             return innovation
-        weight = 1.0 / noise
-        scaled = law * weight
-        for distance in range(STENCIL):
-            self._law[distance, : law.shape[0] - distance] += (
-                scaled[: law.shape[0] - distance, :, None] * law[distance:, None, :]
-            )
-        self._cross += scaled[:, :, None] * columns
-        self._columns += weight * np.outer(columns, columns)
+        self._pending.append((law, columns, 1.0 / noise))
+        if len(self._pending) >= _MOST_PENDING:
+            self._add_up()
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         self._blocks_since_solved += 1
@@ -277,6 +275,7 @@ class StressEstimator:
         in_origin, _ = self._origin_interpolation(float(self._state[_ORIGIN]))
         g = math.exp(self._state[_LOG_G])
         self._basis.freeze(first, g * np.outer(in_gn, in_origin), _PULSE_DURATION)
+        self._pending.clear()
         for sums in (self._law, self._cross, self._columns):
             sums.fill(0.0)
         # Origin, bias and drift are those of the contact, the tissue is another.
@@ -364,7 +363,25 @@ class StressEstimator:
         indices: Indices = np.flatnonzero(learned)
         return indices
 
+    def _add_up(self) -> None:
+        """Add the blocks since the last time to the sums."""
+        if not self._pending:
+            return
+        laws, columns, weights = (np.array(part) for part in zip(*self._pending, strict=True))
+        self._pending.clear()
+        by_node = laws.transpose(1, 0, 2)
+        weighted = by_node * weights[:, None]
+        transposed = by_node.transpose(0, 2, 1)
+        nodes = by_node.shape[0]
+        for distance in range(STENCIL):
+            self._law[distance, : nodes - distance] += (
+                transposed[: nodes - distance] @ weighted[distance:]
+            )
+        self._cross += weighted.transpose(0, 2, 1) @ columns
+        self._columns += (columns * weights[:, None]).T @ columns
+
     def _solve(self) -> None:
+        self._add_up()
         if not self._is_narrow:
             self._solve_nodes()
         if self._is_narrow:
@@ -484,6 +501,7 @@ class StressEstimator:
 
     def _forget_nuisances(self) -> None:
         """Take what bias and drift of the last contact explain out of the sums."""
+        self._add_up()
         for index, column in _LINEAR:
             deviation = self._prior_deviations[index]
             own = self._columns[column, column] + (deviation**-2 if deviation > 0.0 else 0.0)
