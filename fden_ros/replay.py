@@ -11,7 +11,7 @@ from typing import Any
 from fden_ros.core.pipeline import ContactSummary, Flag, Output, Pipeline
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import RawMessage
-from fden_ros.recording.source import Selection, Sink, open_source
+from fden_ros.recording.source import Selection, Sink, Source, open_source
 
 #: A progress bar is told of this many messages at once.
 _PROGRESS_STEP = 500
@@ -37,6 +37,7 @@ def replay(
     on_output: Callable[[Output, str], None] | None = None,
     on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
     tap: Callable[[Sink], Sink] | None = None,
+    on_source: Callable[[Source], None] | None = None,
 ) -> Replay:
     """Run a recording through the pipeline.
 
@@ -57,6 +58,8 @@ def replay(
         and the pipeline.
     tap : callable, optional
         Given the pipeline, returns what the samples are fed to instead; it must hand them on.
+    on_source : callable, optional
+        Called with what is read, before the first sample.
 
     Raises
     ------
@@ -64,6 +67,8 @@ def replay(
         If the recording or its topics cannot be used.
     """
     source = open_source(bag, parameters, selection)
+    if on_source is not None:
+        on_source(source)
     summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:

@@ -508,6 +508,7 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
     contents = {topic.name: topic for topic in BagReader(out).topics}
     assert set(contents) == {
         *("/identifier/estimate", "/identifier/classification", "/identifier/palpation"),
+        *("/identifier/markers", "/identifier/stiffness_map"),
         *("/diagnostics", "/tool/wrench", "/arm/measured_cp"),
     }
     for name in ("/tool/wrench", "/arm/measured_cp"):
@@ -524,6 +525,8 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
             for connection, time, data in reader.messages()
         ]
     summaries = [m for topic, _, m in read if topic == "/identifier/palpation"]
+    (*_, last_map) = [m for topic, _, m in read if topic == "/identifier/stiffness_map"]
+    assert (last_map.header.frame_id, last_map.width) == ("arm_base", 2)
     assert [m.linear_stiffness for m in summaries] == [c["g"] for c in result["contacts"]]
     ends = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in summaries]
     assert ends == [contact["end_ns"] for contact in result["contacts"]]

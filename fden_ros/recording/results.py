@@ -8,14 +8,17 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
-from fden_ros.core.pipeline import Output, Pipeline
+from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
 from fden_ros.errors import InputError
 from fden_ros.messages import to_message, to_stamp
 from fden_ros.nodes.diagnostics import diagnostic_status
+from fden_ros.nodes.markers import StiffnessMap
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
-from fden_ros.recording.source import Selection
+from fden_ros.recording.source import Selection, Source
 from fden_ros.recording.writer import BagWriter
 from fden_ros.replay import Replay, replay
 
@@ -38,6 +41,16 @@ _TOPICS: dict[type, tuple[str, str, Qos]] = {
         SUMMARY_TOPIC,
         "fden_msgs/msg/PalpationSummary",
         Qos(durability="transient_local", depth=100),
+    ),
+    MarkerArray: (
+        f"{NODE}/markers",
+        "visualization_msgs/msg/MarkerArray",
+        Qos(durability="transient_local", depth=1),
+    ),
+    PointCloud2: (
+        f"{NODE}/stiffness_map",
+        "sensor_msgs/msg/PointCloud2",
+        Qos(durability="transient_local", depth=1),
     ),
     DiagnosticArray: (DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", Qos(depth=10)),
 }
@@ -87,6 +100,7 @@ def replay_to_bag(
             progress=progress,
             on_output=recorder.take,
             on_input=recorder.tick,
+            on_source=recorder.read,
         )
 
 
@@ -119,13 +133,26 @@ class _Recorder:
         self._writer, self._copy = writer, copy
         self._now_ns = 0
         self._next_diagnostics_ns: int | None = None
+        self._source: Source | None = None
+        self._map = StiffnessMap()
         self._pairs_before = self._rejected_before = 0
         for topic, type_name, qos in _TOPICS.values():
             writer.add_topic(topic, type_name, qos)
 
+    def read(self, source: Source) -> None:
+        """Take note of what is read."""
+        self._source = source
+
     def take(self, output: Output, frame: str) -> None:
         """Write one output of the pipeline."""
-        message = to_message(output, frame)
+        self._write(to_message(output, frame))
+        if isinstance(output, ContactSummary) and self._map.add(output):
+            assert self._source is not None
+            place = self._source.displacement_frame
+            self._write(self._map.markers(place))
+            self._write(self._map.cloud(place))
+
+    def _write(self, message: Any) -> None:
         self._writer.write(_TOPICS[type(message)][0], message, self._now_ns)
 
     def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:

@@ -78,6 +78,10 @@ class Source(Protocol):
     def frame(self) -> str:
         """frame_id of the force so far."""
 
+    @property
+    def displacement_frame(self) -> str:
+        """frame_id of the positions so far."""
+
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed `sink` and yield the steps done.
 
@@ -129,7 +133,7 @@ class BagSource:
         self._fields = {"force": selection.force_field, "displacement": None}
         self._fields["displacement"] = selection.displacement_field
         self._notes: list[str] = []
-        self._own_frame: str | None = None
+        self._frames: dict[str, str] = {}
         self._inputs: Inputs | None = None
 
     def _find(
@@ -161,9 +165,16 @@ class BagSource:
     @property
     def frame(self) -> str:
         """frame_id of the force so far."""
-        if self._own_frame is not None:
-            return self._own_frame
+        if "force" in self._frames:
+            return self._frames["force"]
         return self._inputs.force_frame if self._inputs is not None else ""
+
+    @property
+    def displacement_frame(self) -> str:
+        """frame_id of the positions so far."""
+        if "displacement" in self._frames:
+            return self._frames["displacement"]
+        return self._inputs.displacement_frame if self._inputs is not None else ""
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the messages in the order of their recording."""
@@ -202,10 +213,9 @@ class BagSource:
         if text not in self._notes:
             self._notes.append(text)
 
-    def set_frame(self, frame: str) -> None:
-        """Take the frame of the first force message."""
-        if self._own_frame is None:
-            self._own_frame = frame
+    def set_frame(self, what: str, frame: str) -> None:
+        """Take the frame of a quantity's first message."""
+        self._frames.setdefault(what, frame)
 
 
 def decoder_of_class(topic: Topic) -> Callable[[bytes], Any]:
@@ -273,8 +283,7 @@ class _FieldHandler:
     def _stamp(self, sample: Any, log_time_ns: int) -> int:
         header = getattr(sample, "header", None)
         stamp = getattr(header, "stamp", None) or getattr(sample, "stamp", None)
-        if self._what == "force":
-            self._source.set_frame(str(getattr(header, "frame_id", "")))
+        self._source.set_frame(self._what, str(getattr(header, "frame_id", "")))
         if stamp is not None and hasattr(stamp, "nanosec"):
             return stamp_ns(stamp)
         self._source.note(
@@ -292,7 +301,7 @@ class TableSource:
         As :func:`open_source`.
     """
 
-    frame = ""
+    frame = displacement_frame = ""
 
     def __init__(
         self, path: str | Path, parameters: Mapping[str, Any], selection: Selection

@@ -1,0 +1,93 @@
+"""The Foxglove layout and the RViz configuration show topics and fields that there are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from fden_ros.recording.definitions import message_class
+from fden_ros.recording.results import _TOPICS
+
+CONFIG = Path(__file__).parent.parent / "config"
+# The node's topics, and those of the bags that `fden bag` makes and of the node's defaults.
+TYPES = {topic: type_name for topic, type_name, _ in _TOPICS.values()} | {
+    "/force": "geometry_msgs/msg/WrenchStamped",
+    "/displacement": "geometry_msgs/msg/PoseStamped",
+}
+DISPLAYS = {
+    "MarkerArray": "visualization_msgs/msg/MarkerArray",
+    "PointCloud2": "sensor_msgs/msg/PointCloud2",
+    "Pose": "geometry_msgs/msg/PoseStamped",
+    "Wrench": "geometry_msgs/msg/WrenchStamped",
+}
+
+
+@pytest.fixture(scope="module")
+def layout() -> dict[str, Any]:
+    return json.loads((CONFIG / "foxglove_layout.json").read_text())
+
+
+def panels(node: Any) -> Iterator[str]:
+    if isinstance(node, str):
+        yield node
+        return
+    assert node["direction"] in ("row", "column")
+    yield from panels(node["first"])
+    yield from panels(node["second"])
+
+
+def paths(layout: dict[str, Any]) -> Iterator[str]:
+    for name, config in layout["configById"].items():
+        kind = name.partition("!")[0]
+        if kind == "Plot":
+            yield from (path["value"] for path in config["paths"])
+        elif kind == "Indicator":
+            yield config["path"]
+        elif kind == "RawMessages":
+            yield config["topicPath"]
+        elif kind == "DiagnosticStatusPanel":
+            yield config["topicToRender"]
+        elif kind == "3D":
+            yield from config["topics"]
+        else:
+            raise AssertionError(kind)
+
+
+def test_every_panel_of_the_foxglove_layout_is_placed_once(layout: dict[str, Any]) -> None:
+    placed = list(panels(layout["layout"]))
+    assert sorted(placed) == sorted(layout["configById"])
+
+
+def test_every_path_of_the_foxglove_layout_exists(layout: dict[str, Any]) -> None:
+    found = list(paths(layout))
+    assert len(found) > 10
+    for path in found:
+        topic, *fields = path.split(".")
+        message = message_class(TYPES[topic])()
+        for field in fields:
+            message = getattr(message, field)
+        assert not fields or isinstance(message, (int, float)), path
+
+
+def test_the_states_of_the_indicator_are_those_of_the_message(layout: dict[str, Any]) -> None:
+    from fden_msgs.msg import TissueEstimate
+
+    rules = layout["configById"]["Indicator!status"]["rules"]
+    for rule in rules:
+        name = "STATUS_" + rule["label"].upper().replace(" ", "_")
+        assert getattr(TissueEstimate, name) == int(rule["rawValue"])
+    assert len(rules) == 4
+
+
+def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
+    manager = yaml.safe_load((CONFIG / "identifier.rviz").read_text())["Visualization Manager"]
+    shown = [d for d in manager["Displays"] if "Topic" in d]
+    assert len(shown) == 4
+    for display in shown:
+        kind = display["Class"].rpartition("/")[2]
+        assert TYPES[display["Topic"]["Value"]] == DISPLAYS[kind]
