@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from fden_ros import __version__
 from fden_ros.core.model import exponential_scale
@@ -75,11 +74,9 @@ def page(session: Session) -> str:
         facts=list(_facts(session)),
         headline=_headline(session),
         warnings=list(_warnings(session)),
-        overview=Markup(plots.overview(session)) if session.end_ns else None,
-        comparison=(
-            Markup(plots.comparison(session)) if any(s.estimate for s in summaries) else None
-        ),
-        site_map=(Markup(plots.site_map(session)) if any(s.position for s in summaries) else None),
+        overview=plots.overview(session) if session.end_ns else None,
+        comparison=(plots.comparison(session) if any(s.estimate for s in summaries) else None),
+        site_map=(plots.site_map(session) if any(s.position for s in summaries) else None),
         rows=[_row(summary) for summary in summaries],
         contacts=[_contact(session, contact) for contact in session.contacts[:DETAILED_CONTACTS]],
         left_out=max(0, len(summaries) - DETAILED_CONTACTS),
@@ -198,7 +195,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
         "remarks": list(remarks(summary)),
-        "drawings": [Markup(drawing) for drawing in drawings],
+        "drawings": drawings,
         "test": contact.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (
