@@ -19,6 +19,7 @@ COMMANDS = (
     "play",
     "demo",
     "fit",
+    "calibrate",
     "reproduce",
     "parameters",
     "benchmark",
@@ -37,6 +38,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden batch archive -o results.parquet
                                       an archive of bags, a row a contact
   fden play /tmp/ramp                 publish a bag on live topics
+  fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together

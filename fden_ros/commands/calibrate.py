@@ -1,0 +1,159 @@
+"""``fden calibrate``: what has to be known of sensors and robot before tissue is identified."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+
+if TYPE_CHECKING:
+    from fden_ros.calibration import DelayResult
+
+DESCRIPTION = "Measure what has to be known of sensors and robot before tissue is identified."
+
+DELAY_DESCRIPTION = """\
+Find the delay between the stamps of force and displacement, from oscillations of the probe on
+tissue. The force leads by pi alpha / 2 of the tissue, and by 2 pi f times the delay: two
+frequencies tell the two apart, or a known alpha does. With one frequency and no alpha the delay is
+printed as a function of alpha.
+"""
+
+DELAY_EPILOG = """\
+examples:
+  fden bag delay_two_frequencies -o sweep && fden calibrate delay sweep
+  fden calibrate delay sine_bag --alpha 0.131 --alpha-sd 0.011
+  fden calibrate delay robot.csv --columns @500,5,3*1e-3     500 Hz, force and depth by number
+  fden calibrate delay sweep --json | jq .delay_s
+
+Recording: press to a mean depth, wait a second, and move in a sine of some 10 cycles that does not
+lift off; once at 1 Hz and once at 4 Hz, say. The answer is the parameter displacement.delay.
+Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
+"""
+
+_ORDERS = (0.0, 0.05, 0.1, 0.131, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "calibrate",
+        help="find the delay between force and displacement",
+        description=DESCRIPTION,
+    )
+    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+    delay = what.add_parser(
+        "delay",
+        help="delay between the stamps of force and displacement",
+        description=DELAY_DESCRIPTION,
+        epilog=DELAY_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    delay.add_argument(
+        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
+    )
+    add_input_options(delay)
+    delay.add_argument("--alpha", type=float, metavar="A", help="alpha of the tissue, if known")
+    delay.add_argument(
+        "--alpha-sd", type=float, default=0.0, metavar="S", help="its standard deviation"
+    )
+    delay.add_argument("--json", action="store_true", help="print one JSON object")
+    delay.set_defaults(run=run, parser=delay)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Find the delay and print it; return the exit code."""
+    if args.alpha is not None and not 0.0 <= args.alpha < 1.0:
+        args.parser.error(f"argument --alpha: expected 0 to 1, got {args.alpha}")
+    if not (math.isfinite(args.alpha_sd) and args.alpha_sd >= 0.0):
+        args.parser.error(f"argument --alpha-sd: expected 0 or more, got {args.alpha_sd}")
+    from fden_ros.calibration import find_delay, read_samples
+
+    force, displacement = read_samples(args.bag, parameters_of(args), selection_of(args))
+    result = find_delay(force, displacement, args.alpha, args.alpha_sd)
+    if args.json:
+        json.dump(result_object(result), sys.stdout, allow_nan=False)
+        print()
+        return 0
+    _show(result)
+    return 0
+
+
+def result_object(result: DelayResult) -> dict[str, Any]:
+    """Return what ``--json`` prints."""
+    return {
+        "delay_s": result.delay,
+        "delay_sd_s": result.delay_sd,
+        "alpha": result.order,
+        "alpha_sd": result.order_sd,
+        "alpha_given": result.order_given,
+        "oscillations": [
+            {
+                "start_s": o.start,
+                "end_s": o.end,
+                "frequency_hz": o.frequency,
+                "amplitude_m": o.amplitude,
+                "lead_deg": math.degrees(o.lead),
+                "lead_sd_deg": math.degrees(o.lead_sd),
+                "delay_s_by_alpha": {str(order): o.delay(order) for order in _ORDERS},
+            }
+            for o in result.oscillations
+        ],
+        "warnings": list(result.warnings),
+    }
+
+
+def _show(result: DelayResult) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title="Oscillations", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for label in ("from", "to", "frequency", "amplitude", "force leads by"):
+        table.add_column(label, justify="right", no_wrap=True)
+    for o in result.oscillations:
+        table.add_row(
+            f"{o.start:.2f} s",
+            f"{o.end:.2f} s",
+            f"{o.frequency:.4g} Hz",
+            f"{1e3 * o.amplitude:.3g} mm",
+            f"{math.degrees(o.lead):.2f}° ± {math.degrees(o.lead_sd):.2f}°",
+        )
+    console.print(table)
+    for warning in result.warnings:
+        console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
+    if result.delay is None or result.delay_sd is None or result.order is None:
+        _show_undecided(console, result)
+        return
+    source = "given" if result.order_given else "found"
+    console.print(
+        f"The displacement is stamped [bold]{1e3 * result.delay:.2f} ± "
+        f"{1e3 * result.delay_sd:.2f} ms[/bold] later than the force; alpha {result.order:.3f} "
+        f"± {result.order_sd:.3f} ({source}).",
+        soft_wrap=True,
+        highlight=False,
+    )
+    console.print(f"Parameter: displacement.delay: {result.delay:.6f}", highlight=False)
+
+
+def _show_undecided(console: Any, result: DelayResult) -> None:
+    from rich import box
+    from rich.table import Table
+
+    console.print(
+        "One frequency cannot tell the delay from alpha. Give --alpha, or record a second "
+        "frequency. The delay would be:",
+        soft_wrap=True,
+    )
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("if alpha is", justify="right")
+    table.add_column("delay", justify="right")
+    longest = max(result.oscillations, key=lambda o: o.end - o.start)
+    for order in _ORDERS:
+        table.add_row(f"{order:g}", f"{1e3 * longest.delay(order):.2f} ms")
+    console.print(table)

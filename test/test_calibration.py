@@ -1,0 +1,135 @@
+"""The delay between force and displacement, on simulated and on measured oscillations."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fden_ros.calibration import Samples, find_delay, find_oscillations
+from fden_ros.cli import main
+from fden_ros.errors import InputError
+from fden_ros.recording.synthetic import write_recording
+from fden_ros.simulation.scenario import load_scenario
+from fden_ros.simulation.simulate import Recording, Stream, simulate
+
+DATA = os.environ.get("FDEN_DATA")
+SCENARIO = Path(__file__).parents[1] / "bags" / "delay_two_frequencies.yaml"
+HALF_A_MILLISECOND = 5e-4
+
+
+def recorded(delay: float = 0.012, seed: int = 9, presses: int = 2) -> Recording:
+    scenario = load_scenario(SCENARIO)
+    site = scenario.sites[0]
+    return simulate(
+        replace(
+            scenario,
+            sites=(replace(site, presses=site.presses[:presses]),),
+            displacement=replace(scenario.displacement, delay_s=delay),
+        ),
+        seed,
+    )
+
+
+def samples_of(recording: Recording) -> tuple[Samples, Samples]:
+    first = min(int(recording.force.stamp_ns[0]), int(recording.displacement.stamp_ns[0]))
+
+    def samples(stream: Stream) -> Samples:
+        return Samples((stream.stamp_ns - first) * 1e-9, stream.value)
+
+    return samples(recording.force), samples(recording.displacement)
+
+
+def order_of(recording: Recording) -> float:
+    return float(recording.truth["sites"][0]["fractional_order"])
+
+
+@pytest.mark.parametrize("delay", [-0.008, 0.0, 0.012, 0.035])
+def test_delay_and_alpha_are_told_apart_by_two_frequencies(delay):
+    recording = recorded(delay)
+    result = find_delay(*samples_of(recording))
+    assert result.delay == pytest.approx(delay, abs=HALF_A_MILLISECOND)
+    assert result.order == pytest.approx(order_of(recording), abs=0.005)
+    assert not result.warnings
+
+
+def test_deviation_that_is_told_holds_the_truth():
+    normalized = []
+    for seed in range(8):
+        result = find_delay(*samples_of(recorded(seed=seed)))
+        assert result.delay == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
+        normalized.append((result.delay - 0.012) / result.delay_sd)
+    assert 0.2 < math.sqrt(np.mean(np.square(normalized))) < 2.0
+
+
+def test_one_frequency_with_alpha_given_is_enough():
+    recording = recorded(presses=1)
+    result = find_delay(*samples_of(recording), order_of(recording))
+    assert result.order_given
+    assert result.delay == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
+
+
+def test_uncertainty_of_alpha_counts_in_the_delay():
+    # At 1 Hz an alpha off by 0.008 looks like a delay of 2 ms.
+    streams = samples_of(recorded(presses=1))
+    result = find_delay(*streams, 0.13, 0.008)
+    assert result.delay_sd == pytest.approx(0.25 * 0.008, rel=0.1)
+
+
+def test_one_frequency_alone_leaves_the_delay_undecided():
+    recording = recorded(presses=1)
+    result = find_delay(*samples_of(recording))
+    assert result.delay is None and result.order is None
+    (oscillation,) = result.oscillations
+    by_truth = oscillation.delay(order_of(recording))
+    assert by_truth == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
+
+
+def test_oscillation_that_lifts_off_is_left_out_and_said():
+    times = np.arange(0.0, 20.0, 0.002)
+    displacement = Samples(times, 1e-3 * np.sin(2.0 * math.pi * times))
+    force = Samples(times, np.maximum(displacement.values, 0.0))
+    warnings: list[str] = []
+    assert find_oscillations(force, displacement, warnings) == ()
+    assert "lifts off" in warnings[0]
+
+
+def test_ramp_says_what_to_record():
+    times = np.arange(0.0, 2.0, 0.01)
+    ramp = Samples(times, 1e-3 * times)
+    with pytest.raises(InputError, match="no steady oscillation"):
+        find_delay(ramp, ramp)
+
+
+def test_command_prints_the_parameter_to_set(tmp_path, capsys):
+    write_recording(recorded(), tmp_path / "sweep")
+    assert main(["calibrate", "delay", str(tmp_path / "sweep"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["delay_s"] == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
+    assert main(["calibrate", "delay", str(tmp_path / "sweep")]) == 0
+    assert f"displacement.delay: {result['delay_s']:.6f}" in capsys.readouterr().out
+
+
+def test_command_says_that_one_frequency_cannot_tell(tmp_path, capsys):
+    write_recording(recorded(presses=1), tmp_path / "sine")
+    assert main(["calibrate", "delay", str(tmp_path / "sine")]) == 0
+    assert "One frequency cannot tell the delay from alpha" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not DATA, reason="measured data: set FDEN_DATA to their folder")
+def test_measured_robot_is_31_ms_out_of_step_if_alpha_is_0(capsys):
+    table = Path(str(DATA)) / "robot_on_silicone_500hz.csv"
+    if not table.is_file():
+        pytest.skip(f"no {table.name} in FDEN_DATA")
+    assert main(["calibrate", "delay", str(table), "--columns", "@500,5,3*1e-3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    (oscillation,) = result["oscillations"]
+    assert result["delay_s"] is None
+    assert oscillation["frequency_hz"] == pytest.approx(2.0, abs=0.01)
+    assert oscillation["lead_deg"] == pytest.approx(22.0, abs=1.0)
+    assert oscillation["delay_s_by_alpha"]["0.0"] == pytest.approx(0.031, abs=0.001)
