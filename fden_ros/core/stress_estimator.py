@@ -65,21 +65,25 @@ _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
 _NARROW, _WIDE = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 #: A step changes no parameter by more than this.
 _LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf, np.inf])
-_STEPS = 2
+_MOST_STEPS, _MOST_NODE_STEPS = 10, 3
 #: The posterior is solved for anew after so many blocks; when it is narrow, a plain extended
 #: Kalman filter goes on from there in between.
 _WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
 #: Blocks that may wait to be added to the sums together, which is faster.
 _MOST_PENDING = 32
-#: Steps end when no parameter moves by more than this share of its deviation.
-_CLOSE = 0.05
+#: Steps end when the last one lowered minus twice the log-posterior by less than this.
+_CLOSE = 0.01
 #: A node of less weight does not count there.
 _LEAST_WEIGHT = 1e-6
 _TINY = 1e-12
+#: ln G of a state that runs away stops so far from its prior.
+_LOG_REACH = 12.0
 #: Innovations count for the tests while their variance is below this many times the noise's.
 _TOLD_BY_NOISE = 2.0
 #: So many innovations later a mismatch is told, unless a change of the tissue explains it.
 _MISMATCH_DELAY = 64
+#: How much ln G may change: a lesion is up to several times stiffer than what is around it.
+_CHANGE_OF_LOG_G = 1.0
 #: A change may be seen so much too late [s], and be so large a share of the fractional stress.
 _PULSE_DURATION, _PULSE_SHARE = 0.02, 2.0
 #: Then, so long, the pulse's shape matters too much to learn anything [s].
@@ -232,7 +236,8 @@ class StressEstimator:
         if self._config.order_given:
             # Schmidt's filter: what is not learned keeps its deviation.
             gain[_ORDER] = 0.0
-        self._state = self._bounded(self._state + gain * innovation.innovation)
+        step = np.clip(gain * innovation.innovation, -_LONGEST_STEP, _LONGEST_STEP)
+        self._state = self._bounded(self._state + step)
         # Joseph's form: positive whatever the rounding.
         kept = np.eye(_SIZE) - np.outer(gain, jacobian)
         self._covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
@@ -256,8 +261,10 @@ class StressEstimator:
 
     def _watch(self, innovation: Innovation, noise: float, time: float) -> None:
         """Look whether the tissue has changed, or was never what the model says."""
-        if innovation.variance > _TOLD_BY_NOISE * noise:
-            # What is not known yet cannot be surprising.
+        is_fresh = self._is_narrow or self._blocks_since_solved == 0
+        if not is_fresh or innovation.variance > _TOLD_BY_NOISE * noise:
+            # What is not known yet cannot be surprising, and what comes from the same state twice
+            # is not independent.
             return
         monitor = self._monitor
         monitor.add(innovation.innovation / math.sqrt(innovation.variance))
@@ -283,6 +290,11 @@ class StressEstimator:
         for index in (_ORIGIN, _BIAS, _DRIFT):
             self._mean[index] = self._state[index]
             self._prior_deviations[index] = known[index]
+        for index in (_LOG_G, _LOG_GN, _ORDER):
+            self._mean[index] = self._state[index]
+        self._prior_deviations[_LOG_G] = math.hypot(
+            self._config.prior.linear_stiffness_log_sd, _CHANGE_OF_LOG_G
+        )
         self._prior_deviations[_PULSE] = _PULSE_SHARE * abs(innovation.predicted_fractional_stress)
         self._state[_PULSE] = 0.0
         self._covariance = np.diag(self._prior_deviations**2)
@@ -389,15 +401,16 @@ class StressEstimator:
 
     def _solve_narrow(self) -> None:
         free = self._free
-        for _ in range(_STEPS):
+        for _ in range(_MOST_STEPS):
             first, directions = self._directions(self._state)
             quadratic = directions @ self._stencil_products(first) @ directions.T
             step, hessian = self._step(self._state[None], quadratic[None], free)
             self._state = self._bounded(self._state + step[0])
-            if np.all(np.abs(step[0]) <= _CLOSE * np.sqrt(self._covariance.diagonal())):
+            remaining = float(_decrement(step, hessian, free)[0])
+            if remaining <= _CLOSE:
                 break
         self._covariance = self._covariances(hessian, quadratic[None], free)[0]
-        if self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
+        if remaining > 1.0 or self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
             self._is_narrow = False
             nodes = self._grid.nodes
             self._node_states[:] = self._state
@@ -413,6 +426,8 @@ class StressEstimator:
         return np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP), hessian
 
     def _bounded(self, state: Array) -> Array:
+        around = self._mean[_LOG_G]
+        state[..., _LOG_G] = np.clip(state[..., _LOG_G], around - _LOG_REACH, around + _LOG_REACH)
         state[..., _ORDER] = np.clip(state[..., _ORDER], LOWEST_ORDER, HIGHEST_ORDER)
         state[..., _LOG_GN] = np.clip(state[..., _LOG_GN], self._grid.lowest, self._grid.highest)
         return state
@@ -438,12 +453,12 @@ class StressEstimator:
         free = free[free != _LOG_GN]
         states = self._node_states
         quadratics = self._node_quadratics(states)
-        for _ in range(_STEPS):
+        for _ in range(_MOST_NODE_STEPS):
             steps, hessians = self._step(states, quadratics, free)
             states = self._node_states = self._bounded_nodes(states + steps)
             quadratics = self._node_quadratics(states)
-            close = np.abs(steps) <= _CLOSE * np.sqrt(self._covariance.diagonal())
-            if np.all(close | (self._node_weights < _LEAST_WEIGHT)[:, None]):
+            close = _decrement(steps, hessians, free) <= _CLOSE
+            if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
                 break
         deviation = (states - self._mean)[:, free] / self._prior_deviations[free]
         log_evidence = -0.5 * (
@@ -455,7 +470,9 @@ class StressEstimator:
         weights = np.exp(log_evidence - log_evidence.max())
         weights /= weights.sum()
         self._node_weights = weights
-        self._state = weights @ states
+        self._state = np.where(self._prior_deviations > 0.0, weights @ states, self._mean)
+        if self._config.order_given:
+            self._state[_ORDER] = self._mean[_ORDER]
         centred = states - self._state
         covariance = (weights[:, None] * centred).T @ centred
         likely = weights > _LEAST_WEIGHT
@@ -551,6 +568,13 @@ class StressEstimator:
             return float(ndtr((math.log(strain) + self._state[_LOG_GN]) / deviation))
         beyond = ndtr((math.log(strain) + self._grid.nodes) / (0.5 * LOG_SPACING))
         return float(min(self._node_weights @ beyond, 1.0))
+
+
+def _decrement(steps: Array, hessians: Array, free: Indices) -> Array:
+    """Return by how much each step lowers minus twice the log-posterior, shape (n,)."""
+    moved = steps[:, free]
+    decrement: Array = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
+    return decrement
 
 
 def _outer(a: Array, b: Array) -> Array:

@@ -1,0 +1,197 @@
+"""The posterior on the stress: honest, alpha learned, changes followed, wrong models told."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from pipeline_helpers import identified, items_of, parameters_of, summaries_of
+from scipy.signal import fftconvolve
+from scipy.special import gamma
+
+from fden_ros.core.estimator import Block, EstimatorConfig, Prior
+from fden_ros.core.geometry import PassThrough
+from fden_ros.core.stress_estimator import StressEstimator
+from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+from fden_ros.simulation.scenario import load_scenario
+from fden_ros.simulation.simulate import simulate
+
+RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
+ORDER, ORDER_SD = 0.2, 0.05
+
+
+def drawn(rng):
+    """Return G, Gn, alpha drawn from the prior."""
+    return (
+        520.0 * math.exp(0.3 * rng.standard_normal()),
+        8.4 * math.exp(0.2 * rng.standard_normal()),
+        float(np.clip(ORDER + ORDER_SD * rng.standard_normal(), 0.03, 0.55)),
+    )
+
+
+def estimator_of(order_given=False, order=ORDER, order_sd=ORDER_SD, origin_sd=0.0, bias_sd=0.0):
+    prior = Prior(fractional_order=order, fractional_order_sd=order_sd)
+    config = EstimatorConfig(prior, order_given=order_given)
+    estimator = StressEstimator(config, PassThrough(), NOISE, origin_sd)
+    estimator.begin_contact(bias_sd, 0.0)
+    return estimator
+
+
+def fed(estimator, motion, stress):
+    """Feed samples in blocks; return whether a mismatch was told."""
+    step = 1.0 / RATE
+    for first in range(0, len(motion) - PER_BLOCK + 1, PER_BLOCK):
+        block = slice(first, first + PER_BLOCK)
+        for index in range(first, first + PER_BLOCK):
+            estimator.press(step if index else 0.0, float(motion[index]))
+        time = (first + PER_BLOCK / 2) * step
+        estimator.update(
+            Block(
+                float(motion[block].mean()),
+                float(stress[block].mean()),
+                0.0,
+                0.0,
+                time,
+                PER_BLOCK,
+                PER_BLOCK * step,
+            )
+        )
+        estimator.estimate()
+    return estimator.is_mismatch
+
+
+def ramp_and_hold(rate=0.3, max_strain=0.3, hold=1.0):
+    time = np.arange(0.0, max_strain / rate + hold, 1.0 / RATE)
+    return time, np.minimum(rate * time, max_strain), rate, max_strain
+
+
+def exact_stress(time, rate, max_strain, model):
+    knots = [0.0, max_strain / rate, max_strain / rate + 100.0]
+    return stress_of_piecewise_linear_strain(
+        knots, [0.0, max_strain, max_strain], np.maximum(time, 1e-9), model
+    )
+
+
+def error_of(estimate, truth):
+    return np.array(
+        [
+            estimate.log_linear_stiffness - math.log(truth[0]),
+            estimate.log_nonlinear_stiffness - math.log(truth[1]),
+            estimate.fractional_order - truth[2],
+        ]
+    )
+
+
+def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors():
+    # error' P^-1 error / 3 has mean 1 and, over 40 contacts, a deviation of sqrt(2 / 120) = 0.13:
+    # four of them. The bias of alpha is known to 0.0006 / sqrt(40) = 0.0001.
+    scores, errors, alarms = [], [], 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        truth = drawn(rng)
+        time, motion, rate, top = ramp_and_hold()
+        origin, bias = 0.002 * rng.standard_normal(), 0.3 * rng.standard_normal()
+        stress = exact_stress(time, rate, top, FdenModel(*truth))
+        stress += bias + NOISE * rng.standard_normal(time.size)
+        estimator = estimator_of(origin_sd=0.002, bias_sd=0.3)
+        alarms += fed(estimator, motion + origin, stress) or estimator.change_count > 0
+        estimate = estimator.estimate()
+        assert estimate.converged
+        error = error_of(estimate, truth)
+        errors.append(error)
+        scores.append(error @ np.linalg.solve(estimate.covariance, error) / 3.0)
+    assert abs(np.mean(scores) - 1.0) < 0.52
+    assert alarms <= 1
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert rms[0] < 0.02 and rms[1] < 0.01 and rms[2] < 0.002
+    assert abs(np.mean(errors, axis=0)[2]) < 0.001
+
+
+def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges():
+    held = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        truth = drawn(rng)
+        time, motion, rate, top = ramp_and_hold(max_strain=0.05, hold=0.5)
+        stress = exact_stress(time, rate, top, FdenModel(*truth))
+        estimator = estimator_of()
+        fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
+        estimate = estimator.estimate()
+        assert not estimate.converged
+        error = np.abs(error_of(estimate, truth))
+        held += np.count_nonzero(error < 2.0 * np.sqrt(estimate.covariance.diagonal()))
+    # 120 intervals of 95 %: fewer than 88 % would come by chance in 1 of 500 runs.
+    assert held >= 0.88 * 120
+
+
+def test_given_order_that_is_one_deviation_wrong_stays_within_the_interval():
+    held = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        g, gn, _ = drawn(rng)
+        truth = (g, gn, 0.131)
+        time, motion, rate, top = ramp_and_hold(hold=0.0)
+        stress = exact_stress(time, rate, top, FdenModel(*truth))
+        estimator = estimator_of(order_given=True, order=0.142, order_sd=0.011)
+        fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
+        estimate = estimator.estimate()
+        assert estimate.fractional_order == 0.142
+        error = np.abs(error_of(estimate, truth))[:2]
+        held += np.count_nonzero(error < 2.0 * np.sqrt(estimate.covariance.diagonal()[:2]))
+    assert held >= 0.9 * 60
+
+
+def fractional_derivative(signal, order):
+    """L1 scheme on the full history, by convolution."""
+    index = np.arange(signal.size)
+    exponent = 1.0 - order
+    kernel = (index + 1.0) ** exponent - index**exponent
+    kernel *= RATE**order / gamma(2.0 - order)
+    return fftconvolve(np.diff(signal, prepend=0.0), kernel)[: signal.size]
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.5, 4.0])
+def test_step_of_stiffness_within_a_contact_is_followed_and_said(ratio):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        g, gn, _ = drawn(rng)
+        time, motion, *_ = ramp_and_hold(rate=0.1, hold=0.5)
+        model = FdenModel(g, gn, ORDER)
+        phi = np.where(time < 2.0, 1.0, ratio) * model.phi(motion)
+        stress = fractional_derivative(phi, ORDER) + NOISE * rng.standard_normal(time.size)
+        estimator = estimator_of()
+        mismatch = fed(estimator, motion, stress)
+        estimate = estimator.estimate()
+        assert 1 <= estimator.change_count <= 2
+        assert not mismatch
+        assert math.exp(estimate.log_linear_stiffness) == pytest.approx(ratio * g, rel=0.05)
+        deviation = error_of(estimate, (ratio * g, gn, ORDER))
+        assert np.all(np.abs(deviation) < 5.0 * np.sqrt(estimate.covariance.diagonal()))
+
+
+@pytest.mark.parametrize("kind", ["kelvin_voigt", "hunt_crossley"])
+def test_wrong_model_is_told_and_does_not_converge_on_a_narrow_lie(kind):
+    rng = np.random.default_rng(0)
+    time, motion, *_ = ramp_and_hold(hold=2.0)
+    velocity = np.gradient(motion, time)
+    if kind == "kelvin_voigt":
+        stress = 2000.0 * motion + 300.0 * velocity
+    else:
+        stress = 6000.0 * motion**1.8 * (1.0 + velocity)
+    estimator = estimator_of()
+    assert fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
+    assert not estimator.estimate().converged
+
+
+def test_ten_palpations_of_one_site_leave_no_bias():
+    errors = []
+    for seed in range(3):
+        recording = simulate(load_scenario("palpation"), seed)
+        _, outputs = identified(items_of(recording), parameters_of(recording, given_origin=True))
+        found = summaries_of(outputs)
+        assert len(found) == 10 and {s.site_id for s in found} == {1}
+        site, last = recording.truth["sites"][0], found[-1].estimate
+        truth = (site["linear_stiffness"], site["nonlinear_stiffness"], last.fractional_order)
+        errors.append(error_of(last, truth)[:2])
+    assert np.all(np.abs(np.mean(errors, axis=0)) < 0.003), errors
