@@ -59,7 +59,9 @@ METHODS = (STRESS, FRACTIONAL_STRESS, APPENDIX_D)
 _SPARSE = {"estimate.period": 0.03}
 _HOLD = RampHold(0.5, 0.25, 2.0)
 _PALPATION = Palpation(0.5, 0.25, 0.3, presses=3, pause_s=0.3)
-_SINUSOID = Sinusoid(0.5, 0.18, 0.06, 1.0, 3)
+_SINUSOID = Sinusoid(0.5, 0.2, 0.02, 1.0, 3)
+#: So wide that the probe leaves the tissue in every trough.
+_WIDE_SINUSOID = Sinusoid(0.5, 0.18, 0.06, 1.0, 3)
 
 CASES = (
     Case("ramp", Ramp(1.0, 0.25), is_quick=True),
@@ -81,6 +83,13 @@ CASES = (
     Case("palpation_alpha_0.32", _PALPATION, 0.32, rate_hz=200.0, parameters=_SPARSE),
     Case("sinusoid", _SINUSOID, rate_hz=200.0, parameters=_SPARSE),
     Case("sinusoid_alpha_0.32", _SINUSOID, 0.32, rate_hz=200.0, parameters=_SPARSE, is_quick=True),
+    Case(
+        "contact_lost_alpha_0.32",
+        _WIDE_SINUSOID,
+        0.32,
+        rate_hz=200.0,
+        parameters=_SPARSE,
+    ),
     Case(
         "hold",
         _HOLD,
