@@ -67,14 +67,16 @@ class Inputs:
     ----------
     force_frame : str
         frame_id of the force messages; the outputs carry it.
+    force_joint, displacement_joint : str
+        Joints that are asked for; empty: the first.
     """
 
     def __init__(self, parameters: Mapping[str, Any], pipeline: Pipeline) -> None:
         self._pipeline = pipeline
         self._force_axis = unit_vector(parameters["force.axis"])
         self._displacement_axis = unit_vector(parameters["displacement.axis"])
-        self._force_joint = str(parameters["force.name"])
-        self._displacement_joint = str(parameters["displacement.name"])
+        self.force_joint = str(parameters["force.name"])
+        self.displacement_joint = str(parameters["displacement.name"])
         self._force_sign = -1.0 if parameters["force.inverted"] else 1.0
         self._displacement_sign = -1.0 if parameters["displacement.inverted"] else 1.0
         self._read_force: dict[type, Callable[[Any], float | None]] = {
@@ -102,48 +104,73 @@ class Inputs:
     def add_force(self, message: Any) -> None:
         """Take a force message."""
         header = message.header
-        if header.frame_id != self.force_frame:
-            if self._force_frame_known:
-                self._pipeline.reject("force", Reason.WRONG_FRAME)
-                return
-            self.force_frame = header.frame_id
-        self._force_frame_known = True
         force = self._read_force[type(message)](message)
-        if force is None:
-            self._pipeline.reject("force", Reason.MISSING_FIELD)
-            return
-        self._pipeline.add_force(stamp_ns(header.stamp), force)
+        self.take_force(header.frame_id, stamp_ns(header.stamp), force)
 
     def add_displacement(self, message: Any) -> None:
         """Take a displacement message."""
         header = message.header
-        if header.frame_id != self._displacement_frame:
-            if self._displacement_frame is not None:
-                self._pipeline.reject("displacement", Reason.WRONG_FRAME)
-                return
-            self._displacement_frame = header.frame_id
+        stamp = stamp_ns(header.stamp)
         if isinstance(message, JointState):
-            joint = _joint_value(message.name, message.position, self._displacement_joint)
-            if joint is None:
-                self._pipeline.reject("displacement", Reason.MISSING_FIELD)
-                return
-            self._pipeline.add_displacement(
-                stamp_ns(header.stamp), self._displacement_sign * joint
-            )
+            joint = _joint_value(message.name, message.position, self.displacement_joint)
+            self.take_joint(header.frame_id, stamp, joint)
             return
-        position = self._read_position[type(message)](message)
+        self.take_position(header.frame_id, stamp, self._read_position[type(message)](message))
+
+    def take_force(self, frame_id: str, stamp: int, force: float | None) -> None:
+        """Take a force along the axis [N]; None where the message does not hold it."""
+        if frame_id != self.force_frame:
+            if self._force_frame_known:
+                self._pipeline.reject("force", Reason.WRONG_FRAME)
+                return
+            self.force_frame = frame_id
+        self._force_frame_known = True
+        if force is None:
+            self._pipeline.reject("force", Reason.MISSING_FIELD)
+            return
+        self._pipeline.add_force(stamp, force)
+
+    def take_joint(self, frame_id: str, stamp: int, joint: float | None) -> None:
+        """Take a joint's position [m]; None where the message does not hold it."""
+        if not self._is_displacement_frame(frame_id):
+            return
+        if joint is None:
+            self._pipeline.reject("displacement", Reason.MISSING_FIELD)
+            return
+        self._pipeline.add_displacement(stamp, self._displacement_sign * joint)
+
+    def take_position(self, frame_id: str, stamp: int, position: Position) -> None:
+        """Take a position [m]."""
+        if not self._is_displacement_frame(frame_id):
+            return
         x, y, z = position
         a, b, c = self._displacement_axis
-        self._pipeline.add_displacement(stamp_ns(header.stamp), a * x + b * y + c * z, position)
+        self._pipeline.add_displacement(stamp, a * x + b * y + c * z, position)
+
+    def along_force(self, x: float, y: float, z: float) -> float:
+        """Return the part of a force along the axis [N]."""
+        a, b, c = self._force_axis
+        return float(a * x + b * y + c * z)
+
+    def signed_effort(self, effort: float | None) -> float | None:
+        """Return a joint's effort as force [N]."""
+        return None if effort is None else self._force_sign * effort
+
+    def _is_displacement_frame(self, frame_id: str) -> bool:
+        if frame_id == self._displacement_frame:
+            return True
+        if self._displacement_frame is not None:
+            self._pipeline.reject("displacement", Reason.WRONG_FRAME)
+            return False
+        self._displacement_frame = frame_id
+        return True
 
     def _wrench_force(self, message: WrenchStamped) -> float:
         force = message.wrench.force
-        a, b, c = self._force_axis
-        return float(a * force.x + b * force.y + c * force.z)
+        return self.along_force(force.x, force.y, force.z)
 
     def _joint_force(self, message: JointState) -> float | None:
-        effort = _joint_value(message.name, message.effort, self._force_joint)
-        return None if effort is None else self._force_sign * effort
+        return self.signed_effort(_joint_value(message.name, message.effort, self.force_joint))
 
 
 def _joint_value(names: list[str], values: Any, joint: str) -> float | None:

@@ -561,7 +561,7 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Sign
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
     )
-    while not list(out.parent.iterdir()) and process.poll() is None:
+    while not list(out.parent.rglob("*.mcap")) and process.poll() is None:
         pass
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from fden_ros.core.synchronize import Position, Reason
 from fden_ros.errors import InputError
 from fden_ros.messages import Inputs, stamp_ns
 from fden_ros.parameters import unit_vector
+from fden_ros.recording.fast import UnusualError, fast_handler
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
@@ -206,7 +208,17 @@ class BagSource:
                 return
             take(sample)
 
-        return handle
+        fast = fast_handler(what, topic.type_name, self._inputs)
+        if fast is None:
+            return handle
+
+        def handle_fast(message: RawMessage) -> None:
+            try:
+                fast(message.data)
+            except (UnusualError, struct.error):
+                handle(message)
+
+        return handle_fast
 
     def note(self, text: str) -> None:
         """Add a warning, once."""

@@ -77,13 +77,23 @@ class BagWriter:
         try:
             self.target.parent.mkdir(parents=True, exist_ok=True)
             self._folder = self._hidden_folder()
-            self._file: BinaryIO = (self._folder / self._file_name).open("wb")
         except OSError as error:
             raise self._unwritable(error) from error
+        try:
+            self._start()
+        except BaseException as error:
+            # Not entered, so never left: an interruption here would leave the folder behind.
+            shutil.rmtree(self._folder, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise self._unwritable(error) from error
+            raise
+        return self
+
+    def _start(self) -> None:
+        self._file: BinaryIO = (self._folder / self._file_name).open("wb")
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         # A library name without a version: the bytes are the same on every machine.
         self._writer.start(profile=Profile.ROS2, library="fden_ros")
-        return self
 
     def __exit__(
         self,
