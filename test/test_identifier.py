@@ -377,8 +377,12 @@ def test_classification_and_summaries_reach_those_who_come_late() -> None:
         play(bag, 3.0)
         with Bench() as bench:
             bench.wait_for(lambda: len(bench.summaries) == 2, "the latched summaries")
-            bench.wait_for(lambda: bench.classifications, "the latched classification")
-        assert bench.classifications[-1].decision == TissueClassification.DECISION_CLASS
+            # A loaded machine may still be at the end of the bag.
+            decided = TissueClassification.DECISION_CLASS
+            bench.wait_for(
+                lambda: any(c.decision == decided for c in bench.classifications),
+                "the latched classification",
+            )
         assert bench.classifications[-1].label == "liver"
         assert math.isclose(sum(bench.classifications[-1].probabilities), 1.0)
 
