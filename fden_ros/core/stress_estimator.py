@@ -543,7 +543,8 @@ class StressEstimator:
             self._solve()
             self._blocks_since_solved = 0
         config = self._config
-        covariance = self._covariance * self._monitor.inflation
+        # Symmetric to the last bit, which products of matrices are not.
+        covariance = 0.5 * self._monitor.inflation * (self._covariance + self._covariance.T)
         beyond = self._probability_beyond_boundary()
         return Estimate(
             log_linear_stiffness=float(self._state[_LOG_G]),
