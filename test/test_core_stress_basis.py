@@ -69,6 +69,22 @@ def test_nodes_of_the_origin_shift_the_strain():
         np.testing.assert_allclose(shifted[:, index], alone, rtol=1e-12)
 
 
+@pytest.mark.parametrize("order", [0.131, 0.32, 0.6])
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.9])
+def test_touch_between_two_samples_counts_from_when_it_was(order, share):
+    # Coarse samples: the touch lies in the step before the first sample in contact.
+    step, speed, gn = 0.01, 0.2, 8.4
+    touch = (1.0 + share) * step
+    times = np.arange(5) * step
+    model = FdenModel(1.0, gn, order)
+    knots = [touch, touch + 1.0]
+    for size in (3, 5):
+        basis = StressBasis(PassThrough(), GRID.nodes, np.zeros(1))
+        law, _, _ = last_response(basis, times[:size], speed * (times[:size] - touch))
+        exact = stress_of_piecewise_linear_strain(knots, [0.0, speed], times[size - 1 : size], model)
+        assert interpolated(law, np.log(gn), order) == pytest.approx(exact[0], rel=1e-5)
+
+
 def test_block_is_the_mean_of_its_samples():
     times = jittered_times(40, 5e-3)
     motion = 0.5 * times

@@ -9,13 +9,16 @@ import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from scipy.signal import fftconvolve
 from scipy.special import gamma
+from scipy.stats import chi2
 
+from fden_ros.benchmarks.simulated import STRESS, Case, run_trial
 from fden_ros.core.estimator import Block, EstimatorConfig, Prior
 from fden_ros.core.geometry import PassThrough
 from fden_ros.core.stress_estimator import StressEstimator
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate
+from fden_ros.simulation.trajectory import Palpation
 
 RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
 ORDER, ORDER_SD = 0.2, 0.05
@@ -195,3 +198,16 @@ def test_ten_palpations_of_one_site_leave_no_bias():
         truth = (site["linear_stiffness"], site["nonlinear_stiffness"], last.fractional_order)
         errors.append(error_of(last, truth)[:2])
     assert np.all(np.abs(np.mean(errors, axis=0)) < 0.003), errors
+
+
+@pytest.mark.parametrize("order", [0.131, 0.32])
+def test_tissue_that_leaves_the_probe_and_is_met_again_is_followed(order):
+    # Coarse samples and fast motion: the probe is in the air again within a few of them.
+    press = Palpation(0.5, 0.25, 0.3, presses=3, pause_s=0.3)
+    case = Case("met_again", press, order, rate_hz=200.0, parameters={"estimate.period": 0.03})
+    errors = []
+    for number in range(10):
+        outcome = run_trial(case, number, (STRESS,)).outcomes[STRESS]
+        error = outcome.error[:2]
+        errors.append(error @ np.linalg.solve(outcome.covariance[:2, :2], error))
+    assert sum(errors) < chi2.ppf(0.9999, 2 * len(errors)), errors

@@ -275,10 +275,12 @@ class _Sums:
     compression: float = 0.0
     stress: float = 0.0
     force: float = 0.0
+    has_free: bool = False  #: the tissue was free of the probe for part of it
     fractional: Array = field(default_factory=lambda: np.zeros(len(order_nodes()) + 3))
 
     def clear(self) -> None:
         self.count = 0
+        self.has_free = False
         self.compression = self.stress = self.force = 0.0
         self.fractional[:] = 0.0
 
@@ -545,11 +547,17 @@ class Pipeline:
         displacement = self._detector.compliance_free(pair, force)
         compression = (displacement - site.origin) / geometry.length
         sums = self._sums
-        step_ns = pair.stamp_ns - site.last_ns
-        if step_ns > 0:
-            sums.fractional += site.integral.advance(step_ns / NANOSECONDS, stress)
+        step = (pair.stamp_ns - site.last_ns) / NANOSECONDS
+        is_free = self._is_free(force, contact, site)
+        sums.has_free |= is_free
+        if step > 0.0:
+            fractional = site.integral.advance(step, 0.0 if is_free else stress)
+            sums.fractional += fractional
         if site.estimator is not None and not contact.ended:
-            site.estimator.press(step_ns / NANOSECONDS, compression)
+            if is_free and step > 0.0:
+                site.estimator.rest(step, fractional[_EXACT_ORDERS:])
+            elif not is_free:
+                site.estimator.press(step, compression)
         site.last_ns = pair.stamp_ns
         if sums.count == 0:
             sums.start_ns, sums.start_compression = pair.stamp_ns, compression
@@ -565,6 +573,15 @@ class Pipeline:
             or abs(compression - sums.start_compression) > self.config.block_compression
         ):
             self._close_block(pair.stamp_ns, contact, site)
+
+    def _is_free(self, force: float, contact: _Contact, site: _Site) -> bool:
+        """Whether the tissue has left the probe, or has not met it yet.
+
+        The first touch says where the origin is, so there the law holds from the origin on; later
+        ones meet a surface that still recovers.
+        """
+        is_first_touch = contact.start_ns == site.start_ns and not contact.is_pressed
+        return force <= contact.release_force and not is_first_touch
 
     def _hover(self, pair: Pair) -> None:
         if pair.stamp_ns - self._block_end_ns < self._block_ns:
@@ -605,6 +622,7 @@ class Pipeline:
             size=count,
             duration=(stamp_ns - sums.start_ns) / NANOSECONDS * count / max(count - 1, 1),
         )
+        has_free = sums.has_free
         sums.clear()
         self._block_end_ns = stamp_ns
         self._blocks += 1
@@ -612,7 +630,7 @@ class Pipeline:
         if site.estimator is not None and site.usable and not contact.ended:
             # Without contact the law does not hold; near the surface the origin's error is not
             # small.
-            if self._is_informative(block, force, contact, site):
+            if self._is_informative(block, force, has_free, contact, site):
                 innovation = site.estimator.update(block)
                 self._watch(site.estimator, contact)
             else:
@@ -636,13 +654,13 @@ class Pipeline:
             return float(fractional[0])
         return float(self._order_interpolation(order)[0] @ fractional[_EXACT_ORDERS:])
 
-    def _is_informative(self, block: Block, force: float, contact: _Contact, site: _Site) -> bool:
+    def _is_informative(
+        self, block: Block, force: float, has_free: bool, contact: _Contact, site: _Site
+    ) -> bool:
         """Whether the law holds for a block: not behind the surface, nor while letting go."""
         if self.config.estimator.observation is Observation.STRESS:
-            # The first touch says where the origin is; later ones meet a relaxing surface.
-            is_first = contact.start_ns == site.start_ns
             contact.is_pressed |= force > 2.0 * contact.release_force
-            return force > contact.release_force or (is_first and not contact.is_pressed)
+            return not has_free
         return force > contact.release_force and block.compression > site.origin_sd
 
     def _report(

@@ -164,6 +164,7 @@ class StressBasis:
         self._exponent = np.empty(self._shape)
         self._linear = np.empty(self._shape)
         self._count = 0
+        self._strains = [0.0] * len(self._origins)
         self._step = math.nan
         self._decay = np.empty((self._rates.size, 1))
         self._gain = np.empty((self._rates.size, 1))
@@ -172,8 +173,9 @@ class StressBasis:
     def press(self, step: float, compression: float) -> None:
         """Take a sample in contact `step` seconds after the last."""
         strains = [self._geometry.strain(compression - origin) for origin in self._origins]
+        before, self._strains = self._strains, strains
         # e^(Gn x - 1)/Gn beyond 1/Gn and x below it, both in one.
-        np.multiply(self._gn, np.abs(strains), out=self._exponent)
+        np.multiply(self._gn, np.maximum(strains, 0.0), out=self._exponent)
         self._exponent -= 1.0
         np.minimum(self._exponent, 0.0, out=self._linear)
         np.maximum(self._exponent, 0.0, out=self._exponent)
@@ -181,13 +183,29 @@ class StressBasis:
         np.exp(self._exponent, out=self._exponent)
         self._exponent += self._linear
         np.multiply(self._exponent, self._inverse_gn, out=self._law_signals)
-        if min(strains) < 0.0:
-            self._law_signals *= np.sign(strains)
+        if strains[0] < 0.0 or strains[-1] < 0.0:
+            self._law_signals *= np.greater(strains, 0.0)
         self._signals[self._signal_count :] = 0.0
         self._count += 1
-        if self._advance(step):
-            self._memory_sum += self._decayed
-            self._local_sum += self._local * self._change
+        if not self._advance(step):
+            return
+        self._memory_sum += self._decayed
+        self._local_sum += self._local * self._change
+        for index, (earlier, now) in enumerate(zip(before, strains, strict=True)):
+            if earlier < 0.0 < now:
+                self._begin_at(index, step * now / (now - earlier))
+
+    def _begin_at(self, origin: int, duration: float) -> None:
+        """Let the last step's change at one origin have begun at the touch within the step."""
+        columns = slice(origin, self._signal_count, self._shape[1])
+        change = self._change[columns]
+        exponent = self._rates * duration
+        with np.errstate(invalid="ignore"):
+            gain = -np.expm1(-exponent) / exponent
+        gain[0] = 1.0
+        local = duration**-self._orders * self._local_scale
+        self._memory[:, columns] += (gain[:, None] - self._gain) * change
+        self._local_sum[:, columns] += (local[:, None] - self._local) * change
 
     def rest(self, step: float, free_response: Array) -> None:
         """Take a step in the air, where phi is D^-alpha of the stress so far, shape (orders,)."""
