@@ -37,6 +37,8 @@ class Reason:
     DISPLACEMENT_GAP = "displacement_gap"
     WRONG_FRAME = "wrong_frame"
     MISSING_FIELD = "missing_field"
+    SPIKE = "spike"
+    STUCK = "stuck"
 
 
 @dataclass(frozen=True)
@@ -67,10 +69,24 @@ _MIN_STEP_NS = 10_000
 #: A stamp this far back, confirmed by the next sample, is a jump of the clock; less is a late
 #: sample [ns].
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
-#: A stamp this far ahead waits for the next sample to confirm it [ns].
+#: A stamp so many usual steps ahead, and in any case one this far ahead [ns], waits for the next
+#: sample to confirm it.
+_FAR_STEPS = 10.0
 _FORWARD_JUMP_NS = NANOSECONDS
 #: This many late samples in a row, in order among themselves, are a jump of the clock too.
 _LATE_RUN = 20
+#: The usual step, in stamps and in values, follows the last samples with this gain.
+_GAIN = 1.0 / 32.0
+#: A value so many usual changes away from its neighbours on both sides is a spike ...
+_SPIKE_CHANGES = 12.0
+#: ... and lets the usual change grow by no more than this, so that larger noise is believed soon.
+_MOST_GROWTH = 4.0
+#: What is usual is known from so many samples.
+_USUAL_SAMPLES = 32
+#: A signal that never repeated itself for longer than a fifth of this many samples is stuck: the
+#: sensor is dead, or at its end.
+_STUCK_SAMPLES = 10
+_STUCK_TIMES = 5
 
 
 class Sample(NamedTuple):
@@ -109,6 +125,14 @@ class StreamGuard:
         self._held: Sample | None = None
         self._late_run = 0
         self._late_newest_ns = 0
+        self._usual_step_ns = 0.0
+        self._step_count = 0
+        self._values = _ValueGuard(limits_runs=name == "force")
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the signal repeats itself as it never did before."""
+        return self._values.is_stuck
 
     def reject(self, reason: str) -> None:
         """Count one rejected sample."""
@@ -127,14 +151,32 @@ class StreamGuard:
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
             return ()
-        sample = Sample(self.epoch, stamp_ns, value, position)
+        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position))
+        return self._by_value(accepted) if accepted else ()
+
+    def _by_stamp(self, sample: Sample) -> tuple[Sample, ...]:
         if self._newest_ns is None:
             return self._take(sample)
         if self._held is not None:
             return self._after_held(self._held, sample)
         return self._in_order(sample)
 
+    def _by_value(self, samples: tuple[Sample, ...]) -> tuple[Sample, ...]:
+        accepted: list[Sample] = []
+        for sample in samples:
+            for judged, reason in self._values.judge(sample):
+                if reason is None:
+                    accepted.append(judged)
+                else:
+                    self.reject(reason)
+        return tuple(accepted)
+
     def _take(self, *samples: Sample) -> tuple[Sample, ...]:
+        if self._newest_ns is not None and samples[0].epoch == self.epoch:
+            step_ns = float(samples[-1].stamp_ns - self._newest_ns) / len(samples)
+            usual_ns = self._usual_step_ns or step_ns
+            self._step_count += 1
+            self._usual_step_ns = usual_ns + _GAIN * (step_ns - usual_ns)
         self._newest_ns = samples[-1].stamp_ns
         self._late_run = 0
         return samples
@@ -142,9 +184,13 @@ class StreamGuard:
     def _in_order(self, sample: Sample) -> tuple[Sample, ...]:
         assert self._newest_ns is not None
         step = sample.stamp_ns - self._newest_ns
-        if _MIN_STEP_NS <= step <= _FORWARD_JUMP_NS:
+        # Taken at once, a stray stamp a little ahead would make all that come after it late.
+        far: float = _FORWARD_JUMP_NS
+        if self._step_count >= _USUAL_SAMPLES:
+            far = min(_FAR_STEPS * self._usual_step_ns, far)
+        if _MIN_STEP_NS <= step <= far:
             return self._take(sample)
-        if step > _FORWARD_JUMP_NS or step < -_BACKWARD_JUMP_NS:
+        if step > far or step < -_BACKWARD_JUMP_NS:
             self._held = sample
             return ()
         if step > -_MIN_STEP_NS:
@@ -181,6 +227,77 @@ class StreamGuard:
         """Take the following samples to belong to `epoch`, which starts at `start_ns`."""
         self.epoch = epoch
         self.epoch_start_ns = start_ns
+
+
+class _ValueGuard:
+    """Tell values that the sensor can mean from spikes and from a sensor that is stuck.
+
+    Parameters
+    ----------
+    limits_runs : bool
+        Whether a signal that stands still is suspicious; a displacement may well.
+    """
+
+    def __init__(self, limits_runs: bool) -> None:
+        self._limits_runs = limits_runs
+        self._last: Sample | None = None
+        self._held: Sample | None = None
+        self._usual_change = 0.0
+        self._changes = 0
+        self._run = 1
+        self._longest_run = 1
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the same value came too often in a row."""
+        return (
+            self._limits_runs
+            and self._run >= max(_STUCK_SAMPLES, _STUCK_TIMES * self._longest_run)
+            and self._changes >= _USUAL_SAMPLES
+        )
+
+    def judge(self, sample: Sample) -> list[tuple[Sample, str | None]]:
+        """Return the samples that are now judged, each with the reason to reject it, or None.
+
+        A value far from the last one is held back until the next tells a spike from a step.
+        """
+        last, held = self._last, self._held
+        judged: list[tuple[Sample, str | None]] = []
+        if last is None or last.epoch != sample.epoch:
+            self._held = None
+            self._last = sample
+            self._run = 1
+            return [(held, None), (sample, None)] if held is not None else [(sample, None)]
+        change = abs(sample.value - last.value)
+        if held is not None:
+            self._held = None
+            if change >= 0.5 * abs(held.value - last.value):
+                return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
+            self._learn(abs(held.value - last.value))
+            judged.append((held, Reason.SPIKE))
+        if self._changes >= _USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
+            self._held = sample
+            return judged
+        judged.append((sample, self._follow(last, sample)))
+        return judged
+
+    def _follow(self, last: Sample, sample: Sample) -> str | None:
+        self._last = sample
+        change = abs(sample.value - last.value)
+        if change > 0.0:
+            self._changes += 1
+            self._learn(change)
+            if not self.is_stuck:
+                self._longest_run = max(self._longest_run, self._run)
+            self._run = 1
+            return None
+        self._run += 1
+        return Reason.STUCK if self.is_stuck else None
+
+    def _learn(self, change: float) -> None:
+        # Only of changes: a coarse signal stands still most of the time.
+        usual = self._usual_change or change
+        self._usual_change = usual + _GAIN * (min(change, _MOST_GROWTH * usual) - usual)
 
 
 class Synchronizer:
