@@ -82,6 +82,9 @@ _LOG_REACH = 12.0
 _TOLD_BY_NOISE = 2.0
 #: So many innovations later a mismatch is told, unless a change of the tissue explains it.
 _MISMATCH_DELAY = 64
+#: An innovation beyond so many deviations makes the estimate doubtful for so many blocks: by then
+#: the tests have said what it was.
+_SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
 #: How much ln G may change: a lesion is up to several times stiffer than what is around it.
 _CHANGE_OF_LOG_G = 1.0
 #: A change may be seen so much too late [s], and be so large a share of the fractional stress.
@@ -173,6 +176,12 @@ class StressEstimator:
         self._blind_until = -math.inf
         self._recent_states: deque[Array] = deque(maxlen=LONGEST_CHANGE_WINDOW + 2)
         self.change_count = 0
+        self._doubtful_blocks = 0
+
+    @property
+    def _is_doubtful(self) -> bool:
+        """Whether something came that is not explained yet: no good estimate, or a lesion."""
+        return self._doubtful_blocks > 0 or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
 
     @property
     def is_mismatch(self) -> bool:
@@ -216,6 +225,9 @@ class StressEstimator:
         columns = np.concatenate([free, [1.0, elapsed, float(in_order @ pulse), block.stress]])
         noise = self._noise_variance / block.size + self._noise_of_motion(block)
         innovation, jacobian = self._innovation(law, columns, block, noise)
+        self._doubtful_blocks = max(self._doubtful_blocks - 1, 0)
+        if innovation.normalized_squared > _SURPRISING**2:
+            self._doubtful_blocks = _DOUBTFUL_BLOCKS
         if block.memory_time >= self._blind_until:
             self._watch(innovation, noise, block.memory_time)
         if block.memory_time < self._blind_until:
@@ -554,7 +566,8 @@ class StressEstimator:
             strain_origin=float(self._state[_ORIGIN]),
             strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            converged=beyond >= config.converged_probability
+            converged=not self._is_doubtful
+            and beyond >= config.converged_probability
             and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
             sample_count=self._sample_count,
         )
