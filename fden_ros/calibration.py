@@ -317,7 +317,11 @@ class _Collector:
         self.forces.append((stamp_ns, force))
 
     def add_displacement(
-        self, stamp_ns: int, displacement: float, position: Position | None = None
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
     ) -> None:
         self.displacements.append((stamp_ns, displacement))
 

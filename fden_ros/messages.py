@@ -32,7 +32,8 @@ from fden_ros.core.pipeline import (
     TissueState,
 )
 from fden_ros.core.synchronize import NANOSECONDS, Position, Reason
-from fden_ros.parameters import unit_vector
+from fden_ros.core.tool_weight import Quaternion
+from fden_ros.parameters import tool_weight, unit_vector
 
 FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
 DISPLACEMENT_MESSAGES: dict[str, type] = {
@@ -83,6 +84,9 @@ class Inputs:
             WrenchStamped: self._wrench_force,
             JointState: self._joint_force,
         }
+        self.takes_torque = parameters["geometry.kind"] == "torsional_rheometer"
+        self._tool = tool_weight(parameters)
+        self.takes_orientation = self._tool is not None
         self._read_position: dict[type, Callable[[Any], Position]] = {
             PoseStamped: _pose_position,
             TransformStamped: _transform_position,
@@ -115,7 +119,9 @@ class Inputs:
             joint = _joint_value(message.name, message.position, self.displacement_joint)
             self.take_joint(header.frame_id, stamp, joint)
             return
-        self.take_position(header.frame_id, stamp, self._read_position[type(message)](message))
+        position = self._read_position[type(message)](message)
+        orientation = _orientation(message) if self.takes_orientation else None
+        self.take_position(header.frame_id, stamp, position, orientation)
 
     def take_force(self, frame_id: str, stamp: int, force: float | None) -> None:
         """Take a force along the axis [N]; None where the message does not hold it."""
@@ -134,18 +140,35 @@ class Inputs:
         """Take a joint's position [m]; None where the message does not hold it."""
         if not self._is_displacement_frame(frame_id):
             return
-        if joint is None:
+        # A joint says nothing of the tool's orientation.
+        if joint is None or self._tool is not None:
             self._pipeline.reject("displacement", Reason.MISSING_FIELD)
             return
         self._pipeline.add_displacement(stamp, self._displacement_sign * joint)
 
-    def take_position(self, frame_id: str, stamp: int, position: Position) -> None:
-        """Take a position [m]."""
+    def take_position(
+        self,
+        frame_id: str,
+        stamp: int,
+        position: Position,
+        orientation: Quaternion | None = None,
+    ) -> None:
+        """Take a position [m], and the sensor's orientation where the tool's weight matters."""
         if not self._is_displacement_frame(frame_id):
             return
         x, y, z = position
         a, b, c = self._displacement_axis
-        self._pipeline.add_displacement(stamp, a * x + b * y + c * z, position)
+        displacement = a * x + b * y + c * z
+        if self._tool is None:
+            self._pipeline.add_displacement(stamp, displacement, position)
+            return
+        try:
+            load = self._tool.load(orientation or (0.0, 0.0, 0.0, 0.0))
+        except ValueError:
+            # Without an orientation the weight cannot be told from the tissue.
+            self._pipeline.reject("displacement", Reason.MISSING_FIELD)
+            return
+        self._pipeline.add_displacement(stamp, displacement, position, load)
 
     def along_force(self, x: float, y: float, z: float) -> float:
         """Return the part of a force along the axis [N]."""
@@ -166,8 +189,9 @@ class Inputs:
         return True
 
     def _wrench_force(self, message: WrenchStamped) -> float:
-        force = message.wrench.force
-        return self.along_force(force.x, force.y, force.z)
+        wrench = message.wrench
+        vector = wrench.torque if self.takes_torque else wrench.force
+        return self.along_force(vector.x, vector.y, vector.z)
 
     def _joint_force(self, message: JointState) -> float | None:
         return self.signed_effort(_joint_value(message.name, message.effort, self.force_joint))
@@ -190,6 +214,16 @@ def _pose_position(message: PoseStamped) -> Position:
 def _transform_position(message: TransformStamped) -> Position:
     translation = message.transform.translation
     return translation.x, translation.y, translation.z
+
+
+def _orientation(message: Any) -> Quaternion | None:
+    if isinstance(message, PoseStamped):
+        turn = message.pose.orientation
+    elif isinstance(message, TransformStamped):
+        turn = message.transform.rotation
+    else:
+        return None
+    return turn.x, turn.y, turn.z, turn.w
 
 
 def _point_position(message: PointStamped) -> Position:

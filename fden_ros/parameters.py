@@ -21,6 +21,7 @@ from fden_ros.core.estimator import EstimatorConfig, Observation, Prior
 from fden_ros.core.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.core.synchronize import SynchronizeConfig
+from fden_ros.core.tool_weight import ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.library import load_library
 
@@ -52,6 +53,7 @@ class Parameter:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
+    may_be_zero: bool = False  #: of a vector
 
     @property
     def type_name(self) -> str:
@@ -65,7 +67,7 @@ class Parameter:
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if isinstance(self.default, list):
-            return "three numbers, not all 0"
+            return "three numbers" if self.may_be_zero else "three numbers, not all 0"
         low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
         if low and high:
             return f"{self.minimum:g} to {self.maximum:g}"
@@ -106,7 +108,7 @@ class Parameter:
                 f"parameter {self.name} is {list(value)!r}, must be {self.constraint}"
             )
         vector = [float(v) for v in value]  # type: ignore[arg-type]
-        if not any(vector):
+        if not any(vector) and not self.may_be_zero:
             raise InputError(f"parameter {self.name} is {vector!r}, must be {self.constraint}")
         return vector
 
@@ -233,6 +235,30 @@ PARAMETERS: tuple[Parameter, ...] = (
         "displacement.",
         0.0,
         1.0,
+    ),
+    Parameter(
+        "tool.mass",
+        0.0,
+        "kg",
+        "Mass of all that the force sensor carries, where the tool turns: its weight is taken off "
+        "the force, by the orientation in the displacement's pose or transform, which must be the "
+        "sensor's; 0: not.",
+        0.0,
+        1e3,
+    ),
+    Parameter(
+        "tool.centre_of_mass",
+        [0.0, 0.0, 0.0],
+        "m",
+        "Its centre in the sensor's frame; counts for a torque.",
+        may_be_zero=True,
+    ),
+    Parameter(
+        "tool.gravity",
+        [0.0, 0.0, -9.80665],
+        "m/s^2",
+        "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; the "
+        "other way round for one that measures what the tool does.",
     ),
     Parameter(
         "synchronize.max_gap",
@@ -527,6 +553,20 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
         ),
         block_duration=values["estimate.period"],
         apparent_stiffness_time_scale=values["estimate.time_scale"],
+    )
+
+
+def tool_weight(values: Mapping[str, Any]) -> ToolWeight | None:
+    """Return the tool whose weight is to be taken off; None where there is none."""
+    if not values["tool.mass"]:
+        return None
+    centre, gravity = values["tool.centre_of_mass"], values["tool.gravity"]
+    return ToolWeight(
+        values["tool.mass"],
+        (centre[0], centre[1], centre[2]),
+        (gravity[0], gravity[1], gravity[2]),
+        unit_vector(values["force.axis"]),
+        is_torque=values["geometry.kind"] == "torsional_rheometer",
     )
 
 

@@ -37,6 +37,7 @@ from fden_ros.core.synchronize import (
     NANOSECONDS,
     Pair,
     Position,
+    Reason,
     SynchronizeConfig,
     Synchronizer,
 )
@@ -252,6 +253,7 @@ class _Contact:
     drift: float
     release_force: float
     rejected_before: int
+    at_limit_before: int
     position: Position | None
     flags: Flag = Flag.NONE
     max_strain: float = 0.0
@@ -343,10 +345,17 @@ class Pipeline:
         self._synchronizer.add_force(stamp_ns, force - self._tare_offset)
 
     def add_displacement(
-        self, stamp_ns: int, displacement: float, position: Position | None = None
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
     ) -> None:
-        """Take a displacement [m], positive into the tissue, and the position where known [m]."""
-        self._synchronizer.add_displacement(stamp_ns, displacement, position)
+        """Take a displacement [m], positive into the tissue, and the position where known [m].
+
+        `load` is the part of the tool's weight in the force at this orientation [N].
+        """
+        self._synchronizer.add_displacement(stamp_ns, displacement, position, load)
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not even be read."""
@@ -382,6 +391,9 @@ class Pipeline:
             "the force fell below its value in the air: does it have the wrong sign, "
             "or did the data begin in contact?": detector.below_baseline,
             "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
+            "the force repeated one value: is the sensor dead, or at its end?": self.rejected[
+                f"force.{Reason.STUCK}"
+            ],
         }
         return {words: count for words, count in counts.items() if count}
 
@@ -426,12 +438,22 @@ class Pipeline:
         contact, site = self._contact, self._site
         if contact is None or site is None:
             return
-        contact.flags |= Flag.GAP
+        contact.flags |= Flag.GAP | self._saturation(contact)
         site.flags |= Flag.GAP
         if step_ns > self._max_gap_ns:
             # The memory of this site is lost; the present contact says nothing more.
             self._end_contact(previous_ns, complete=False)
             site.usable = False
+
+    def _saturation(self, contact: _Contact) -> Flag:
+        """Whether the force's sensor was at its end, or stuck, during a gap of the contact."""
+        grown = self._at_limit() > contact.at_limit_before
+        return Flag.SATURATED if grown else Flag.NONE
+
+    def _at_limit(self) -> int:
+        return (
+            self.rejected[f"force.{Reason.STUCK}"] + self.rejected[f"force.{Reason.OUT_OF_RANGE}"]
+        )
 
     def _touch(self, onset: Onset) -> None:
         first = onset.samples[0]
@@ -446,6 +468,7 @@ class Pipeline:
             drift=onset.drift,
             release_force=self._detector.release_threshold,
             rejected_before=self.rejected.total(),
+            at_limit_before=self._at_limit(),
             position=first.position,
             flags=site.flags,
         )
@@ -799,6 +822,8 @@ class Pipeline:
             return
         if not contact.ended:
             contact.ended = True
+            if not complete:
+                contact.flags |= self._saturation(contact)
             self._emit(self._summary(contact, site, end_ns, complete))
         # An incomplete contact may go on: the probe has not left.
         if complete:

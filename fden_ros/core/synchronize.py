@@ -96,6 +96,7 @@ class Sample(NamedTuple):
     stamp_ns: int
     value: float
     position: Position | None = None
+    load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
 
 
 class Pair(NamedTuple):
@@ -139,10 +140,10 @@ class StreamGuard:
         self._rejected[f"{self._name}.{reason}"] += 1
 
     def accept(
-        self, stamp_ns: int, value: float, position: Position | None = None
+        self, stamp_ns: int, value: float, position: Position | None = None, load: float = 0.0
     ) -> tuple[Sample, ...]:
         """Check one sample; return what is now accepted: none, this, or a held one and this."""
-        if not math.isfinite(value) or not all(map(math.isfinite, position or ())):
+        if not math.isfinite(value + load) or not all(map(math.isfinite, position or ())):
             self.reject(Reason.NON_FINITE)
             return ()
         if abs(value) > self._limit:
@@ -151,7 +152,7 @@ class StreamGuard:
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
             return ()
-        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position))
+        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position, load))
         return self._by_value(accepted) if accepted else ()
 
     def _by_stamp(self, sample: Sample) -> tuple[Sample, ...]:
@@ -353,10 +354,17 @@ class Synchronizer:
             self._pair()
 
     def add_displacement(
-        self, stamp_ns: int, displacement: float, position: Position | None = None
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
     ) -> None:
-        """Add a displacement sample [m], and the probe's position [m] where it is known."""
-        for sample in self.displacement_guard.accept(stamp_ns, displacement, position):
+        """Add a displacement sample [m], and the probe's position [m] where it is known.
+
+        `load` [N] is what the sensor measures there without any contact.
+        """
+        for sample in self.displacement_guard.accept(stamp_ns, displacement, position, load):
             if self._delay_ns:
                 sample = sample._replace(stamp_ns=sample.stamp_ns - self._delay_ns)
             self._displacements.append(sample)
@@ -376,7 +384,8 @@ class Synchronizer:
                 self._follow_displacement(force, before)
             elif before[:2] == key:
                 forces.popleft()
-                self._on_pair(Pair(*key, force.value, before.value, before.position))
+                net = force.value - before.load
+                self._on_pair(Pair(*key, net, before.value, before.position))
             elif len(displacements) == 1:
                 return
             else:
@@ -397,7 +406,8 @@ class Synchronizer:
             (x0, y0, z0), (x1, y1, z1) = before.position, after.position
             position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
         self._forces.popleft()
-        self._on_pair(Pair(force.epoch, force.stamp_ns, force.value, displacement, position))
+        net = force.value - (before.load + share * (after.load - before.load))
+        self._on_pair(Pair(force.epoch, force.stamp_ns, net, displacement, position))
 
     def _follow_displacement(self, force: Sample, displacement: Sample) -> None:
         """Let the force join an epoch that only the displacement entered, after a window."""

@@ -19,6 +19,7 @@ _HEADER = struct.Struct("<iII")  # seconds, nanoseconds, length of the frame's n
 _COUNT = struct.Struct("<I")
 _DOUBLE = struct.Struct("<d")
 _VECTOR = struct.Struct("<3d")
+_QUATERNION = struct.Struct("<4d")
 _BODY = 4  # the encapsulation's own header; alignment counts from there
 _FRAME = _BODY + _HEADER.size
 
@@ -77,19 +78,21 @@ def _aligned(offset: int, size: int) -> int:
 
 def _wrench_handler(inputs: Inputs) -> Handler:
     along, take, unpack = inputs.along_force, inputs.take_force, _VECTOR.unpack_from
+    offset = _VECTOR.size if inputs.takes_torque else 0
 
     def handle(data: bytes) -> None:
         frame, stamp, end = _head(data)
         start = _aligned(end, 8)
         if start + 48 > len(data):
             raise UnusualError
-        take(frame, stamp, along(*unpack(data, start)))
+        take(frame, stamp, along(*unpack(data, start + offset)))
 
     return handle
 
 
 def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
     take, unpack = inputs.take_position, _VECTOR.unpack_from
+    has_turn = inputs.takes_orientation and size > _VECTOR.size
 
     def handle(data: bytes) -> None:
         frame, stamp, end = _head(data)
@@ -98,7 +101,8 @@ def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
         start = _aligned(end, 8)
         if start + size > len(data):
             raise UnusualError
-        take(frame, stamp, unpack(data, start))
+        turn = _QUATERNION.unpack_from(data, start + _VECTOR.size) if has_turn else None
+        take(frame, stamp, unpack(data, start), turn)
 
     return handle
 

@@ -28,9 +28,13 @@ class Sink(Protocol):
         """Take a force sample [N]."""
 
     def add_displacement(
-        self, stamp_ns: int, displacement: float, position: Position | None = None
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
     ) -> None:
-        """Take a displacement [m], and the position where known [m]."""
+        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not be read."""

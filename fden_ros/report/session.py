@@ -292,11 +292,15 @@ class _Tap:
         self._sink.add_force(stamp_ns, force)
 
     def add_displacement(
-        self, stamp_ns: int, displacement: float, position: Position | None = None
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
     ) -> None:
         self._gatherer.see(stamp_ns)
         self._gatherer.displacement.add(stamp_ns, displacement)
-        self._sink.add_displacement(stamp_ns, displacement, position)
+        self._sink.add_displacement(stamp_ns, displacement, position, load)
 
     def reject(self, stream: str, reason: str) -> None:
         self._sink.reject(stream, reason)
@@ -407,4 +411,3 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
             f"alpha is prior knowledge ({estimate.fractional_order:.3f}): the data did not "
             "determine it."
         )
-

@@ -1,0 +1,90 @@
+r"""What a turning tool's own weight adds to the measured force.
+
+A tool of mass m beyond the sensor pulls on it with :math:`m R^T g`, where R is the sensor's
+orientation and g gravity in the frame that R is told in; with the lever c of its centre of mass it
+twists it by :math:`c \times m R^T g`. The part along the force's axis changes as the tool turns,
+and looks like drift or contact if it is not taken off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+#: A quaternion whose length differs from 1 by more than this was never set, or is damaged.
+_UNIT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class ToolWeight:
+    """The load of a tool's weight along one axis of the sensor.
+
+    Parameters
+    ----------
+    mass : float
+        Of all that the sensor carries [kg].
+    centre_of_mass : tuple of float
+        In the sensor's frame [m].
+    gravity : tuple of float
+        In the frame that orientations are told in [m/s^2].
+    axis : tuple of float
+        Unit vector in the sensor's frame.
+    is_torque : bool
+        Whether the torque about the axis is wanted, not the force along it.
+
+    Examples
+    --------
+    A tool of 0.2 kg that points down, and then lies on its side:
+
+    >>> tool = ToolWeight(0.2, (0.0, 0.0, 0.05), (0.0, 0.0, -9.81), (0.0, 0.0, 1.0))
+    >>> round(tool.load((0.0, 0.0, 0.0, 1.0)), 3)
+    -1.962
+    >>> abs(round(tool.load((0.7071, 0.0, 0.0, 0.7071)), 3))
+    0.0
+    """
+
+    mass: float
+    centre_of_mass: Vector
+    gravity: Vector
+    axis: Vector
+    is_torque: bool = False
+
+    def load(self, orientation: Quaternion) -> float:
+        """Return force [N] or torque [N m] of the weight along the axis.
+
+        Parameters
+        ----------
+        orientation : tuple of float
+            Unit quaternion x, y, z, w that turns the sensor's frame into gravity's.
+
+        Raises
+        ------
+        ValueError
+            If `orientation` is no rotation.
+        """
+        length = math.hypot(*orientation)
+        if not abs(length - 1.0) <= _UNIT_TOLERANCE:
+            raise ValueError(f"the quaternion {orientation} has length {length:g}, must be 1")
+        x, y, z, w = (part / length for part in orientation)
+        weight = _rotate((-x, -y, -z, w), self.gravity)
+        vector = _cross(self.centre_of_mass, weight) if self.is_torque else weight
+        return self.mass * sum(a * v for a, v in zip(self.axis, vector, strict=True))
+
+
+def _rotate(quaternion: Quaternion, vector: Vector) -> Vector:
+    x, y, z, w = quaternion
+    twice = [2.0 * part for part in _cross((x, y, z), vector)]
+    turned = _cross((x, y, z), (twice[0], twice[1], twice[2]))
+    a, b, c = (v + w * t + u for v, t, u in zip(vector, twice, turned, strict=True))
+    return a, b, c
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )

@@ -1,0 +1,208 @@
+"""A shift of three sites, what faults do to its samples, and what must hold afterwards."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pipeline_helpers import Item, items_of, parameters_of, summaries_of
+from scipy.spatial.transform import Rotation
+
+from fden_ros.core.pipeline import (
+    Classification,
+    ContactSummary,
+    Flag,
+    Output,
+    Pipeline,
+    Status,
+    TissueState,
+)
+from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
+from fden_ros.simulation.simulate import simulate
+from fden_ros.simulation.trajectory import RampHold
+
+RATE = 200.0
+#: What a number must come with so that no controller relies on it.
+WARNING_FLAGS = (
+    Flag.GAP | Flag.MODEL_MISMATCH | Flag.ORIGIN_UNCERTAIN | Flag.TISSUE_CHANGED | Flag.SATURATED
+)
+#: A number under a good status is wrong beyond so many standard deviations and so much of ln G.
+_DEVIATIONS, _SLACK = 5.0, 0.02
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Samples of three sites, and the truth behind them."""
+
+    items: tuple[Item, ...]
+    parameters: dict[str, object]
+    sites: tuple[dict[str, Any], ...]
+    contacts: tuple[dict[str, Any], ...]
+
+    def second(self, stamp_ns: int) -> float:
+        """Seconds since the first sample."""
+        return (stamp_ns - self.items[0].stamp_ns) / NANOSECONDS
+
+    def at(self, second: float) -> int:
+        """Stamp so many seconds after the first sample."""
+        return self.items[0].stamp_ns + round(second * NANOSECONDS)
+
+    def press(self, number: int) -> tuple[float, float]:
+        """Beginning and end [s] of a contact, from 0."""
+        contact = self.contacts[number]
+        return self.second(contact["start_ns"]), self.second(contact["end_ns"])
+
+
+@functools.cache
+def shift(seed: int = 3) -> Shift:
+    """Three sites, each pressed and held once."""
+    # The same everywhere, and not what the prior says.
+    tissue = Tissue(640.0, 7.4, 0.131)
+    press = RampHold(0.2, 0.26, 0.6)
+    base = ramp_scenario(rate_hz=RATE, seed=seed)
+    scenario: Scenario = replace(
+        base,
+        sites=tuple(Site(tissue, (press,), (0.02 * k, 0.0)) for k in range(3)),
+        displacement=DisplacementSensor(rate_hz=RATE, message="pose", noise_m=1e-6),
+    )
+    recording = simulate(scenario)
+    return Shift(
+        tuple(items_of(recording)),
+        parameters_of(recording),
+        tuple(recording.truth["sites"]),
+        tuple(recording.truth["contacts"]),
+    )
+
+
+def turn_of(second: float) -> Rotation:
+    """How a tool turns: tens of degrees, some of it in each contact."""
+    angles = (0.5 * math.sin(0.4 * second), 0.7 * math.sin(0.3 * second), 0.3 * second)
+    return Rotation.from_euler("xyz", angles)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a pipeline made of samples."""
+
+    pipeline: Pipeline
+    outputs: tuple[Output, ...]
+
+    @property
+    def states(self) -> list[TissueState]:
+        return [output for output in self.outputs if isinstance(output, TissueState)]
+
+    @property
+    def summaries(self) -> list[ContactSummary]:
+        return summaries_of(self.outputs)
+
+
+def outcome_of(
+    items: Iterable[Item | Callable[[Pipeline], object]],
+    parameters: dict[str, object],
+) -> Outcome:
+    """Feed samples, and call what stands between them with the pipeline."""
+    outputs: list[Output] = []
+    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    for item in items:
+        if not isinstance(item, Item):
+            item(pipeline)
+        elif item.stream == 0:
+            pipeline.add_force(item.stamp_ns, item.value)
+        else:
+            pipeline.add_displacement(item.stamp_ns, item.value, item.position)
+    pipeline.finish()
+    return Outcome(pipeline, tuple(outputs))
+
+
+def numbers_of(output: Output) -> list[float]:
+    """Every floating-point number of an output."""
+    numbers: list[float] = []
+    estimate = getattr(output, "estimate", None)
+    if estimate is not None:
+        numbers += [
+            estimate.log_linear_stiffness,
+            estimate.log_nonlinear_stiffness,
+            estimate.fractional_order,
+            estimate.strain_origin,
+            estimate.strain_origin_sd,
+            estimate.probability_beyond_boundary,
+            *estimate.covariance.ravel().tolist(),
+        ]
+    if isinstance(output, TissueState):
+        if output.signals is not None:
+            numbers += [
+                output.signals.strain,
+                output.signals.stress,
+                output.signals.fractional_stress,
+            ]
+        if output.innovation is not None:
+            innovation = output.innovation
+            numbers += [
+                innovation.predicted_fractional_stress,
+                innovation.predicted_stress or 0.0,
+                innovation.innovation,
+                innovation.variance,
+                innovation.normalized_squared,
+            ]
+        if output.apparent_stiffness is not None:
+            numbers += [output.apparent_stiffness.value, output.apparent_stiffness.sd]
+    if isinstance(output, ContactSummary):
+        numbers += [output.max_strain, output.max_stress, output.max_force]
+    classes = getattr(output, "classes", None)
+    if classes is not None:
+        numbers += classes.probabilities
+    return numbers
+
+
+def assert_sound(outputs: Sequence[Output]) -> None:
+    """Everything is finite, covariances are positive semidefinite, stamps go on."""
+    newest = -math.inf
+    for output in outputs:
+        numbers = numbers_of(output)
+        assert all(map(math.isfinite, numbers)), output
+        estimate = getattr(output, "estimate", None)
+        if estimate is not None:
+            covariance = estimate.covariance
+            assert np.array_equal(covariance, covariance.T), output
+            least = float(np.linalg.eigvalsh(covariance)[0])
+            assert least >= -1e-12 * float(np.trace(covariance)), output
+        if isinstance(output, Classification | ContactSummary):
+            continue
+        # A clock that jumps back takes the stamps along; the jump ends a contact or a site.
+        assert output.stamp_ns != newest, output
+        newest = output.stamp_ns
+
+
+def lies_of(outputs: Iterable[Output], truth: dict[str, Any]) -> list[Output]:
+    """Outputs with a number that is wrong under a good status."""
+    return [output for output in outputs if is_good(output) and is_wrong(output, truth)]
+
+
+def is_good(output: Output) -> bool:
+    """Whether a controller would rely on it."""
+    if not isinstance(output, TissueState | ContactSummary) or output.estimate is None:
+        return False
+    if isinstance(output, TissueState) and output.status is not Status.CONVERGED:
+        return False
+    return output.estimate.converged and not output.flags & WARNING_FLAGS
+
+
+def is_wrong(output: Output, truth: dict[str, Any]) -> bool:
+    return any(abs(e) > _DEVIATIONS * sd + _SLACK for e, sd in errors_of(output, truth))
+
+
+def errors_of(output: Any, truth: dict[str, Any]) -> list[tuple[float, float]]:
+    """Error and standard deviation of ln G and ln Gn."""
+    estimate = output.estimate
+    found = (estimate.log_linear_stiffness, estimate.log_nonlinear_stiffness)
+    true = (math.log(truth["linear_stiffness"]), math.log(truth["nonlinear_stiffness"]))
+    return [
+        (f - t, math.sqrt(max(estimate.covariance[i, i], 0.0)))
+        for i, (f, t) in enumerate(zip(found, true, strict=True))
+    ]
