@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
@@ -22,6 +22,7 @@ from fden_ros.core.pipeline import (
     ApparentStiffness,
     Classification,
     ContactSummary,
+    DynamicModulus,
     Flag,
     OrderSource,
     Output,
@@ -236,6 +237,8 @@ def to_message(output: Output, frame_id: str) -> Any:
         return estimate_message(output, frame_id)
     if isinstance(output, Classification):
         return classification_message(output, frame_id)
+    if isinstance(output, DynamicModulus):
+        return modulus_message(output, frame_id)
     return summary_message(output, frame_id)
 
 
@@ -287,6 +290,28 @@ def classification_message(output: Classification, frame_id: str) -> TissueClass
     message.flags = int(output.flags)
     message.library = output.library_name
     _fill_classes(message, output.classes)
+    return message
+
+
+def modulus_message(output: DynamicModulus, frame_id: str) -> ComplexModulus:
+    """Return a :class:`DynamicModulus` as a message."""
+    message, modulus = ComplexModulus(), output.modulus
+    message.header.stamp = to_stamp(output.stamp_ns)
+    message.header.frame_id = frame_id
+    message.start = to_stamp(output.start_ns)
+    message.site_id = output.site_id
+    message.contact_id = output.contact_id
+    message.angular_frequency = modulus.angular_frequency
+    message.mean_strain = modulus.mean_strain
+    message.strain_amplitude = modulus.strain_amplitude
+    message.storage_modulus = modulus.storage
+    message.loss_modulus = modulus.loss
+    message.modulus_sd = modulus.sd
+    message.fractional_order = modulus.fractional_order
+    message.fractional_order_sd = modulus.fractional_order_sd
+    message.stiffness = modulus.stiffness
+    message.distortion = modulus.distortion
+    message.sample_count = modulus.samples
     return message
 
 

@@ -44,6 +44,8 @@ class Parameter:
         Inclusive range of a number.
     choices : tuple of str
         What a text may be; empty: anything.
+    most : int
+        How many numbers a list may have; 0: it is a vector, of three that are not all 0.
     """
 
     name: str
@@ -54,23 +56,26 @@ class Parameter:
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
     may_be_zero: bool = False  #: of a vector
+    most: int = 0
 
     @property
     def type_name(self) -> str:
         """Name of the type, as a user would say it."""
         names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
-        return names.get(type(self.default), "a list of three numbers")
+        count = f"1 to {self.most}" if self.most else "three"
+        return names.get(type(self.default), f"a list of {count} numbers")
 
     @property
     def constraint(self) -> str:
         """What values are allowed, in words; empty if anything of the type is."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
-        if isinstance(self.default, list):
+        if isinstance(self.default, list) and not self.most:
             return "three numbers" if self.may_be_zero else "three numbers, not all 0"
         low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
         if low and high:
-            return f"{self.minimum:g} to {self.maximum:g}"
+            each = f"1 to {self.most} numbers, each " if self.most else ""
+            return f"{each}{self.minimum:g} to {self.maximum:g}"
         return f"at least {self.minimum:g}" if low else f"at most {self.maximum:g}" if high else ""
 
     def check(self, value: object) -> Value:
@@ -89,8 +94,11 @@ class Parameter:
             if isinstance(value, str):
                 return self._choice(value)
         elif isinstance(default, list):
-            if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 3:
-                return self._vector(value)
+            if isinstance(value, Sequence) and not isinstance(value, str):
+                if self.most and 1 <= len(value) <= self.most:
+                    return [float(self._number(v)) for v in value]
+                if not self.most and len(value) == 3:
+                    return self._vector(value)
         elif isinstance(value, (int, float)) and (
             isinstance(default, float) or isinstance(value, int)
         ):
@@ -112,10 +120,12 @@ class Parameter:
             raise InputError(f"parameter {self.name} is {vector!r}, must be {self.constraint}")
         return vector
 
-    def _number(self, value: int | float) -> int | float:
+    def _number(self, value: Any) -> int | float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"parameter {self.name} is {value!r}, must be {self.type_name}")
         if not math.isfinite(value) or not self.minimum <= value <= self.maximum:
             raise InputError(f"parameter {self.name} is {value!r}, must be {self.constraint}")
-        return float(value) if isinstance(self.default, float) else value
+        return value if isinstance(self.default, int) else float(value)
 
 
 _TINY = 1e-9
@@ -397,6 +407,24 @@ PARAMETERS: tuple[Parameter, ...] = (
         "estimate.time_scale", 0.1, "s", "Time scale tau of the apparent stiffness.", 1e-4, 1e4
     ),
     Parameter(
+        "dither.frequencies",
+        [0.0],
+        "Hz",
+        "Frequencies of a small oscillation of the probe at which the complex modulus is "
+        "measured; 0: there is none.",
+        0.0,
+        1e3,
+        most=8,
+    ),
+    Parameter(
+        "dither.periods",
+        4,
+        "1",
+        "One complex modulus per so many periods of the lowest frequency.",
+        1,
+        1000,
+    ),
+    Parameter(
         "classifier.library",
         "",
         "1",
@@ -553,6 +581,8 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
         ),
         block_duration=values["estimate.period"],
         apparent_stiffness_time_scale=values["estimate.time_scale"],
+        dither_frequencies=tuple(sorted({f for f in values["dither.frequencies"] if f > 0.0})),
+        dither_periods=values["dither.periods"],
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -59,6 +59,7 @@ class Bench:
         self.estimates: list[TissueEstimate] = []
         self.classifications: list[TissueClassification] = []
         self.summaries: list[PalpationSummary] = []
+        self.moduli: list[ComplexModulus] = []
         self.diagnostics: list[DiagnosticArray] = []
 
     def __enter__(self) -> Bench:
@@ -69,6 +70,7 @@ class Bench:
             (TissueEstimate, f"{self.name}/estimate", self.estimates, RELIABLE),
             (TissueClassification, f"{self.name}/classification", self.classifications, LATCHED),
             (PalpationSummary, f"{self.name}/palpation", self.summaries, LATCHED),
+            (ComplexModulus, f"{self.name}/complex_modulus", self.moduli, RELIABLE),
             (DiagnosticArray, "/diagnostics", self.diagnostics, RELIABLE),
         ):
             self.node.create_subscription(kind, topic, heard.append, qos)

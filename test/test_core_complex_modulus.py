@@ -12,7 +12,6 @@ import pytest
 from fden_ros.core import complex_modulus
 from fden_ros.core.complex_modulus import (
     ComplexModulusMeter,
-    HoldRelaxation,
     modulus_of_springpot,
 )
 from fden_ros.simulation.closed_form import (
@@ -20,7 +19,6 @@ from fden_ros.simulation.closed_form import (
     SineMove,
     moves_of_knots,
     stress_of_moves,
-    stress_of_piecewise_linear_strain,
 )
 
 MODEL = FdenModel(545.0, 8.55, 0.131)
@@ -143,51 +141,6 @@ def test_reset_leaves_no_trace():
 def test_meter_refuses_frequencies_that_make_no_sense(frequencies):
     with pytest.raises(ValueError, match="frequenc"):
         ComplexModulusMeter(frequencies)
-
-
-@pytest.mark.parametrize("order", [0.131, 0.32])
-@pytest.mark.parametrize("strain, rise", [(0.1, 2.0), (0.3, 2.0)])
-def test_hold_after_a_ramp_gives_alpha_where_its_raw_slope_does_not(order, strain, rise):
-    model = FdenModel(545.0, 8.55, order)
-    times = np.arange(0.0, 15.0, 0.01)
-    strains = np.interp(times, [0.0, rise], [0.0, strain])
-    stress = stress_of_piecewise_linear_strain([0.0, rise], [0.0, strain], times, model)
-    relaxation = HoldRelaxation()
-    for time, x, f in zip(times, strains, stress, strict=True):
-        if time <= rise:
-            relaxation.rise(time, float(model.phi(x)))
-        else:
-            relaxation.hold(time, f)
-
-    alpha, _ = relaxation.fractional_order()
-
-    held = times > 2.0 * rise
-    raw = -np.polyfit(np.log(times[held] - rise), np.log(stress[held]), 1)[0]
-    assert alpha == pytest.approx(order, abs=0.005)
-    assert abs(raw - order) > 4.0 * abs(alpha - order)
-
-
-def test_deviation_of_a_holds_alpha_is_honest():
-    times, hits = np.arange(0.0, 10.0, 0.02), []
-    exact = stress_of_piecewise_linear_strain([0.0, 0.2], [0.0, 0.2], times, MODEL)
-    for seed in range(300):
-        noisy = exact * (1.0 + 0.02 * np.random.default_rng(seed).standard_normal(times.size))
-        relaxation = HoldRelaxation(settle=3.0)
-        for time, f in zip(times, noisy, strict=True):
-            if time <= 0.2:
-                relaxation.rise(time, float(MODEL.phi(time)))
-            else:
-                relaxation.hold(time, f)
-        alpha, sd = relaxation.fractional_order()
-        hits.append(abs(alpha - 0.131) < 1.96 * sd)
-    assert 0.91 <= np.mean(hits) <= 0.98
-
-
-def test_hold_without_a_rise_says_nothing():
-    relaxation = HoldRelaxation()
-    for n in range(100):
-        relaxation.hold(0.1 * n, 50.0)
-    assert relaxation.fractional_order() is None
 
 
 def test_example_of_the_meter_runs():

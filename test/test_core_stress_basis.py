@@ -81,7 +81,8 @@ def test_touch_between_two_samples_counts_from_when_it_was(order, share):
     for size in (3, 5):
         basis = StressBasis(PassThrough(), GRID.nodes, np.zeros(1))
         law, _, _ = last_response(basis, times[:size], speed * (times[:size] - touch))
-        exact = stress_of_piecewise_linear_strain(knots, [0.0, speed], times[size - 1 : size], model)
+        last = times[size - 1 : size]
+        exact = stress_of_piecewise_linear_strain(knots, [0.0, speed], last, model)
         assert interpolated(law, np.log(gn), order) == pytest.approx(exact[0], rel=1e-5)
 
 

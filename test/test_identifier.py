@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,13 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import LOSSLESS, Bench, identifier
 from std_srvs.srv import Trigger
 
-from fden_ros.core.pipeline import Classification, ContactSummary, TissueState
+from fden_ros.core.pipeline import (
+    Classification,
+    ContactSummary,
+    DynamicModulus,
+    Output,
+    TissueState,
+)
 from fden_ros.messages import to_message
 from fden_ros.nodes.player import Player
 from fden_ros.parameters import PARAMETERS, read_parameter_file
@@ -27,6 +34,7 @@ from fden_ros.recording.synthetic import PARAMETER_FILE, read_truth, write_recor
 from fden_ros.replay import replay
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import START_NS, simulate
+from fden_ros.simulation.trajectory import Sinusoid
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 STEP_NS = 2_000_000
@@ -160,6 +168,40 @@ def test_estimates_hold_against_the_truth_over_several_seeds(tmp_path: Path) -> 
     low, high = 2.2 / 1.3, 32.9 * 1.3  # chi-squared of 12 degrees of freedom, 0.1 and 99.9 %
     assert count == 12
     assert low < squared < high
+
+
+def test_an_oscillating_probe_measures_the_complex_modulus(tmp_path: Path) -> None:
+    press = Sinusoid(0.2, 0.08, 0.02, 2.0, 6, 0.5)
+    scenario = load_scenario("sinusoid")
+    scenario = replace(
+        scenario,
+        sites=(replace(scenario.sites[0], presses=(press,)),),
+        force=replace(scenario.force, rate_hz=500.0),
+        displacement=replace(scenario.displacement, rate_hz=500.0),
+    )
+    recording = simulate(scenario, 3)
+    bag = tmp_path / "bag"
+    write_recording(recording, bag)
+    with (bag / PARAMETER_FILE).open("a", encoding="utf-8") as file:
+        file.write("    dither.frequencies: [2.0]\n    dither.periods: 2\n")
+    replayed: list[bytes] = []
+
+    def keep(output: Output, frame: str) -> None:
+        if isinstance(output, DynamicModulus):
+            replayed.append(serialize(to_message(output, frame)))
+
+    replay(bag, parameters_of(bag), on_output=keep)
+    bench, _ = run_live(bag)
+    assert [serialize(message) for message in bench.moduli] == replayed
+    # Once the probe oscillates, below 1/Gn: the paper's G* = G (j omega)^alpha.
+    settled = [m for m in bench.moduli if m.strain_amplitude > 0.015 and m.distortion < 0.2]
+    assert len(settled) >= 2
+    site = recording.truth["sites"][0]
+    for m in settled[1:]:  # the first window holds the start of the sine
+        exact = site["linear_stiffness"] * (1j * m.angular_frequency) ** site["fractional_order"]
+        assert m.angular_frequency == pytest.approx(4.0 * math.pi)
+        assert abs(complex(m.storage_modulus, m.loss_modulus) - exact) < 0.03 * abs(exact)
+        assert m.fractional_order == pytest.approx(site["fractional_order"], abs=0.01)
 
 
 def test_unconfigured_and_inactive_are_silent_and_transitions_work() -> None:

@@ -75,6 +75,9 @@ def test_unknown_name_suggests_the_nearest(name, nearest):
         ("geometry.kind", "cube", "must be one of flat_punch, sphere"),
         ("geometry.kind", 3, "must be a text"),
         ("force.axis", [0.0, 0.0, 0.0], "three numbers, not all 0"),
+        ("dither.frequencies", [], "must be a list of 1 to 8 numbers"),
+        ("dither.frequencies", [1.0, -1.0], "each 0 to 1000"),
+        ("dither.frequencies", ["fast"], "must be a list of 1 to 8 numbers"),
         ("force.axis", [0.0, 1.0], "must be a list of three numbers"),
         ("force.axis", "001", "must be a list of three numbers"),
         ("force.axis", [0.0, math.nan, 1.0], "three numbers, not all 0"),
@@ -98,7 +101,8 @@ def test_bounds_themselves_are_allowed():
     for parameter in PARAMETERS:
         for bound in (parameter.minimum, parameter.maximum):
             if math.isfinite(bound):
-                assert parameter.check(bound) == bound
+                value = [bound] if parameter.most else bound
+                assert parameter.check(value) == value
 
 
 def read(tmp_path, text, **options):

@@ -1,8 +1,8 @@
 """The whole chain from samples to classified tissue, the same for live, replay and batch.
 
 Samples of force and displacement go in, each stream in its own order; :class:`TissueState`,
-:class:`Classification` and :class:`ContactSummary` come out through a callback. Time is taken from
-the stamps alone.
+:class:`Classification`, :class:`ContactSummary` and, where the probe oscillates,
+:class:`DynamicModulus` come out through a callback. Time is taken from the stamps alone.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import digamma
 
 from fden_ros.core.classifier import UNKNOWN, ClassProbabilities, TissueLibrary, classify
+from fden_ros.core.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
 from fden_ros.core.estimator import (
     Block,
@@ -115,6 +116,10 @@ class PipelineConfig:
         A block is cut short when the compression changes by more than this [1].
     apparent_stiffness_time_scale : float
         tau of the apparent stiffness [s].
+    dither_frequencies : tuple of float
+        Frequencies of the probe's oscillation [Hz], different; empty: there is none.
+    dither_periods : int
+        One complex modulus per so many periods of the lowest frequency.
     """
 
     library: TissueLibrary
@@ -126,6 +131,8 @@ class PipelineConfig:
     block_duration: float = 0.01
     block_compression: float = 0.005
     apparent_stiffness_time_scale: float = 0.1
+    dither_frequencies: tuple[float, ...] = ()
+    dither_periods: int = 4
 
 
 @dataclass(frozen=True)
@@ -199,7 +206,18 @@ class ContactSummary:
     classes: ClassProbabilities | None
 
 
-Output = TissueState | Classification | ContactSummary
+@dataclass(frozen=True)
+class DynamicModulus:
+    """The complex modulus at one frequency of the probe's oscillation."""
+
+    stamp_ns: int
+    start_ns: int
+    site_id: int
+    contact_id: int
+    modulus: ComplexModulus
+
+
+Output = TissueState | Classification | ContactSummary | DynamicModulus
 
 #: A hold is a compression that changes by less than this per second [1/s].
 _HOLDING_RATE = 0.005
@@ -317,6 +335,11 @@ class Pipeline:
         # The kernel's weights take a moment to compute: now, not at the first touch.
         FractionalIntegral(self._orders)
         self._detector = ContactDetector(config.contact, order)
+        self._meter = (
+            ComplexModulusMeter(config.dither_frequencies, config.dither_periods)
+            if config.dither_frequencies
+            else None
+        )
         self._sums = _Sums()
         self._epoch = 0
         self._clear()
@@ -440,6 +463,8 @@ class Pipeline:
             return
         contact.flags |= Flag.GAP | self._saturation(contact)
         site.flags |= Flag.GAP
+        if self._meter is not None:
+            self._meter.reset()
         if step_ns > self._max_gap_ns:
             # The memory of this site is lost; the present contact says nothing more.
             self._end_contact(previous_ns, complete=False)
@@ -486,6 +511,8 @@ class Pipeline:
         self._sums.clear()
         self._block_end_ns = first.stamp_ns
         self._recent.clear()
+        if self._meter is not None:
+            self._meter.reset()
         # These samples were in the air as far as anyone was told: only the last state is news.
         self._muted = True
         for pair in onset.samples[:-1]:
@@ -582,6 +609,8 @@ class Pipeline:
             elif not is_free:
                 site.estimator.press(step, compression)
         site.last_ns = pair.stamp_ns
+        if self._meter is not None:
+            self._oscillate(pair.stamp_ns, compression, stress, is_free)
         if sums.count == 0:
             sums.start_ns, sums.start_compression = pair.stamp_ns, compression
         sums.count += 1
@@ -596,6 +625,27 @@ class Pipeline:
             or abs(compression - sums.start_compression) > self.config.block_compression
         ):
             self._close_block(pair.stamp_ns, contact, site)
+
+    def _oscillate(self, stamp_ns: int, compression: float, stress: float, is_free: bool) -> None:
+        """Measure the complex modulus from a sample in contact."""
+        meter, contact, site = self._meter, self._contact, self._site
+        assert meter is not None and contact is not None and site is not None
+        if is_free or contact.ended:
+            meter.reset()
+            return
+        origin = site.estimate.strain_origin if site.estimate is not None else 0.0
+        strain = self.config.geometry.strain(compression - origin)
+        elapsed = (stamp_ns - contact.start_ns) / NANOSECONDS
+        for modulus in meter.add(elapsed, strain, stress):
+            self._emit(
+                DynamicModulus(
+                    stamp_ns=stamp_ns,
+                    start_ns=contact.start_ns + round(modulus.start * NANOSECONDS),
+                    site_id=site.site_id,
+                    contact_id=contact.contact_id,
+                    modulus=modulus,
+                )
+            )
 
     def _is_free(self, force: float, contact: _Contact, site: _Site) -> bool:
         """Whether the tissue has left the probe, or has not met it yet.

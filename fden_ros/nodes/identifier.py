@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -49,6 +49,7 @@ from visualization_msgs.msg import MarkerArray
 from fden_ros.core.pipeline import (
     Classification,
     ContactSummary,
+    DynamicModulus,
     Output,
     Pipeline,
     TissueState,
@@ -61,6 +62,7 @@ from fden_ros.messages import (
     Inputs,
     classification_message,
     estimate_message,
+    modulus_message,
     summary_message,
 )
 from fden_ros.nodes.diagnostics import Diagnostics
@@ -239,6 +241,7 @@ class Identifier(LifecycleNode):
             (TissueEstimate, "~/estimate", ESTIMATE_QOS),
             (TissueClassification, "~/classification", CLASSIFICATION_QOS),
             (PalpationSummary, "~/palpation", LATCHED_QOS),
+            (ComplexModulus, "~/complex_modulus", ESTIMATE_QOS),
             (MarkerArray, "~/markers", CLASSIFICATION_QOS),
             (PointCloud2, "~/stiffness_map", CLASSIFICATION_QOS),
         ):
@@ -333,6 +336,8 @@ class Identifier(LifecycleNode):
             self._publishers_made[TissueClassification].publish(
                 classification_message(output, frame)
             )
+        elif isinstance(output, DynamicModulus):
+            self._publishers_made[ComplexModulus].publish(modulus_message(output, frame))
         else:
             self._publishers_made[PalpationSummary].publish(summary_message(output, frame))
             self._publish_map(output)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from fden_msgs.msg import PalpationSummary, TissueClassification, TissueEstimate
+from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -26,6 +26,7 @@ NODE = "/identifier"
 ESTIMATE_TOPIC = f"{NODE}/estimate"
 CLASSIFICATION_TOPIC = f"{NODE}/classification"
 SUMMARY_TOPIC = f"{NODE}/palpation"
+MODULUS_TOPIC = f"{NODE}/complex_modulus"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 
 _DIAGNOSTICS_PERIOD_NS = 1_000_000_000
@@ -42,6 +43,7 @@ _TOPICS: dict[type, tuple[str, str, Qos]] = {
         "fden_msgs/msg/PalpationSummary",
         Qos(durability="transient_local", depth=100),
     ),
+    ComplexModulus: (MODULUS_TOPIC, "fden_msgs/msg/ComplexModulus", Qos(depth=100)),
     MarkerArray: (
         f"{NODE}/markers",
         "visualization_msgs/msg/MarkerArray",
