@@ -1,8 +1,13 @@
-"""Tissue libraries: YAML files in, :class:`~fden_ros.core.classifier.TissueLibrary` out."""
+"""Tissue libraries: YAML files in, :class:`~fden_ros.core.classifier.TissueLibrary` out.
+
+``docs/classification.md`` describes the format. Version 2 added units, geometry and learned
+distributions; files of version 1 are in pascals.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
@@ -12,7 +17,11 @@ import yaml
 from fden_ros.core.classifier import UNKNOWN, Tissue, TissueLibrary
 from fden_ros.errors import InputError
 
-FORMAT = 1
+FORMAT = 2
+#: Units of the stress behind G: of a stress, or of a force where the probe's area is not known.
+UNITS = ("Pa", "N")
+#: A flat punch of so large an area stands for one whose area is not known [m^2].
+_NO_AREA = 1.0
 
 
 def load_library(path: str | Path | None = None) -> TissueLibrary:
@@ -25,23 +34,71 @@ def load_library(path: str | Path | None = None) -> TissueLibrary:
     """
     if path is None:
         source = resources.files("fden_ros") / "tissues.yaml"
-        return _library(source.read_text(encoding="utf-8"), "built-in library")
+        return parse_library(source.read_text(encoding="utf-8"), "built-in library")
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not a text file"
         raise InputError(f"{path}: cannot read the tissue library: {reason}") from error
-    return _library(text, str(path))
+    return parse_library(text, str(path))
 
 
-def _library(text: str, where: str) -> TissueLibrary:
+def units_of(parameters: Mapping[str, object]) -> str:
+    """Return the unit of the stress that the identifier's parameters make.
+
+    A flat punch of 1 m^2 is how a probe of unknown area is given: stress is force, in N.
+    """
+    is_force = parameters["geometry.kind"] == "flat_punch" and parameters["geometry.area"] == (
+        _NO_AREA
+    )
+    return "N" if is_force else "Pa"
+
+
+def library_for(parameters: Mapping[str, object]) -> TissueLibrary | None:
+    """Return the library that the identifier's parameters name, if it fits their units.
+
+    None where the built-in library does not: then nothing is classified.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is in other units or of another geometry.
+    """
+    path = parameters["classifier.library"]
+    library = load_library(str(path) if path else None)
+    units, kind = units_of(parameters), parameters["geometry.kind"]
+    if library.units != units:
+        if not path:
+            return None
+        raise InputError(
+            f"{path}: G is in {library.units} s^alpha, but the estimates are in {units} s^alpha"
+            f"{' (geometry.area is 1)' if units == 'N' else ''}; use a library in {units}, or "
+            f"{'state the area of the probe' if units == 'N' else 'set geometry.area to 1'}"
+        )
+    if library.geometry and library.geometry != kind:
+        raise InputError(
+            f"{path}: was made with geometry.kind {library.geometry}, but the estimates are made "
+            f"with {kind}; train one with this probe, or set the same geometry"
+        )
+    return library
+
+
+def parse_library(text: str, where: str) -> TissueLibrary:
+    """Return the library in a text.
+
+    Raises
+    ------
+    InputError
+        In one line that begins with `where`.
+    """
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise InputError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") not in range(1, FORMAT + 1):
         raise InputError(
-            f"{where}: not a tissue library of format {FORMAT} (first key `format: {FORMAT}`)"
+            f"{where}: not a tissue library of format 1 or {FORMAT} (first key "
+            f"`format: {FORMAT}`); a newer one needs a newer fden_ros"
         )
     entries = content.get("tissues")
     if not isinstance(entries, list) or not entries:
@@ -51,14 +108,29 @@ def _library(text: str, where: str) -> TissueLibrary:
     if len(set(names)) != len(names) or UNKNOWN in names:
         raise InputError(f"{where}: tissue names must differ, and none may be `{UNKNOWN}`")
     unknown = _tissue(
-        {"name": UNKNOWN, **_mapping(content, "unknown", where)}, f"{where}: unknown"
+        {"name": UNKNOWN, **_mapping(content, "unknown", where, "`mean` and `sd`")},
+        f"{where}: unknown",
     )
-    return TissueLibrary(str(content.get("name", where)), tissues, unknown)
+    units = content.get("units", UNITS[0])
+    if units not in UNITS:
+        raise InputError(f"{where}: `units` is {units!r}, must be {' or '.join(UNITS)}")
+    return TissueLibrary(
+        str(content.get("name", where)), tissues, unknown, units, _geometry(content, where)
+    )
+
+
+def _geometry(content: dict[str, object], where: str) -> str:
+    if "geometry" not in content:
+        return ""
+    return str(_mapping(content, "geometry", where, "`kind`").get("kind", ""))
 
 
 def _tissue(entry: object, where: str) -> Tissue:
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str) or not entry["name"]:
         raise InputError(f"{where}: needs a `name`")
+    prior = _positive(entry.get("prior", 1.0), f"{where}: `prior`")
+    if "distribution" in entry:
+        return _learned(entry, prior, where)
     means, variances = np.empty(3), np.empty(3)
     for i, key in enumerate(("linear_stiffness", "nonlinear_stiffness")):
         mean, sd = _mean_and_sd(entry, key, where)
@@ -67,22 +139,49 @@ def _tissue(entry: object, where: str) -> Tissue:
         means[i] = math.log(mean) - 0.5 * variances[i]
     means[2], sd = _mean_and_sd(entry, "fractional_order", where)
     variances[2] = sd**2
-    prior = _positive(entry.get("prior", 1.0), f"{where}: `prior`")
     return Tissue(entry["name"], means, np.diag(variances), prior)
 
 
+def _learned(entry: dict[str, object], prior: float, where: str) -> Tissue:
+    own = _mapping(entry, "distribution", where, "`mean` and `covariance`")
+    where = f"{where}: `distribution"
+    mean = _numbers(own.get("mean"), (3,), f"{where}: mean`", "(ln G, ln Gn, alpha)")
+    covariance = _numbers(
+        own.get("covariance"), (3, 3), f"{where}: covariance`", "three rows of three"
+    )
+    symmetric = np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0)
+    if not symmetric or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+        raise InputError(f"{where}: covariance` must be symmetric and positive definite")
+    degrees = math.inf
+    if "degrees_of_freedom" in own:
+        degrees = _positive(own["degrees_of_freedom"], f"{where}: degrees_of_freedom`")
+    return Tissue(str(entry["name"]), mean, 0.5 * (covariance + covariance.T), prior, degrees)
+
+
+def _numbers(
+    value: object, shape: tuple[int, ...], where: str, words: str
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise InputError(f"{where} is {value!r}, must be {words}, all numbers")
+    return array
+
+
 def _mean_and_sd(entry: dict[str, object], key: str, where: str) -> tuple[float, float]:
-    moments = _mapping(entry, key, where)
+    moments = _mapping(entry, key, where, "`mean` and `sd`")
     return (
         _positive(moments.get("mean"), f"{where}: `{key}: mean`"),
         _positive(moments.get("sd"), f"{where}: `{key}: sd`"),
     )
 
 
-def _mapping(entry: dict[str, object], key: str, where: str) -> dict[str, object]:
+def _mapping(entry: dict[str, object], key: str, where: str, words: str) -> dict[str, object]:
     value = entry.get(key)
     if not isinstance(value, dict):
-        raise InputError(f"{where}: needs `{key}` with `mean` and `sd`")
+        raise InputError(f"{where}: needs `{key}` with {words}")
     return value
 
 

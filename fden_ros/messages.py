@@ -427,7 +427,7 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         classes=ClassProbabilities(
             message.label, tuple(message.class_names), tuple(message.probabilities)
         )
-        if message.label
+        if message.class_names
         else None,
     )
 

@@ -17,13 +17,15 @@ from typing import Any
 import yaml
 
 from fden_ros.core.contact import ContactConfig
+from fden_ros.core.decision import DecisionConfig
 from fden_ros.core.estimator import EstimatorConfig, Observation, Prior
 from fden_ros.core.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.pipeline import PipelineConfig
+from fden_ros.core.relative import RelativeConfig
 from fden_ros.core.synchronize import SynchronizeConfig
 from fden_ros.core.tool_weight import ToolWeight
 from fden_ros.errors import InputError
-from fden_ros.library import load_library
+from fden_ros.library import library_for
 
 Value = bool | int | float | str | list[float]
 
@@ -430,6 +432,58 @@ PARAMETERS: tuple[Parameter, ...] = (
         "1",
         "Path of a tissue library (YAML); empty: the one that comes along.",
     ),
+    Parameter(
+        "classification.mode",
+        "library",
+        "1",
+        "Tell the tissues of the library apart, or how much stiffer each site is than those "
+        "around it that were touched before.",
+        choices=("library", "relative"),
+    ),
+    Parameter(
+        "classification.probability",
+        0.7,
+        "1",
+        "A class is named when it is at least so probable.",
+        0.34,
+        1.0,
+    ),
+    Parameter(
+        "classification.release",
+        0.5,
+        "1",
+        "It stays named while it is at least so probable.",
+        0.0,
+        1.0,
+    ),
+    Parameter(
+        "classification.dwell",
+        0.2,
+        "s",
+        "How long another answer must stand before it replaces the one that is named.",
+        0.0,
+        60.0,
+    ),
+    Parameter(
+        "classification.significance",
+        0.02,
+        "1",
+        "library: unknown is what only this share of the best fitting tissue lies as far from.",
+        0.0,
+        0.5,
+    ),
+    Parameter(
+        "classification.ratio", 1.5, "1", "relative: stiffer, or softer, by this.", 1.0, 1e3
+    ),
+    Parameter("classification.strain", 0.1, "1", "relative: strain of the comparison.", 0.0, 2.0),
+    Parameter(
+        "classification.distance",
+        0.0,
+        "m",
+        "relative: surroundings are sites within this distance; 0: all.",
+        0.0,
+        10.0,
+    ),
 )
 
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
@@ -537,7 +591,7 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
     Raises
     ------
     InputError
-        If the tissue library cannot be read.
+        If the tissue library cannot be read, or is in other units than the estimates.
     """
     given = values["alpha.source"] == "given"
     prior = Prior(
@@ -549,7 +603,7 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
         fractional_order_sd=values["alpha.sd"] if given else values["prior.alpha_sd"],
     )
     return PipelineConfig(
-        library=load_library(values["classifier.library"] or None),
+        library=library_for(values),
         geometry=_geometry(values),
         synchronize=SynchronizeConfig(
             displacement_delay=values["displacement.delay"],
@@ -581,6 +635,22 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
         ),
         block_duration=values["estimate.period"],
         apparent_stiffness_time_scale=values["estimate.time_scale"],
+        decision=DecisionConfig(
+            probability=values["classification.probability"],
+            release=values["classification.release"],
+            dwell=values["classification.dwell"],
+            significance=values["classification.significance"],
+        ),
+        relative=(
+            RelativeConfig(
+                ratio=values["classification.ratio"],
+                strain=values["classification.strain"],
+                time_scale=values["estimate.time_scale"],
+                distance=values["classification.distance"],
+            )
+            if values["classification.mode"] == "relative"
+            else None
+        ),
         dither_frequencies=tuple(sorted({f for f in values["dither.frequencies"] if f > 0.0})),
         dither_periods=values["dither.periods"],
     )

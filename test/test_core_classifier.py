@@ -10,9 +10,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, multivariate_t
 
-from fden_ros.core.classifier import UNKNOWN, Tissue, TissueLibrary, classify
-from fden_ros.core.estimator import Estimate
+from fden_ros.core.classifier import (
+    UNKNOWN,
+    ClassProbabilities,
+    Likelihood,
+    Tissue,
+    TissueLibrary,
+    classify,
+    combined,
+    likelihood_of,
+    log_evidence,
+    posterior,
+)
+from fden_ros.core.decision import Decider, DecisionConfig
+from fden_ros.core.estimator import Prior
 from fden_ros.library import load_library
 
 #: No test depends on the time it takes, nor on chance.
@@ -20,10 +33,13 @@ steady = settings(deadline=None, derandomize=True)
 
 LIBRARY = load_library()
 LIVER = LIBRARY.tissues[0]
+PRIOR = Prior(600.0, 0.8, 9.0, 0.5, 0.2, 0.05)
+PRIOR_MEAN = np.array([math.log(600.0), math.log(9.0), 0.2])
+PRIOR_COVARIANCE = np.diag(np.square([0.8, 0.5, 0.05]))
 
 
-def estimate_of(mean, sd=(0.01, 0.01, 0.01)):
-    return Estimate(*(float(v) for v in mean), np.diag(np.square(sd)), 0.0, 0.0, 1.0, True, 1000)
+def seen(mean, sd=(0.01, 0.01, 0.01), **options):
+    return likelihood_of(np.asarray(mean, dtype=float), np.diag(np.square(sd)), **options)
 
 
 def liver_moved(*by):
@@ -31,58 +47,140 @@ def liver_moved(*by):
 
 
 def probability(result, name):
-    return result.probabilities[LIBRARY.class_names.index(name)]
+    return result.probabilities[result.names.index(name)]
+
+
+def random_covariance(rng, sd):
+    axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    scale = np.diag(sd)
+    return scale @ axes @ np.diag(rng.uniform(0.3, 2.0, 3)) @ axes.T @ scale
 
 
 def test_liver_is_liver():
-    result = classify(LIBRARY, estimate_of(LIVER.mean), False)
+    result = classify(LIBRARY, seen(LIVER.mean))
     assert result.label == "liver"
     assert probability(result, "liver") > 0.95
+    assert result.typicality > 0.99
 
 
 def test_ten_times_stiffer_is_unknown():
-    result = classify(LIBRARY, estimate_of(liver_moved(math.log(10.0), 0.0, 0.0)), False)
+    result = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
     assert result.label == UNKNOWN
     assert probability(result, UNKNOWN) > 0.99
 
 
 def test_estimate_that_is_not_sure_softens_the_answer():
     stiff = liver_moved(1.2, 0.0, 0.0)
-    sharp = classify(LIBRARY, estimate_of(stiff, (0.01, 0.01, 0.01)), False)
-    soft = classify(LIBRARY, estimate_of(stiff, (1.5, 0.7, 0.01)), False)
+    sharp = classify(LIBRARY, seen(stiff, (0.01, 0.01, 0.01), order_counts=False))
+    soft = classify(LIBRARY, seen(stiff, (1.5, 0.7, 0.01), order_counts=False))
     assert probability(sharp, UNKNOWN) > 0.95
     assert 0.05 < probability(soft, UNKNOWN) < 0.5
 
 
-def test_order_counts_only_if_it_was_learned():
+def test_order_that_was_given_does_not_count():
     far = liver_moved(0.0, 0.0, 0.3)
-    given_order = classify(LIBRARY, estimate_of(far), False)
-    learned = classify(LIBRARY, estimate_of(far), True)
-    assert given_order == classify(LIBRARY, estimate_of(LIVER.mean), False)
+    given_order = classify(LIBRARY, seen(far, order_counts=False))
+    assert probability(given_order, "liver") == pytest.approx(
+        probability(classify(LIBRARY, seen(LIVER.mean, order_counts=False)), "liver")
+    )
     assert given_order.label == "liver"
-    assert learned.label == UNKNOWN
+    assert classify(LIBRARY, seen(far)).label == UNKNOWN
 
 
 @steady
 @given(
     mean=st.tuples(st.floats(-5.0, 15.0), st.floats(-3.0, 6.0), st.floats(0.0, 1.0)),
     sd=st.tuples(*[st.floats(1e-6, 5.0)] * 3),
-    learned=st.booleans(),
+    order_counts=st.booleans(),
+    degrees=st.floats(1.0, 1000.0),
 )
-def test_probabilities_are_probabilities(mean, sd, learned):
-    result = classify(LIBRARY, estimate_of(mean, sd), learned)
+def test_probabilities_are_probabilities(mean, sd, order_counts, degrees):
+    library = replace(LIBRARY, tissues=(replace(LIVER, degrees_of_freedom=degrees),))
+    result = classify(library, seen(mean, sd, prior=PRIOR, order_counts=order_counts))
     assert len(result.probabilities) == len(LIBRARY.class_names)
     assert math.fsum(result.probabilities) == pytest.approx(1.0)
-    assert all(0.0 <= p <= 1.0 for p in result.probabilities)
+    assert all(0.0 <= p <= 1.0 for p in (*result.probabilities, result.typicality))
     assert result.label == LIBRARY.class_names[int(np.argmax(result.probabilities))]
 
 
+def test_evidence_is_the_density_of_the_estimate_under_spread_and_error():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        tissues = [
+            Tissue("t", rng.normal(LIVER.mean, 0.3), random_covariance(rng, (0.3, 0.2, 0.02)))
+            for _ in range(3)
+        ]
+        library = TissueLibrary("l", tuple(tissues[:2]), tissues[2])
+        mean, error = rng.normal(LIVER.mean, 0.3), random_covariance(rng, (0.1, 0.3, 0.01))
+        found, _ = log_evidence(library, likelihood_of(mean, error))
+        expected = [
+            multivariate_normal.logpdf(mean, t.mean, t.covariance + error) for t in tissues
+        ]
+        np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9, atol=1e-9)
+
+
+def test_learned_class_is_students_t():
+    heavy = replace(LIVER, degrees_of_freedom=4.0)
+    library = TissueLibrary("l", (heavy,), LIBRARY.unknown)
+    for distance in (0.0, 0.5, 1.0):
+        mean = liver_moved(distance, -distance / 2, 0.01)
+        found, fits = log_evidence(library, seen(mean, (1e-6, 1e-6, 1e-7)))
+        expected = multivariate_t.logpdf(mean, heavy.mean, heavy.covariance, df=4.0)
+        wide = multivariate_normal.logpdf(mean, library.unknown.mean, library.unknown.covariance)
+        assert found[0] - found[1] == pytest.approx(expected - wide, abs=0.02)
+        # Mahalanobis' distance over 3 is F distributed with 3 and 4 degrees of freedom.
+        square = np.sum((mean - heavy.mean) ** 2 / np.diag(heavy.covariance))
+        draws = multivariate_t.rvs(np.zeros(3), np.eye(3), df=4.0, size=200_000, random_state=1)
+        tail = np.mean(np.sum(draws**2, axis=1) > square)
+        assert fits[0] == pytest.approx(tail, abs=0.01)
+
+
+def test_prior_of_the_estimator_is_taken_out_again():
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        data, truth = random_covariance(rng, (0.1, 0.05, 0.03)), rng.normal(LIVER.mean, 0.2)
+        covariance = np.linalg.inv(np.linalg.inv(data) + np.linalg.inv(PRIOR_COVARIANCE))
+        mean = covariance @ (
+            np.linalg.solve(data, truth) + np.linalg.solve(PRIOR_COVARIANCE, PRIOR_MEAN)
+        )
+        found = likelihood_of(mean, covariance, PRIOR)
+        np.testing.assert_allclose(found.information, np.linalg.inv(data), rtol=1e-6)
+        peak = found.centre + np.linalg.solve(found.information, found.score)
+        np.testing.assert_allclose(peak, truth, rtol=1e-6)
+
+
+def test_contact_that_showed_nothing_leaves_the_priors():
+    twins = TissueLibrary(
+        "two",
+        (replace(LIVER, name="a", prior=3.0), Tissue("b", liver_moved(1, 0, 0), LIVER.covariance)),
+        replace(LIBRARY.unknown, prior=1e-9),
+    )
+    # Widened for a mismatch, a covariance may exceed the prior's.
+    for factor in (1.0, 3.0):
+        result = classify(twins, likelihood_of(PRIOR_MEAN, factor * PRIOR_COVARIANCE, PRIOR))
+        assert result.probabilities[:2] == pytest.approx((0.75, 0.25), abs=1e-6)
+        assert result.typicality == 1.0
+        assert not result.is_observable
+
+
+def test_classes_that_differ_in_the_order_wait_for_the_order():
+    slow = replace(LIVER, name="slow", mean=liver_moved(0.0, 0.0, 0.08), prior=0.01)
+    library = replace(LIBRARY, tissues=(LIVER, slow))
+    ramp = np.diag(np.square([0.01, 0.01, 0.05]))
+    before = likelihood_of(np.array([*LIVER.mean[:2], 0.2]), ramp, PRIOR)
+    # Whatever the priors say, the data have not looked yet.
+    assert not classify(library, before).is_observable
+    hold = np.diag(np.square([0.01, 0.01, 0.002]))
+    after = classify(library, likelihood_of(slow.mean, hold, PRIOR))
+    assert after.is_observable and after.label == "slow"
+
+
 def test_prior_odds_multiply_the_odds():
-    estimate = estimate_of(liver_moved(0.9, 0.0, 0.0))
+    likelihood = seen(liver_moved(0.9, 0.0, 0.0))
     tenfold = replace(LIBRARY, unknown=replace(LIBRARY.unknown, prior=10 * LIBRARY.unknown.prior))
 
     def odds(library):
-        liver, unknown = classify(library, estimate, False).probabilities
+        liver, unknown = classify(library, likelihood).probabilities
         return unknown / liver
 
     assert odds(tenfold) == pytest.approx(10.0 * odds(LIBRARY))
@@ -94,32 +192,140 @@ def test_tissues_of_the_same_parameters_share_their_prior():
         (replace(LIVER, name="a", prior=3.0), replace(LIVER, name="b", prior=1.0)),
         replace(LIBRARY.unknown, prior=1e-9),
     )
-    probabilities = classify(twins, estimate_of(LIVER.mean), False).probabilities
+    probabilities = classify(twins, seen(LIVER.mean)).probabilities
     assert probabilities[:2] == pytest.approx((0.75, 0.25), abs=1e-6)
     assert twins.class_names == ("a", "b", UNKNOWN)
+
+
+def drawn(count, rng, covariances):
+    """Contacts of two near tissues and the unknown, with estimates and their priors."""
+    near = Tissue("near", liver_moved(0.5, 0.2, 0.0), LIVER.covariance, 0.6)
+    library = TissueLibrary("two", (LIVER, near), LIBRARY.unknown)
+    priors = np.array([c.prior for c in library.classes])
+    truth = rng.choice(len(priors), p=priors / priors.sum(), size=count)
+    tissue = np.empty((count, 3))
+    for index, one in enumerate(library.classes):
+        own = truth == index
+        tissue[own] = rng.multivariate_normal(one.mean, one.covariance, own.sum())
+    noise = rng.standard_normal((count, 3))
+    values = tissue + np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), noise)
+    return library, truth, likelihood_of(values, covariances)
 
 
 def test_probabilities_are_calibrated():
     # Draw the class from its prior, the tissue from the class, the estimate from its covariance:
     # of the answers given a probability p, the share p must be right.
     rng = np.random.default_rng(0)
-    near = Tissue("near", liver_moved(0.5, 0.2, 0.0), LIVER.covariance, 0.6)
-    library = TissueLibrary("two", (LIVER, near), LIBRARY.unknown)
-    classes = (*library.tissues, library.unknown)
-    priors = np.array([c.prior for c in classes])
-    said, right = [], []
-    for _ in range(4000):
-        truth = int(rng.choice(len(classes), p=priors / priors.sum()))
-        tissue = rng.multivariate_normal(classes[truth].mean, classes[truth].covariance)
-        covariance = np.diag(np.square(rng.uniform(0.02, 0.5, 3)))
-        seen = rng.multivariate_normal(tissue, covariance)
-        result = classify(library, estimate_of(seen, np.sqrt(np.diag(covariance))), True)
-        said.append(max(result.probabilities))
-        right.append(result.label == library.class_names[truth])
-    said, right = np.array(said), np.array(right, dtype=float)
+    count = 20_000
+    covariances = np.zeros((count, 3, 3))
+    covariances[:, range(3), range(3)] = np.square(rng.uniform(0.02, 0.5, (count, 3)))
+    library, truth, likelihood = drawn(count, rng, covariances)
+    evidence, _ = log_evidence(library, likelihood)
+    probabilities = posterior(library, evidence)
+    said, right = probabilities.max(axis=1), probabilities.argmax(axis=1) == truth
     edges = [0.0, 0.6, 0.7, 0.8, 0.9, 1.0]
     for low, high in itertools.pairwise(edges):
         inside = (said > low) & (said <= high)
         scatter = math.sqrt(np.mean(said[inside] * (1 - said[inside])) / inside.sum())
         # Four standard deviations of the share of right answers in the bin.
         assert abs(np.mean(right[inside]) - np.mean(said[inside])) < 4.0 * scatter
+
+
+def test_typicality_is_uniform_for_contacts_of_the_tissue():
+    rng = np.random.default_rng(3)
+    error = np.diag(np.square([0.2, 0.1, 5.0]))
+    tissue = rng.multivariate_normal(LIVER.mean, LIVER.covariance, 20_000)
+    values = tissue + rng.multivariate_normal(np.zeros(3), error, 20_000)
+    _, fits = log_evidence(LIBRARY, likelihood_of(values, np.broadcast_to(error, (20_000, 3, 3))))
+    for level in (0.01, 0.05, 0.5):
+        scatter = math.sqrt(level * (1.0 - level) / 20_000)
+        assert abs(np.mean(fits < level) - level) < 4.0 * scatter
+
+
+def test_far_from_all_is_unknown_even_where_its_prior_is_small():
+    library = replace(LIBRARY, unknown=replace(LIBRARY.unknown, prior=1e-9))
+    likelihood = seen(liver_moved(5.0 * math.sqrt(LIVER.covariance[0, 0]), 0.0, 0.0))
+    assert classify(library, likelihood).label == "liver"
+    assert classify(library, likelihood, significance=0.02).label == UNKNOWN
+
+
+def test_contacts_of_one_place_add_up():
+    rng = np.random.default_rng(4)
+    errors = [random_covariance(rng, (0.1, 0.2, 0.02)) for _ in range(3)]
+    values = [rng.normal(LIVER.mean, 0.05) for _ in errors]
+    together = combined(
+        [likelihood_of(value, error) for value, error in zip(values, errors, strict=True)]
+    )
+    information = sum(np.linalg.inv(error) for error in errors)
+    mean = np.linalg.solve(
+        information,
+        sum(np.linalg.solve(error, value) for value, error in zip(values, errors, strict=True)),
+    )
+    whole = likelihood_of(mean, np.linalg.inv(information))
+    assert classify(LIBRARY, together).probabilities == pytest.approx(
+        classify(LIBRARY, whole).probabilities, rel=1e-9
+    )
+    assert isinstance(together, Likelihood)
+
+
+# The label
+
+
+NAMES = ("a", "b", UNKNOWN)
+
+
+def said(*probabilities, typicality=1.0, observable=True):
+    best = NAMES[int(np.argmax(probabilities))]
+    return ClassProbabilities(best, NAMES, probabilities, typicality, observable)
+
+
+def labels(*answers, config=None):
+    """The label after each answer, 50 ms apart."""
+    decider = Decider(config or DecisionConfig())
+    return [decider.update(50_000_000 * i, answer) for i, answer in enumerate(answers)]
+
+
+def test_label_waits_for_its_probability_and_for_observability():
+    answers = [
+        said(0.6, 0.3, 0.1),
+        said(0.99, 0.01, 0.0, observable=False),
+        said(0.71, 0.2, 0.09),
+    ]
+    assert labels(*answers) == ["", "", "a"]
+
+
+def test_label_does_not_flicker_where_the_probability_does():
+    rng = np.random.default_rng(5)
+    first, second = [], []
+    for p in np.clip(0.5 + 0.3 * rng.standard_normal(2000), 0.01, 0.99):
+        answer = said(p, 1.0 - p, 0.0)
+        first.append(answer.label)
+        second.append(answer)
+    raw = sum(a != b for a, b in itertools.pairwise(first))
+    steady_label = labels(*second)
+    changes = sum(a != b for a, b in itertools.pairwise(steady_label))
+    assert raw > 800
+    assert changes < raw / 10
+
+
+def test_another_answer_must_stand_for_a_while():
+    a, b = said(0.8, 0.2, 0.0), said(0.1, 0.9, 0.0)
+    assert labels(a, b, b, b, a, b, b, b, b, b) == ["a"] * 9 + ["b"]
+
+
+def test_label_is_taken_back_when_it_is_no_longer_likely():
+    a, doubt, none = said(0.8, 0.1, 0.1), said(0.55, 0.35, 0.1), said(0.4, 0.35, 0.25)
+    assert labels(a, *[doubt] * 10) == ["a"] * 11
+    assert labels(a, *[none] * 6)[-1] == ""
+
+
+def test_unknown_by_the_test_needs_a_better_fit_to_become_known():
+    out, edge, in_ = (said(0.9, 0.1, 0.0, typicality=t) for t in (0.01, 0.03, 0.05))
+    assert labels(out, *[edge] * 8) == [UNKNOWN] * 9
+    assert labels(out, *[in_] * 8)[-1] == "a"
+
+
+def test_last_answer_need_not_stand():
+    decider = Decider(DecisionConfig())
+    decider.update(0, said(0.8, 0.2, 0.0))
+    assert decider.update(1, said(0.1, 0.9, 0.0), last=True) == "b"

@@ -92,9 +92,9 @@ def liver_with(**changes):
     ("data", "said"),
     [
         ("tissues: [", "not valid YAML"),
-        ("just text", "format 1"),
-        ("", "format 1"),
-        (content(format=2), "format 1"),
+        ("just text", "format: 2"),
+        ("", "format: 2"),
+        (content(format=3), "newer"),
         (content(tissues=[]), "at least one"),
         (content(tissues={"liver": 1}), "must be a list"),
         (content(tissues=["liver"]), "tissue 1: needs a `name`"),

@@ -1,25 +1,61 @@
-r"""Which tissue of a library an estimate belongs to, with probabilities.
+r"""Which tissue of a library an estimate belongs to, with probabilities that can be trusted.
 
-For class c with prior p(c) and parameters :math:`\theta = (\ln G, \ln G_n, \alpha)` spread as
-:math:`N(\mu_c, \Sigma_c)`, an estimate
-:math:`\hat\theta` with covariance P has the evidence :math:`N(\hat\theta;\, \mu_c,\, \Sigma_c +
-P)`. ``unknown`` is one more class, as wide as soft tissue is: what fits none of the others falls
-to it. alpha counts only if it was learned from the data.
+An estimate is a posterior: the estimator's prior is in it. What the data alone say of
+:math:`\theta = (\ln G, \ln G_n, \alpha)` is the posterior over the prior, a :class:`Likelihood`
+
+.. math:: \ln L(\theta) = s^T (\theta - c) - \tfrac12 (\theta - c)^T \Lambda\, (\theta - c),
+   \qquad \Lambda = P^{-1} - C_0^{-1}, \quad s = C_0^{-1} (c - m_0),
+
+with c and P the estimate and its covariance, :math:`m_0` and :math:`C_0` those of the prior.
+What the data do not show (alpha after a ramp) has no information in :math:`\Lambda` and therefore
+no say, without a rule of its own. Likelihoods of several contacts with one place add up.
+
+A class spreads as :math:`\theta = \mu + u`, u normal with covariance :math:`\Sigma`, or Student's
+t where the class was learned from few specimens, which is a normal with :math:`\Sigma/g` averaged
+over a gamma distributed g. With :math:`\Sigma = K K^T` and :math:`K^T \Lambda K = V
+\mathrm{diag}(\lambda) V^T` its evidence is
+
+.. math:: \ln E(g) = s^T m - \tfrac12 m^T \Lambda m
+   + \tfrac12 \sum_i \left[ \frac{h_i^2}{\lambda_i + g} - \ln(1 + \lambda_i / g) \right],
+   \qquad m = \mu - c, \quad h = V^T K^T (s - \Lambda m).
+
+``unknown`` is one more class, as wide as soft tissue is. Beside it stands an open-set test:
+``typicality`` is the share of contacts with the best fitting tissue that lie as far from its
+centre as this one, or farther (Mahalanobis distance against chi-squared or, with few specimens,
+F). What lies too far from all is called unknown, however small the prior of that is.
+
+References: A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, ch. 3 and 17; C. Bishop,
+Pattern Recognition and Machine Learning, 2006, 2.3.7.
 """
 
 from __future__ import annotations
 
+import functools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
-from fden_ros.core.estimator import Estimate
+from fden_ros.core.estimator import Estimate, Prior
 
 Array = NDArray[np.float64]
 
 UNKNOWN = "unknown"
+
+#: Nodes of the average over g; with more degrees of freedom than this a class is normal.
+_NODES, _MOST_DEGREES = 24, 300.0
+#: The test takes directions in which the data know a specimen better than three times the spread
+#: of its class; others would only add noise.
+_LEAST_INFORMATION = 0.1
+#: A direction that decides is observable where the data leave less than this of its variance.
+_OBSERVABLE_SHARE = 0.25
+#: Data that favour a class so much more than another have spoken, in whatever direction.
+_SPEAKING_ODDS = 20.0
+_LEAST_VARIANCE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,77 +68,306 @@ class Tissue:
     mean : ndarray, shape (3,)
         Of (ln G, ln Gn, alpha), G in Pa s^alpha.
     covariance : ndarray, shape (3, 3)
-        Spread of the class over specimens, positive definite.
+        Spread of the class over specimens, positive definite; with few degrees of freedom, the
+        scale matrix of Student's t.
     prior : float
         Prior probability up to a common factor, positive.
+    degrees_of_freedom : float
+        How well the spread itself is known; inf: exactly.
     """
 
     name: str
     mean: Array
     covariance: Array
     prior: float = 1.0
+    degrees_of_freedom: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
 class TissueLibrary:
-    """Tissues to tell apart, and the wide class of what is none of them."""
+    """Tissues to tell apart, and the wide class of what is none of them.
+
+    Parameters
+    ----------
+    name : str
+    tissues : tuple of Tissue
+    unknown : Tissue
+    units : str
+        Unit of the stress behind G: ``Pa``, or ``N`` where it is a force.
+    geometry : str
+        Kind of geometry that the parameters were found with; empty: not stated.
+    """
 
     name: str
     tissues: tuple[Tissue, ...]
     unknown: Tissue
+    units: str = "Pa"
+    geometry: str = ""
 
     @property
     def class_names(self) -> tuple[str, ...]:
         """Names in the order of the probabilities, ``unknown`` last."""
         return (*(tissue.name for tissue in self.tissues), UNKNOWN)
 
+    @property
+    def classes(self) -> tuple[Tissue, ...]:
+        """The tissues, then ``unknown``."""
+        return (*self.tissues, self.unknown)
+
 
 class ClassProbabilities(NamedTuple):
-    """Probabilities of a library's classes, in its order, ``unknown`` last."""
+    """Probabilities of a library's classes, in its order, ``unknown`` last.
+
+    The label is the most probable class, ``unknown`` where the open-set test says so, or empty
+    where nothing has been decided.
+    """
 
     label: str
     names: tuple[str, ...]
     probabilities: tuple[float, ...]
+    typicality: float = 1.0  #: P(as far out | best fitting tissue) [1]
+    is_observable: bool = True  #: the data, not the priors, tell the label from the others
+
+    @property
+    def words(self) -> str:
+        """The label with its probability, or ``undetermined``."""
+        if not self.label:
+            return "undetermined"
+        return f"{self.label} {self.probabilities[self.names.index(self.label)]:.0%}"
 
 
-def classify(
-    library: TissueLibrary, estimate: Estimate, order_learned: bool
-) -> ClassProbabilities:
-    """Return the probability of every class given an estimate.
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """What data say of (ln G, ln Gn, alpha), to second order; leading axes are many of them.
 
     Parameters
     ----------
-    library : TissueLibrary
-    estimate : Estimate
-    order_learned : bool
-        alpha was learned from the data, so that it says something of the tissue.
+    centre : ndarray, shape (..., 3)
+    score : ndarray, shape (..., 3)
+        Slope of the logarithm there.
+    information : ndarray, shape (..., 3, 3)
+        Less its curvature, positive semidefinite.
     """
-    used = slice(0, 3 if order_learned else 2)
-    value = np.array(
+
+    centre: Array
+    score: Array
+    information: Array
+
+    def __add__(self, other: Likelihood) -> Likelihood:
+        """Return what independent data on the same place say together."""
+        moved = self.centre - other.centre
+        return Likelihood(
+            self.centre,
+            self.score + other.score - _times(other.information, moved),
+            self.information + other.information,
+        )
+
+
+def likelihood_of(
+    mean: Array, covariance: Array, prior: Prior | None = None, *, order_counts: bool = True
+) -> Likelihood:
+    """Return what the data say, from posteriors and the estimator's prior.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (..., 3)
+    covariance : ndarray, shape (..., 3, 3)
+    prior : Prior, optional
+        Normal and independent in (ln G, ln Gn, alpha); without it the posteriors are taken for
+        measurements.
+    order_counts : bool
+        alpha was not given: what the data say of it is evidence.
+    """
+    used = 3 if order_counts and (prior is None or prior.fractional_order_sd > 0.0) else 2
+    if prior is None:
+        centre, scale = np.zeros(3), np.sqrt(np.einsum("...ii->...i", covariance))
+        scale = np.where(scale > 0.0, scale, 1.0)
+    else:
+        centre = np.array(
+            [
+                math.log(prior.linear_stiffness),
+                math.log(prior.nonlinear_stiffness),
+                prior.fractional_order,
+            ]
+        )
+        scale = np.array(
+            [
+                prior.linear_stiffness_log_sd,
+                prior.nonlinear_stiffness_log_sd,
+                prior.fractional_order_sd or 1.0,
+            ]
+        )
+    scale = np.broadcast_to(scale, mean.shape)[..., :used]
+    scaled = covariance[..., :used, :used] / (scale[..., :, None] * scale[..., None, :])
+    variances, axes = np.linalg.eigh(scaled)
+    variances = np.maximum(variances, _LEAST_VARIANCE)
+    if prior is None:
+        known, slope = 1.0 / variances, np.zeros_like(variances)
+    else:
+        known = np.maximum(1.0 / variances - 1.0, 0.0)
+        off = (mean - centre)[..., :used] / scale
+        # A covariance that was widened for a mismatch may exceed the prior's: nothing is known.
+        slope = np.where(known > 0.0, _times(np.swapaxes(axes, -1, -2), off), 0.0)
+    information = np.zeros((*mean.shape, 3))
+    information[..., :used, :used] = np.einsum("...ij,...j,...kj->...ik", axes, known, axes) / (
+        scale[..., :, None] * scale[..., None, :]
+    )
+    score = np.zeros(mean.shape)
+    score[..., :used] = _times(axes, slope) / scale
+    return Likelihood(mean, score, information)
+
+
+def likelihood_of_estimate(estimate: Estimate, prior: Prior, order_given: bool) -> Likelihood:
+    """Return what the data behind an estimate say, its prior taken out."""
+    return likelihood_of(
+        mean_of(estimate), estimate.covariance, prior, order_counts=not order_given
+    )
+
+
+def mean_of(estimate: Estimate) -> Array:
+    """Return (ln G, ln Gn, alpha) of an estimate, shape (3,)."""
+    return np.array(
         [
             estimate.log_linear_stiffness,
             estimate.log_nonlinear_stiffness,
             estimate.fractional_order,
         ]
-    )[used]
-    classes = (*library.tissues, library.unknown)
-    logs = np.array(
-        [
-            np.log(tissue.prior)
-            + _log_density(
-                value - tissue.mean[used], (tissue.covariance + estimate.covariance)[used, used]
-            )
-            for tissue in classes
-        ]
     )
-    probabilities = np.exp(logs - logs.max())
-    probabilities /= probabilities.sum()
+
+
+def classify(
+    library: TissueLibrary, likelihood: Likelihood, significance: float = 0.0
+) -> ClassProbabilities:
+    """Return the probability of every class given what the data of one place say.
+
+    Parameters
+    ----------
+    library : TissueLibrary
+    likelihood : Likelihood
+        Of one place.
+    significance : float
+        The label is ``unknown`` where the typicality is below this.
+    """
+    evidence, fits = log_evidence(library, likelihood)
+    probabilities = posterior(library, evidence)
     names = library.class_names
-    label = names[int(np.argmax(probabilities))]
-    return ClassProbabilities(label, names, tuple(float(p) for p in probabilities))
+    best = int(np.argmax(probabilities))
+    typicality = float(np.max(fits))
+    return ClassProbabilities(
+        names[best] if typicality >= significance else UNKNOWN,
+        names,
+        tuple(float(p) for p in probabilities),
+        typicality,
+        _is_observable(library, likelihood, evidence, best),
+    )
 
 
-def _log_density(deviation: Array, covariance: Array) -> float:
-    """Log of the normal density, less the constant that all classes share."""
-    distance = deviation @ np.linalg.solve(covariance, deviation)
-    return float(-0.5 * (distance + np.linalg.slogdet(covariance)[1]))
+def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array, Array]:
+    """Return the log evidence of every class and how well each tissue fits.
+
+    Parameters
+    ----------
+    library : TissueLibrary
+    likelihood : Likelihood
+        Leading axes (...).
+
+    Returns
+    -------
+    evidence : ndarray, shape (..., k + 1)
+        Up to a constant that the classes share; ``unknown`` last.
+    typicality : ndarray, shape (..., k)
+        P(as far out | tissue), for each tissue but ``unknown``.
+    """
+    pairs = [_of_class(tissue, likelihood) for tissue in library.classes]
+    evidence = np.stack([pair[0] for pair in pairs], axis=-1)
+    return evidence, np.stack([pair[1] for pair in pairs[:-1]], axis=-1)
+
+
+def posterior(library: TissueLibrary, evidence: Array) -> Array:
+    """Return the probabilities of all classes from their log evidence, shape (..., k + 1).
+
+    Evidences of places that belong to one tissue, but differ within it, are summed before.
+    """
+    logs = evidence + np.log([tissue.prior for tissue in library.classes])
+    result: Array = np.exp(logs - logs.max(axis=-1, keepdims=True))
+    result /= result.sum(axis=-1, keepdims=True)
+    return result
+
+
+def _of_class(tissue: Tissue, likelihood: Likelihood) -> tuple[Array, Array]:
+    factor = np.linalg.cholesky(tissue.covariance)
+    off = tissue.mean - likelihood.centre
+    pulled = _times(likelihood.information, off)
+    known, axes = np.linalg.eigh(factor.T @ likelihood.information @ factor)
+    known = np.maximum(known, 0.0)
+    slope = _times(np.swapaxes(axes, -1, -2), (likelihood.score - pulled) @ factor)
+    nodes, weights = _mixture(tissue.degrees_of_freedom)
+    by_node = 0.5 * np.sum(
+        slope[..., None] ** 2 / (known[..., None] + nodes) - np.log1p(known[..., None] / nodes),
+        axis=-2,
+    )
+    largest = by_node.max(axis=-1, keepdims=True)
+    total = np.log(np.exp(by_node - largest) @ weights) + largest[..., 0]
+    evidence = np.sum(off * (likelihood.score - 0.5 * pulled), axis=-1) + total
+    return evidence, _typicality(known, slope, nodes, weights)
+
+
+def _typicality(known: Array, slope: Array, nodes: Array, weights: Array) -> Array:
+    used = known > _LEAST_INFORMATION
+    count = used.sum(axis=-1)
+    safe = np.where(used, known, 1.0)
+    squares = np.where(used, slope**2 / (safe * (safe + 1.0)), 0.0).sum(axis=-1)
+    # The mean share of the class in the variance of a direction: it alone has the heavy tails.
+    share = np.where(used, safe / (safe + 1.0), 0.0).sum(axis=-1) / np.maximum(count, 1)
+    scale = 1.0 + share[..., None] * (1.0 / nodes - 1.0)
+    tails = chdtrc(np.maximum(count, 1)[..., None], squares[..., None] / scale)
+    result: Array = np.where(count > 0, tails @ weights, 1.0)
+    return result
+
+
+@functools.lru_cache(maxsize=256)
+def _mixture(degrees: float) -> tuple[Array, Array]:
+    """Return g and its weights: gamma of mean 1 and shape degrees/2."""
+    if degrees > _MOST_DEGREES:
+        return np.ones(1), np.ones(1)
+    shape = 0.5 * degrees
+    roots, weights = roots_genlaguerre(_NODES, shape - 1.0)
+    weights = weights * math.exp(-float(gammaln(shape)))
+    return roots / shape, weights / weights.sum()
+
+
+def _is_observable(
+    library: TissueLibrary, likelihood: Likelihood, evidence: Array, best: int
+) -> bool:
+    """Whether the data have looked at what tells the best tissue from each of the others."""
+    tissues = library.tissues
+    if best == len(tissues):
+        return True
+    own = tissues[best]
+    for index, other in enumerate(tissues):
+        if index == best or evidence[best] - evidence[index] > math.log(_SPEAKING_ODDS):
+            continue
+        spread = 0.5 * (own.covariance + other.covariance)
+        direction = np.linalg.solve(spread, own.mean - other.mean)
+        before = direction @ spread @ direction
+        left = np.linalg.solve(np.eye(3) + spread @ likelihood.information, spread)
+        if before > 0.0 and direction @ left @ direction > _OBSERVABLE_SHARE * before:
+            return False
+    return True
+
+
+def combined(likelihoods: Sequence[Likelihood]) -> Likelihood:
+    """Return what independent contacts with one place say together.
+
+    Contacts that the pipeline counts to one site are not independent estimates: the last one
+    holds those before it already.
+    """
+    total = likelihoods[0]
+    for likelihood in likelihoods[1:]:
+        total = total + likelihood
+    return total
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    result: Array = np.einsum("...ij,...j->...i", matrices, vectors)
+    return result

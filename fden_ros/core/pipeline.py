@@ -17,9 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma
 
-from fden_ros.core.classifier import UNKNOWN, ClassProbabilities, TissueLibrary, classify
+from fden_ros.core.classifier import (
+    UNKNOWN,
+    ClassProbabilities,
+    Likelihood,
+    TissueLibrary,
+    classify,
+    likelihood_of_estimate,
+    mean_of,
+)
 from fden_ros.core.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.decision import Decider, DecisionConfig
 from fden_ros.core.estimator import (
     Block,
     Estimate,
@@ -32,6 +41,15 @@ from fden_ros.core.estimator import (
 from fden_ros.core.fractional_integral import SHORTEST_STEP, FractionalIntegral
 from fden_ros.core.geometry import FlatPunch, Geometry
 from fden_ros.core.model import apparent_stiffness_factor, elastic_response
+from fden_ros.core.relative import (
+    Comparison,
+    LogStiffness,
+    RelativeConfig,
+    compare,
+    log_stiffness,
+    stack,
+    without_prior,
+)
 from fden_ros.core.stress_basis import order_interpolation, order_nodes
 from fden_ros.core.stress_estimator import StressEstimator
 from fden_ros.core.synchronize import (
@@ -102,8 +120,8 @@ class PipelineConfig:
 
     Parameters
     ----------
-    library : TissueLibrary
-        Tissues to classify into.
+    library : TissueLibrary or None
+        Tissues to classify into; None: nothing is classified.
     geometry : Geometry
         From force and displacement to stress and strain.
     synchronize, contact, estimator
@@ -116,13 +134,17 @@ class PipelineConfig:
         A block is cut short when the compression changes by more than this [1].
     apparent_stiffness_time_scale : float
         tau of the apparent stiffness [s].
+    decision : DecisionConfig
+        When a tissue is named.
+    relative : RelativeConfig or None
+        Compare each site with those around it that were touched before, not with the library.
     dither_frequencies : tuple of float
         Frequencies of the probe's oscillation [Hz], different; empty: there is none.
     dither_periods : int
         One complex modulus per so many periods of the lowest frequency.
     """
 
-    library: TissueLibrary
+    library: TissueLibrary | None
     geometry: Geometry = field(default_factory=lambda: FlatPunch(area=1e-4, thickness=0.02))
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
@@ -131,6 +153,8 @@ class PipelineConfig:
     block_duration: float = 0.01
     block_compression: float = 0.005
     apparent_stiffness_time_scale: float = 0.1
+    decision: DecisionConfig = field(default_factory=DecisionConfig)
+    relative: RelativeConfig | None = None
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
 
@@ -171,6 +195,14 @@ class TissueState:
 
 
 @dataclass(frozen=True)
+class Decided:
+    """What it took to name the tissue, since the touch."""
+
+    time: float  #: [s]
+    strain: float  #: largest so far [1]
+
+
+@dataclass(frozen=True)
 class Classification:
     """Which tissue it is, as far as can be said."""
 
@@ -181,6 +213,8 @@ class Classification:
     flags: Flag
     classes: ClassProbabilities | None
     library_name: str
+    decided: Decided | None = None
+    comparison: Comparison | None = None
 
 
 @dataclass(frozen=True)
@@ -204,6 +238,8 @@ class ContactSummary:
     sample_count: int
     rejected_count: int
     classes: ClassProbabilities | None
+    decided: Decided | None = None
+    comparison: Comparison | None = None
 
 
 @dataclass(frozen=True)
@@ -283,6 +319,9 @@ class _Contact:
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
     classes: ClassProbabilities | None = None
     decision: Decision = Decision.NONE
+    decider: Decider | None = None
+    comparison: Comparison | None = None
+    decided: Decided | None = None
 
 
 @dataclass
@@ -353,6 +392,7 @@ class Pipeline:
     def _forget_site(self) -> None:
         self._site: _Site | None = None
         self._contact: _Contact | None = None
+        self._stiffnesses: dict[int, tuple[Position | None, LogStiffness]] = {}
         self._previous_ns: int | None = None
         self._usual_step_ns = 0.0
         self._sums.clear()
@@ -830,29 +870,86 @@ class Pipeline:
     ) -> None:
         if estimate is None or not estimate.converged:
             if contact.decision is Decision.NONE:
-                self._decide(stamp_ns, contact, site, Decision.UNDETERMINED, None)
+                self._decide(stamp_ns, contact, site, None)
             return
         if self._blocks % _CLASSIFY_EVERY and contact.classes is not None:
             return
-        library = self.config.library
-        classes = classify(library, estimate, self._is_order_learned(estimate))
+        classes = self._classes(stamp_ns, contact, site, estimate)
+        if classes is None:
+            if contact.decision is Decision.NONE:
+                self._decide(stamp_ns, contact, site, None)
+            return
         previous = contact.classes
-        changed = previous is None or any(
-            abs(new - old) > _PROBABILITY_CHANGE
-            for new, old in zip(classes.probabilities, previous.probabilities, strict=True)
-        )
-        if changed or (previous is not None and previous.label != classes.label):
-            decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
-            self._decide(stamp_ns, contact, site, decision, classes)
+        if (
+            previous is None
+            or previous.label != classes.label
+            or any(
+                abs(new - old) > _PROBABILITY_CHANGE
+                for new, old in zip(classes.probabilities, previous.probabilities, strict=True)
+            )
+        ):
+            self._decide(stamp_ns, contact, site, classes)
 
-    def _decide(
+    def _classes(
         self,
         stamp_ns: int,
         contact: _Contact,
         site: _Site,
-        decision: Decision,
-        classes: ClassProbabilities | None,
+        estimate: Estimate,
+        *,
+        last: bool = False,
+    ) -> ClassProbabilities | None:
+        """Return the probabilities by now, with the label that stands; None: nothing to tell."""
+        config = self.config
+        likelihood = likelihood_of_estimate(
+            estimate, config.estimator.prior, config.estimator.order_given
+        )
+        if config.relative is not None:
+            contact.comparison = self._compare(site, estimate, likelihood)
+            if contact.comparison is None:
+                return None
+            classes = contact.comparison.classes(config.relative.ratio)
+        elif config.library is not None:
+            classes = classify(config.library, likelihood, config.decision.significance)
+        else:
+            return None
+        if contact.decider is None:
+            contact.decider = Decider(config.decision)
+        before = contact.decider.label
+        label = contact.decider.update(stamp_ns, classes, last=last)
+        if label != before:
+            elapsed = (stamp_ns - contact.start_ns) / NANOSECONDS
+            contact.decided = Decided(elapsed, contact.max_strain) if label else None
+        return classes._replace(label=label)
+
+    def _compare(
+        self, site: _Site, estimate: Estimate, likelihood: Likelihood
+    ) -> Comparison | None:
+        """Compare a site with those around it, and keep it for those to come."""
+        relative = self.config.relative
+        assert relative is not None
+        own = without_prior(likelihood) or (mean_of(estimate), estimate.covariance)
+        place = log_stiffness(*own, relative.strain, relative.time_scale)
+        around = [
+            other
+            for site_id, (position, other) in self._stiffnesses.items()
+            if site_id != site.site_id
+            and (
+                relative.distance == 0.0
+                or position is None
+                or site.position is None
+                or self._lateral_distance(position, site.position) <= relative.distance
+            )
+        ]
+        self._stiffnesses[site.site_id] = (site.position, place)
+        return compare(place, stack(around))
+
+    def _decide(
+        self, stamp_ns: int, contact: _Contact, site: _Site, classes: ClassProbabilities | None
     ) -> None:
+        decision = Decision.UNDETERMINED
+        if classes is not None and classes.label:
+            decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
         contact.decision, contact.classes = decision, classes
         self._emit(
             Classification(
@@ -862,9 +959,17 @@ class Pipeline:
                 contact_id=contact.contact_id,
                 flags=contact.flags,
                 classes=classes,
-                library_name=self.config.library.name,
+                library_name=self._library_name,
+                decided=contact.decided,
+                comparison=contact.comparison,
             )
         )
+
+    @property
+    def _library_name(self) -> str:
+        if self.config.relative is not None or self.config.library is None:
+            return ""
+        return self.config.library.name
 
     def _end_contact(self, end_ns: int | None, *, complete: bool) -> None:
         contact, site = self._contact, self._site
@@ -892,7 +997,7 @@ class Pipeline:
         rejected = self.rejected.total() - contact.rejected_before
         classes = None
         if estimate is not None and converged:
-            classes = classify(self.config.library, estimate, self._is_order_learned(estimate))
+            classes = self._classes(end_ns, contact, site, estimate, last=True)
         return ContactSummary(
             stamp_ns=end_ns,
             start_ns=contact.start_ns,
@@ -911,6 +1016,8 @@ class Pipeline:
             sample_count=contact.sample_count,
             rejected_count=rejected,
             classes=classes,
+            decided=contact.decided if classes is not None else None,
+            comparison=contact.comparison if classes is not None else None,
         )
 
     def _input_flags(self) -> Flag:

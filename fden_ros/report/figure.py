@@ -167,7 +167,8 @@ def _draw_characteristics(axes: Axes, session: Session) -> None:
 
 
 def _name(summary: ContactSummary) -> str:
-    label = summary.classes.label if summary.classes is not None else "undetermined"
+    label = summary.classes.label if summary.classes is not None else ""
+    label = label or "undetermined"
     return f"site {summary.site_id}, contact {summary.contact_id}: {label}"
 
 

@@ -171,7 +171,7 @@ def _pm(value: float, deviation: float) -> str:
 def _label(summary: ContactSummary) -> str:
     if summary.classes is None:
         return "undetermined"
-    return f"{summary.classes.label} {max(summary.classes.probabilities):.0%}"
+    return summary.classes.words
 
 
 def _contact(session: Session, contact: Contact) -> dict[str, Any]:

@@ -65,4 +65,4 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
 def _label(summary: ContactSummary) -> str:
     if summary.classes is None:
         return "undetermined"
-    return f"{summary.classes.label} {max(summary.classes.probabilities):.0%}"
+    return summary.classes.words

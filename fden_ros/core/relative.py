@@ -1,0 +1,240 @@
+r"""How many times stiffer a place is than its surroundings, for tissue that no library knows.
+
+Places are compared by the logarithm of their apparent modulus for a small motion that lasts tau at
+the strain x,
+
+.. math:: l = \ln \phi'(x) - \alpha \ln\tau - \ln\Gamma(1 - \alpha),
+   \qquad \ln\phi'(x) = \ln G + \max(G_n |x| - 1, 0),
+
+because a fractional solid has no stiffness without a time scale, nor a nonlinear one without a
+strain. The surroundings vary by nature: :math:`l_k \sim N(m, t^2 + v_k)` with :math:`v_k` the
+variance of each estimate (a random-effects mean; R. DerSimonian and N. Laird, Controlled Clinical
+Trials 7 (1986) 177), where a small share may be something else, lesions among them: each place
+counts with its probability of not being that. The mean enters with Student's t.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma, gammaln
+from scipy.stats import t as students_t
+
+from fden_ros.core.classifier import ClassProbabilities, Likelihood
+
+Array = NDArray[np.float64]
+
+#: Answers of the comparison.
+ANSWERS = ("softer", "alike", "stiffer")
+
+#: Fewer places are no surroundings.
+LEAST_SURROUNDINGS = 4
+#: Share of the surroundings that may be something else, and its spread in l.
+_FOREIGN, _FOREIGN_SD = 0.1, 1.5
+#: Tissue that varies less is not believed.
+_LEAST_SD = 0.02
+_MEDIAN_TO_SD = 1.4826
+_ITERATIONS = 30
+
+
+@dataclass(frozen=True)
+class RelativeConfig:
+    """At what the comparison is made.
+
+    Parameters
+    ----------
+    ratio : float
+        Stiffer by more than this is ``stiffer``; softer by more ``softer``.
+    strain : float
+        x [1].
+    time_scale : float
+        tau [s].
+    distance : float
+        Surroundings are places within this distance [m]; 0: all.
+    """
+
+    ratio: float = 1.5
+    strain: float = 0.1
+    time_scale: float = 0.1
+    distance: float = 0.0
+
+
+class LogStiffness(NamedTuple):
+    """l of one place, or of many."""
+
+    value: Array  #: [1]
+    variance: Array  #: [1]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A place and its surroundings.
+
+    Parameters
+    ----------
+    log_ratio, log_ratio_sd : float
+        ln of how many times stiffer than the mean of the surroundings, and its error.
+    degrees_of_freedom : float
+        Of Student's t.
+    natural_sd : float
+        How much l varies within the surroundings, errors taken out.
+    count : float
+        How many places of the surroundings count.
+    """
+
+    log_ratio: float
+    log_ratio_sd: float
+    degrees_of_freedom: float
+    natural_sd: float
+    count: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times stiffer than the surroundings."""
+        return math.exp(self.log_ratio)
+
+    def interval(self, probability: float = 0.95) -> tuple[float, float]:
+        """Return the interval that holds the ratio with this probability."""
+        reach = self.log_ratio_sd * float(
+            students_t.ppf(0.5 + 0.5 * probability, self.degrees_of_freedom)
+        )
+        return math.exp(self.log_ratio - reach), math.exp(self.log_ratio + reach)
+
+    def probability_stiffer(self, ratio: float = 1.0) -> float:
+        """Return the probability that the place is more than `ratio` times stiffer."""
+        off = (self.log_ratio - math.log(ratio)) / self.log_ratio_sd
+        return float(students_t.cdf(off, self.degrees_of_freedom))
+
+    @property
+    def deviations(self) -> float:
+        """How many standard deviations, natural variation and errors together, it lies off."""
+        return self.log_ratio / math.hypot(self.log_ratio_sd, self.natural_sd)
+
+    def classes(self, ratio: float) -> ClassProbabilities:
+        """Return the probabilities of being softer, alike and stiffer by `ratio`."""
+        stiffer = self.probability_stiffer(ratio)
+        softer = 1.0 - self.probability_stiffer(1.0 / ratio)
+        probabilities = (softer, max(1.0 - softer - stiffer, 0.0), stiffer)
+        label = ANSWERS[int(np.argmax(probabilities))]
+        return ClassProbabilities(label, ANSWERS, probabilities)
+
+
+def log_stiffness(
+    mean: Array, covariance: Array, strain: float, time_scale: float
+) -> LogStiffness:
+    """Return l and its variance.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (..., 3)
+        Of (ln G, ln Gn, alpha).
+    covariance : ndarray, shape (..., 3, 3)
+    strain : float
+        x [1].
+    time_scale : float
+        tau [s].
+    """
+    order = mean[..., 2]
+    reach = np.exp(mean[..., 1]) * abs(strain)
+    beyond = np.maximum(reach - 1.0, 0.0)
+    value = mean[..., 0] + beyond - order * math.log(time_scale) - gammaln(1.0 - order)
+    gradient = np.stack(
+        [
+            np.ones_like(order),
+            np.where(beyond > 0.0, reach, 0.0),
+            digamma(1.0 - order) - math.log(time_scale),
+        ],
+        axis=-1,
+    )
+    variance = np.einsum("...i,...ij,...j->...", gradient, covariance, gradient)
+    return LogStiffness(value, np.maximum(variance, 0.0))
+
+
+def without_prior(likelihood: Likelihood) -> tuple[Array, Array] | None:
+    """Return mean and covariance of what the data alone say, where they say enough of all."""
+    if float(np.linalg.eigvalsh(likelihood.information).min()) <= 0.0:
+        return None
+    covariance = np.linalg.inv(likelihood.information).astype(np.float64)
+    return likelihood.centre + covariance @ likelihood.score, covariance
+
+
+def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | None:
+    """Return how a place compares with its surroundings.
+
+    Parameters
+    ----------
+    place : LogStiffness
+        Scalars.
+    surroundings : LogStiffness
+        Shape (k,), the place itself not among them.
+
+    Returns
+    -------
+    Comparison or None
+        None: too few surroundings, or too few of them of one kind.
+    """
+    values, variances = np.atleast_1d(*surroundings)
+    if values.size < LEAST_SURROUNDINGS:
+        return None
+    mean = float(np.median(values))
+    natural = (_MEDIAN_TO_SD * float(np.median(np.abs(values - mean)))) ** 2
+    for _ in range(_ITERATIONS):
+        natural = max(natural, _LEAST_SD**2)
+        own = natural + variances
+        belongs = _belongs((values - mean) ** 2, own)
+        weights = belongs / own
+        mean = float(weights @ values / weights.sum())
+        # The mean takes one degree of freedom.
+        excess = float(belongs @ ((values - mean) ** 2 - variances))
+        natural = (excess + natural) / max(float(belongs.sum()), 1.0)
+    natural = max(natural, _LEAST_SD**2)
+    count = float(belongs.sum())
+    if count < LEAST_SURROUNDINGS - 1:
+        return None
+    error = float(place.variance) + 1.0 / float((belongs / (natural + variances)).sum())
+    return Comparison(
+        float(place.value) - mean, math.sqrt(error), count - 1.0, math.sqrt(natural), count
+    )
+
+
+def _belongs(squares: Array, variances: Array) -> Array:
+    """Return the probability that each of the surroundings is not something else."""
+    wide = variances + _FOREIGN_SD**2
+    odds = (
+        _FOREIGN
+        / (1.0 - _FOREIGN)
+        * np.sqrt(variances / wide)
+        * np.exp(np.minimum(0.5 * squares * (1.0 / variances - 1.0 / wide), 500.0))
+    )
+    result: Array = 1.0 / (1.0 + odds)
+    return result
+
+
+def neighbours(positions: Array, index: int, distance: float) -> NDArray[np.intp]:
+    """Return which places lie within `distance` of place `index`; all others where that is 0.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n, d)
+        [m]
+    index : int
+    distance : float
+        [m]
+    """
+    apart = np.linalg.norm(positions - positions[index], axis=1)
+    near = apart <= distance if distance > 0.0 else np.ones(len(apart), dtype=bool)
+    near[index] = False
+    return np.flatnonzero(near)
+
+
+def stack(places: Sequence[LogStiffness]) -> LogStiffness:
+    """Return places as one."""
+    return LogStiffness(
+        np.array([float(place.value) for place in places]),
+        np.array([float(place.variance) for place in places]),
+    )
