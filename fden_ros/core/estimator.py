@@ -146,6 +146,10 @@ class Estimator(Protocol):
         """Whether the innovations are larger or slower than model and noise explain."""
 
     @property
+    def is_doubtful(self) -> bool:
+        """Whether something came of late that is not explained yet."""
+
+    @property
     def change_count(self) -> int:
         """How often the tissue was found to have changed under the probe."""
 
@@ -244,6 +248,11 @@ class FractionalStressEstimator:
     @property
     def is_mismatch(self) -> bool:
         """Never told: the noise of the fractional stress is coloured."""
+        return False
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Never told either."""
         return False
 
     @property

@@ -794,7 +794,8 @@ class Pipeline:
             return
         status = Status.CONVERGING
         if estimate is not None and estimate.converged:
-            status = Status.CONVERGED
+            doubtful = site.estimator is not None and site.estimator.is_doubtful
+            status = Status.CONVERGING if doubtful else Status.CONVERGED
         flags = contact.flags | self._input_flags()
         self._emit(
             TissueState(

@@ -179,8 +179,8 @@ class StressEstimator:
         self._doubtful_blocks = 0
 
     @property
-    def _is_doubtful(self) -> bool:
-        """Whether something came that is not explained yet: no good estimate, or a lesion."""
+    def is_doubtful(self) -> bool:
+        """Whether something came of late that is not explained yet."""
         return self._doubtful_blocks > 0 or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
 
     @property
@@ -566,8 +566,7 @@ class StressEstimator:
             strain_origin=float(self._state[_ORIGIN]),
             strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            converged=not self._is_doubtful
-            and beyond >= config.converged_probability
+            converged=beyond >= config.converged_probability
             and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
             sample_count=self._sample_count,
         )

@@ -77,15 +77,15 @@ _FORWARD_JUMP_NS = NANOSECONDS
 _LATE_RUN = 20
 #: The usual step, in stamps and in values, follows the last samples with this gain.
 _GAIN = 1.0 / 32.0
-#: A value so many usual changes away from its neighbours on both sides is a spike ...
+#: A value so many usual changes away from its neighbours on both sides is a spike.
 _SPIKE_CHANGES = 12.0
-#: ... and lets the usual change grow by no more than this, so that larger noise is believed soon.
+#: One change alone makes what is usual grow by no more than this share of it, times the gain.
 _MOST_GROWTH = 4.0
 #: What is usual is known from so many samples.
 _USUAL_SAMPLES = 32
 #: A signal that never repeated itself for longer than a fifth of this many samples is stuck: the
 #: sensor is dead, or at its end.
-_STUCK_SAMPLES = 10
+_STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
 
 
@@ -274,7 +274,6 @@ class _ValueGuard:
             self._held = None
             if change >= 0.5 * abs(held.value - last.value):
                 return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
-            self._learn(abs(held.value - last.value))
             judged.append((held, Reason.SPIKE))
         if self._changes >= _USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
             self._held = sample
