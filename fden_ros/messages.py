@@ -22,6 +22,7 @@ from fden_ros.core.pipeline import (
     ApparentStiffness,
     Classification,
     ContactSummary,
+    Decided,
     DynamicModulus,
     Flag,
     OrderSource,
@@ -289,7 +290,7 @@ def classification_message(output: Classification, frame_id: str) -> TissueClass
     message.contact_id = output.contact_id
     message.flags = int(output.flags)
     message.library = output.library_name
-    _fill_classes(message, output.classes)
+    _fill_classes(message, output)
     return message
 
 
@@ -337,7 +338,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     message.max_force = summary.max_force
     message.sample_count = summary.sample_count
     message.rejected_count = summary.rejected_count
-    _fill_classes(message, summary.classes)
+    _fill_classes(message, summary)
     return message
 
 
@@ -362,12 +363,19 @@ def _fill_parameters(
 
 
 def _fill_classes(
-    message: TissueClassification | PalpationSummary, classes: ClassProbabilities | None
+    message: TissueClassification | PalpationSummary, output: Classification | ContactSummary
 ) -> None:
+    classes, decided, comparison = output.classes, output.decided, output.comparison
     if classes is not None:
         message.label = classes.label
         message.class_names = list(classes.names)
         message.probabilities = list(classes.probabilities)
+        message.typicality = classes.typicality
+    if decided is not None:
+        message.decision_time, message.decision_strain = decided.time, decided.strain
+    if comparison is not None:
+        message.ratio = comparison.ratio
+        message.ratio_low, message.ratio_high = comparison.interval()
 
 
 def state_of(message: TissueEstimate) -> TissueState:
@@ -425,10 +433,14 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         sample_count=message.sample_count,
         rejected_count=message.rejected_count,
         classes=ClassProbabilities(
-            message.label, tuple(message.class_names), tuple(message.probabilities)
+            message.label,
+            tuple(message.class_names),
+            tuple(message.probabilities),
+            message.typicality,
         )
         if message.class_names
         else None,
+        decided=Decided(message.decision_time, message.decision_strain) if message.label else None,
     )
 
 

@@ -170,6 +170,12 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "samples": summary.sample_count,
         "label": "",
         "probabilities": {},
+        "typicality": None,
+        "decision_time": None,
+        "decision_strain": None,
+        "ratio": None,
+        "ratio_low": None,
+        "ratio_high": None,
     }
     estimate = summary.estimate
     if estimate is not None:
@@ -189,4 +195,11 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         contact["probabilities"] = dict(
             zip(summary.classes.names, summary.classes.probabilities, strict=True)
         )
+        contact["typicality"] = summary.classes.typicality
+    if summary.decided is not None:
+        contact["decision_time"] = summary.decided.time
+        contact["decision_strain"] = summary.decided.strain
+    if summary.comparison is not None:
+        contact["ratio"] = summary.comparison.ratio
+        contact["ratio_low"], contact["ratio_high"] = summary.comparison.interval()
     return contact

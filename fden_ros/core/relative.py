@@ -40,6 +40,8 @@ _FOREIGN, _FOREIGN_SD = 0.1, 1.5
 _LEAST_SD = 0.02
 _MEDIAN_TO_SD = 1.4826
 _ITERATIONS = 30
+#: A ratio is known at least so far, that no number overflows.
+_LARGEST_LOG = 100.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ class Comparison:
         reach = self.log_ratio_sd * float(
             students_t.ppf(0.5 + 0.5 * probability, self.degrees_of_freedom)
         )
-        return math.exp(self.log_ratio - reach), math.exp(self.log_ratio + reach)
+        low, high = self.log_ratio - reach, self.log_ratio + reach
+        return math.exp(max(low, -_LARGEST_LOG)), math.exp(min(high, _LARGEST_LOG))
 
     def probability_stiffer(self, ratio: float = 1.0) -> float:
         """Return the probability that the place is more than `ratio` times stiffer."""

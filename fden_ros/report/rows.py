@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -11,13 +12,21 @@ from fden_ros.replay import contact_object
 from fden_ros.report.session import Session
 
 #: The columns, in their order. x, y, z: place of the touch [m]; mean_nis: mean of the normalised
-#: innovation squared, 1 where model and noise are right.
+#: innovation squared, 1 where model and noise are right. Correlations: of ln G, ln Gn and alpha.
 COLUMNS = (
     "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n", "g_n_sd",
     "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale", "converged",
     "complete", "flags", "max_strain", "max_stress", "max_force", "samples", "rejected", "label",
-    "probability", "mean_nis",
+    "probability", "mean_nis", "typicality", "decision_time", "decision_strain", "ratio",
+    "ratio_low", "ratio_high", "g_g_n_correlation", "g_alpha_correlation", "g_n_alpha_correlation",
 )  # fmt: skip
+
+#: Columns of the correlations, and which of (ln G, ln Gn, alpha) each is of.
+CORRELATIONS = {
+    "g_g_n_correlation": (0, 1),
+    "g_alpha_correlation": (0, 2),
+    "g_n_alpha_correlation": (1, 2),
+}
 
 
 def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, Any]:
@@ -33,6 +42,12 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
         row["boundary_strain"] = 1.0 / row["g_n"]
         row["exponential_scale"] = exponential_scale(row["g"], row["g_n"])
     row["mean_nis"] = mean_nis
+    row |= dict.fromkeys(CORRELATIONS)
+    if summary.estimate is not None:
+        covariance = summary.estimate.covariance
+        for name, (i, j) in CORRELATIONS.items():
+            scale = math.sqrt(covariance[i, i] * covariance[j, j])
+            row[name] = float(covariance[i, j]) / scale if scale > 0.0 else 0.0
     return {name: row[name] for name in COLUMNS}
 
 
