@@ -161,6 +161,7 @@ class StressEstimator:
         self._prior_deviations = np.array(deviations)
         self._state = self._mean.copy()
         self._covariance = np.diag(self._prior_deviations**2)
+        self._prior_covariance = self._covariance.copy()
         self._node_states = np.tile(self._mean, (nodes, 1))
         self._node_states[:, _LOG_GN] = self._grid.nodes
         self._is_narrow = False
@@ -173,6 +174,7 @@ class StressEstimator:
         self._sample_count = 0
         self._contact_start: float | None = None
         self._monitor = InnovationMonitor()
+        self._was_mismatch = False
         self._blind_until = -math.inf
         self._recent_states: deque[Array] = deque(maxlen=LONGEST_CHANGE_WINDOW + 2)
         self.change_count = 0
@@ -186,13 +188,14 @@ class StressEstimator:
     @property
     def is_mismatch(self) -> bool:
         """Whether the innovations are larger or slower than model and noise explain."""
-        return self._monitor.mismatch_count > _MISMATCH_DELAY
+        return self._was_mismatch or self._monitor.mismatch_count > _MISMATCH_DELAY
 
     # Samples
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the force."""
         self._forget_nuisances()
+        self._was_mismatch = False
         self._contact_start = None
         for index, deviation in ((_BIAS, bias_sd), (_DRIFT, drift_sd), (_PULSE, 0.0)):
             self._mean[index] = 0.0
@@ -314,6 +317,8 @@ class StressEstimator:
         self._node_states[:, _LOG_GN] = self._grid.nodes
         self._is_narrow = False
         self._max_compression = -math.inf
+        # Nor is it one that the model describes if it did not fit before the change.
+        self._was_mismatch = self.is_mismatch
         self._monitor = InnovationMonitor()
         self._recent_states.clear()
         self.change_count += 1
@@ -413,20 +418,33 @@ class StressEstimator:
 
     def _solve_narrow(self) -> None:
         free = self._free
+        state, least = self._state, math.inf
         for _ in range(_MOST_STEPS):
-            first, directions = self._directions(self._state)
+            first, directions = self._directions(state)
             quadratic = directions @ self._stencil_products(first) @ directions.T
-            step, hessian = self._step(self._state[None], quadratic[None], free)
-            self._state = self._bounded(self._state + step[0])
-            remaining = float(_decrement(step, hessian, free)[0])
-            if remaining <= _CLOSE:
+            step, hessian = self._step(state[None], quadratic[None], free)
+            decrement = float(_decrement(step, hessian, free)[0])
+            misfit = float(quadratic[0, 0] + self._distance_to_prior(state, free))
+            # Where the model is wrong the steps may run in circles: the best of them counts.
+            if misfit < least:
+                least, remaining = misfit, decrement
+                self._state = state
+                self._covariance = self._covariances(hessian, quadratic[None], free)[0]
+            state = self._bounded(state + step[0])
+            if decrement <= _CLOSE:
+                self._state = state
                 break
-        self._covariance = self._covariances(hessian, quadratic[None], free)[0]
         if remaining > 1.0 or self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
             self._is_narrow = False
             nodes = self._grid.nodes
             self._node_states[:] = self._state
             self._node_states[:, _LOG_GN] = nodes
+
+    def _distance_to_prior(self, states: Array, free: Indices) -> Array:
+        """Return the sum of squares of the free parameters' distances, shape (...)."""
+        deviation = (states - self._mean)[..., free] / self._prior_deviations[free]
+        distance: Array = np.sum(deviation**2, axis=-1)
+        return distance
 
     def _step(self, states: Array, quadratics: Array, free: Indices) -> tuple[Array, Array]:
         """Return Gauss-Newton steps, shape (n, 6), and Hessians, shape (n, free, free)."""
@@ -472,10 +490,9 @@ class StressEstimator:
             close = _decrement(steps, hessians, free) <= _CLOSE
             if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
                 break
-        deviation = (states - self._mean)[:, free] / self._prior_deviations[free]
         log_evidence = -0.5 * (
             quadratics[:, 0, 0]
-            + np.sum(deviation**2, axis=1)
+            + self._distance_to_prior(states, free)
             + np.linalg.slogdet(hessians)[1]
             + ((self._grid.nodes - self._mean[_LOG_GN]) / self._prior_deviations[_LOG_GN]) ** 2
         )
@@ -557,6 +574,9 @@ class StressEstimator:
         config = self._config
         # Symmetric to the last bit, which products of matrices are not.
         covariance = 0.5 * self._monitor.inflation * (self._covariance + self._covariance.T)
+        if self.is_mismatch:
+            # The parameters of a wrong model are known no better than before the touch.
+            covariance += self._prior_covariance
         beyond = self._probability_beyond_boundary()
         return Estimate(
             log_linear_stiffness=float(self._state[_LOG_G]),
