@@ -18,6 +18,7 @@ COMMANDS = (
     "batch",
     "play",
     "demo",
+    "train",
     "fit",
     "calibrate",
     "reproduce",
@@ -37,6 +38,8 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden report /tmp/ramp -o ramp.html  a page to read: what was pressed, how well it is known
   fden batch archive -o results.parquet
                                       an archive of bags, a row a contact
+  fden train liver/1=bags -o library.yaml
+                                      a tissue library from labelled contacts
   fden play /tmp/ramp                 publish a bag on live topics
   fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment

@@ -1,0 +1,266 @@
+"""``fden train``: a tissue library from labelled contacts."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from fden_ros.training import Check, Contacts, Spread
+
+DESCRIPTION = """\
+Learn a tissue library from labelled contacts: per tissue the distribution of (ln G, ln Gn, alpha)
+over specimens, with the estimation error of each contact taken out, and a check in which one
+specimen at a time is left out. LABELLED is
+
+  TISSUE=BAG             a bag or a folder of bags, all of this tissue
+  TISSUE/SPECIMEN=BAG    and all of this specimen
+  LIST.csv               columns bag, tissue and, if known, specimen; paths from the list's folder
+  RESULTS.csv, .parquet  columns tissue, specimen, g, g_sd, g_n, g_n_sd, alpha, alpha_sd; such as
+                         fden batch and fden report --csv write, with the columns tissue and
+                         specimen added, or as TISSUE/SPECIMEN=RESULTS.parquet
+
+The column label of results is what the classifier said: it is not used.
+"""
+
+EPILOG = """\
+examples:
+  fden train liver/pig1=bags/pig1 liver/pig2=bags/pig2 muscle/pig1=bags/muscle1 \\
+      --config probe.yaml -o library.yaml
+  fden train labels.csv --config probe.yaml -o library.yaml
+  fden train liver.csv muscle.csv -o library.yaml --prior liver=0.8 --prior muscle=0.15
+  fden train results.parquet --tissue-column organ --specimen-column animal -o library.yaml
+then: fden replay BAG --config probe.yaml, with classifier.library: library.yaml in it
+
+The prior of the estimator is in every estimate, and is taken out again: give the --config that the
+results were made with, and make it wide. Contacts that have not converged are left out. Exit
+codes: 0 done, 1 the input cannot be used, 2 wrong usage.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "train",
+        help="learn a tissue library from labelled contacts",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("labelled", nargs="+", metavar="LABELLED", help="as above")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="the library, YAML"
+    )
+    parser.add_argument("--name", help="name of the library (default: that of the file)")
+    parser.add_argument(
+        "--prior",
+        type=_prior,
+        action="append",
+        default=[],
+        metavar="TISSUE=P",
+        help="probability of meeting a tissue, up to a common factor (default: all alike)",
+    )
+    parser.add_argument(
+        "--unknown",
+        type=_share,
+        default=None,
+        metavar="P",
+        help="probability of meeting what is none of them (default: 0.1)",
+    )
+    parser.add_argument("--tissue-column", default="tissue", metavar="NAME")
+    parser.add_argument("--specimen-column", default="specimen", metavar="NAME")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_input_options(parser)
+    parser.set_defaults(run=run, parser=parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Learn, check, write and print; return the exit code."""
+    from fden_ros.benchmarks import progress
+    from fden_ros.labelled import Columns, Source, read_source
+    from fden_ros.library import units_of
+    from fden_ros.training import (
+        UNKNOWN_PRIOR,
+        check,
+        check_object,
+        joined,
+        learn,
+        library_of,
+        library_text,
+    )
+
+    parameters, selection = parameters_of(args), selection_of(args)
+    columns = Columns(args.tissue_column, args.specimen_column)
+    sources = [Source.parse(text) for text in args.labelled]
+    with progress("contacts", len(sources)) as advance:
+        parts = []
+        for source in sources:
+            parts.append(read_source(source, parameters, selection, columns))
+            advance()
+    contacts = joined(parts)
+    priors = dict(args.prior)
+    for tissue in priors:
+        if tissue not in contacts.classes:
+            raise InputError(
+                f"--prior {tissue}: there is no such tissue in the data; it has "
+                f"{', '.join(contacts.classes)}"
+            )
+    unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
+    geometry = _geometry(parameters) if args.config else {}
+
+    def make(spreads: Mapping[str, Spread]) -> Any:
+        return library_of(
+            spreads,
+            args.name or args.output.stem,
+            priors,
+            unknown,
+            units_of(parameters),
+            str(geometry.get("kind", "")),
+        )
+
+    spreads = learn(contacts)
+    with progress("one specimen left out", len(set(contacts.groups))) as advance:
+        result = check(contacts, spreads, make, advance)
+    text = library_text(make(spreads), spreads, contacts, result, geometry)
+    try:
+        args.output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{args.output}: cannot be written: {error.strerror}") from None
+    if args.json:
+        summary = {
+            "library": str(args.output),
+            "units": units_of(parameters),
+            "contacts": len(contacts),
+            "mismatched": contacts.mismatched,
+            "left_out": dict(contacts.skipped),
+            "check": check_object(result),
+            "warnings": _warnings(contacts, result),
+        }
+        json.dump(summary, sys.stdout, allow_nan=False)
+        print()
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = 120
+    _print(console, contacts, spreads, result, units_of(parameters))
+    console.print(f"wrote {args.output}")
+    return 0
+
+
+def _geometry(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    kind = parameters["geometry.kind"]
+    sizes = {
+        "flat_punch": ("area", "thickness", "hayes"),
+        "sphere": ("radius",),
+        "torsional_rheometer": ("radius", "thickness"),
+        "pass_through": (),
+    }[kind]
+    return {"kind": kind} | {name: parameters[f"geometry.{name}"] for name in sizes}
+
+
+def _warnings(contacts: Contacts, result: Check) -> list[str]:
+    warnings = []
+    if contacts.unnamed:
+        warnings.append(
+            f"no specimen is named for {', '.join(contacts.unnamed)}: each contact counts as a "
+            "specimen of its own, so spread and check are too good where contacts share one"
+        )
+    for name in result.unchecked:
+        warnings.append(
+            f"{name} has a single specimen: its spread is that of the others, and leaving it out "
+            "would leave none, so it is not checked"
+        )
+    if contacts.mismatched:
+        warnings.append(
+            f"{contacts.mismatched} of {len(contacts)} contacts are not described by the model "
+            "(model_mismatch); their covariance was widened by as much"
+        )
+    for reason, count in contacts.skipped.items():
+        warnings.append(f"left out: {count} {reason}")
+    return warnings
+
+
+def _print(
+    console: Console,
+    contacts: Contacts,
+    spreads: Mapping[str, Spread],
+    result: Check,
+    units: str,
+) -> None:
+    import numpy as np
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(
+        title="Tissues: median and spread over contacts", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    table.add_column("tissue", no_wrap=True)
+    for label in ("contacts", "specimens", f"G [{units} s^α]", "× or ÷", "Gn", "× or ÷", "α", "±"):
+        table.add_column(escape(label), justify="right", no_wrap=True)
+    for name, spread in spreads.items():
+        tissue = spread.tissue(name)
+        sd = np.sqrt(np.diag(tissue.covariance))
+        table.add_row(
+            escape(name),
+            str(spread.contacts),
+            "not named" if name in contacts.unnamed else str(spread.specimens),
+            f"{np.exp(tissue.mean[0]):.4g}",
+            f"{np.exp(sd[0]):.2f}",
+            f"{np.exp(tissue.mean[1]):.3g}",
+            f"{np.exp(sd[1]):.2f}",
+            f"{tissue.mean[2]:.3f}",
+            f"{sd[2]:.3f}",
+        )
+    console.print(table)
+    if len(result.truth):
+        answers = Table(
+            title="Check, one specimen left out: truth (row) and most probable answer",
+            box=box.SIMPLE_HEAD,
+        )
+        answers.add_column("", no_wrap=True)
+        for name in result.names:
+            answers.add_column(escape(name), justify="right")
+        for name, row in zip(result.names[:-1], result.confusion(), strict=True):
+            if row.sum():
+                answers.add_row(escape(name), *map(str, row))
+        console.print(answers)
+        low, high = result.interval()
+        console.print(
+            f"error {np.mean(result.errors):.1%} (95 %: {low:.1%} to {high:.1%}) over "
+            f"{len(result.truth)} contacts of {len(set(result.groups))} specimens"
+        )
+    for warning in _warnings(contacts, result):
+        console.print(f"[yellow]note:[/yellow] {escape(warning)}", soft_wrap=True)
+
+
+def _prior(text: str) -> tuple[str, float]:
+    name, _, number = text.rpartition("=")
+    try:
+        value = float(number)
+    except ValueError:
+        value = 0.0
+    if not name or not value > 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not TISSUE=P with a positive P")
+    return name, value
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1")
+    return value
