@@ -107,6 +107,10 @@ class Inputs:
         """Return the frame_id of the positions; empty before the first."""
         return self._displacement_frame or ""
 
+    def reject(self, stream: str, reason: str) -> None:
+        """Count a message that cannot be read."""
+        self._pipeline.reject(stream, reason)
+
     def add_force(self, message: Any) -> None:
         """Take a force message."""
         header = message.header

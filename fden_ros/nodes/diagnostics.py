@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -34,14 +34,18 @@ class Diagnostics:
         self._pipeline: Pipeline | None = None
         self._subscriptions: Sequence[Subscription] = ()
         self._incompatible: dict[str, str] = {}
+        self._lost: dict[str, int] = {}
         self._pairs_before = 0
         self._rejected_before = 0
+        self._lost_before = 0
 
     def start(self, pipeline: Pipeline, subscriptions: Sequence[Subscription]) -> None:
         """Begin to report on `pipeline`, fed by `subscriptions`, a list that may still grow."""
         self._pipeline = pipeline
         self._subscriptions = subscriptions
         self._incompatible.clear()
+        self._lost.clear()
+        self._lost_before = 0
         self._pairs_before = self._rejected_before = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._node.create_timer(_PERIOD, self._publish, clock=steady)
@@ -68,6 +72,10 @@ class Diagnostics:
         self._incompatible[topic] = problem
         self._node.get_logger().warning(problem, throttle_duration_sec=10.0)
 
+    def message_lost(self, topic: str, event: Any) -> None:
+        """Take note of messages that came faster than they were read."""
+        self._lost[topic] = int(event.total_count)
+
     def _publish(self) -> None:
         pipeline = self._pipeline
         if pipeline is None:
@@ -77,6 +85,7 @@ class Diagnostics:
             self._problems(pipeline),
             pipeline,
             self._pairs_before,
+            {f"lost.{topic}": count for topic, count in sorted(self._lost.items())},
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -90,6 +99,14 @@ class Diagnostics:
             problems += self._publisher_problems(subscription)
         if pipeline.pair_count == self._pairs_before:
             problems.append("no pair of force and displacement in the last second")
+        lost = sum(self._lost.values()) - self._lost_before
+        self._lost_before += lost
+        if lost:
+            problems.append(f"{lost} messages lost in the last second: they come too fast")
+            self._node.get_logger().warning(
+                f"{lost} messages lost in the last second: they come too fast",
+                throttle_duration_sec=10.0,
+            )
         rejected = pipeline.rejected.total() - self._rejected_before
         if rejected:
             problems.append(f"{rejected} samples rejected in the last second")
@@ -110,7 +127,7 @@ class Diagnostics:
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
             return [f"nothing publishes {topic}"]
-        expected = _type_name(subscription.msg_type)
+        expected = type_name(subscription.msg_type)
         wrong = {p.topic_type for p in publishers if p.topic_type != expected}
         problems = [
             f"{topic} is published as {kind}, expected {expected}" for kind in sorted(wrong)
@@ -121,7 +138,11 @@ class Diagnostics:
 
 
 def diagnostic_status(
-    node_name: str, problems: Sequence[str], pipeline: Pipeline, pairs_before: int
+    node_name: str,
+    problems: Sequence[str],
+    pipeline: Pipeline,
+    pairs_before: int,
+    more: Mapping[str, int] | None = None,
 ) -> DiagnosticStatus:
     """Return the status of a node called `node_name`, `pairs_before` as of a second ago."""
     status = DiagnosticStatus()
@@ -129,7 +150,7 @@ def diagnostic_status(
     status.hardware_id = ""
     status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
     status.message = "; ".join(problems) or "identifying"
-    for key, value in _values(pipeline, pairs_before).items():
+    for key, value in {**_values(pipeline, pairs_before), **(more or {})}.items():
         status.values.append(KeyValue(key=key, value=str(value)))
     return status
 
@@ -147,6 +168,7 @@ def _values(pipeline: Pipeline, pairs_before: int) -> dict[str, Any]:
     return values
 
 
-def _type_name(kind: Callable[..., Any]) -> str:
+def type_name(kind: Callable[..., Any]) -> str:
+    """Return the name of a message class, such as ``geometry_msgs/msg/WrenchStamped``."""
     package, _, _ = kind.__module__.partition(".")
     return f"{package}/msg/{kind.__name__}"

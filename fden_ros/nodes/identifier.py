@@ -10,7 +10,9 @@ from __future__ import annotations
 import copy
 import difflib
 import signal
+import struct
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -24,6 +26,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
@@ -40,6 +43,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
@@ -65,11 +69,12 @@ from fden_ros.messages import (
     modulus_message,
     summary_message,
 )
-from fden_ros.nodes.diagnostics import Diagnostics
+from fden_ros.nodes.diagnostics import Diagnostics, type_name
 from fden_ros.nodes.markers import StiffnessMap
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config
+from fden_ros.recording.fast import UnusualError, fast_handler
 
-Callback = Callable[[Any], None]
+_DAMAGED = "damaged"
 
 #: Deep: one lost sample is lost to the fractional integral for good.
 INPUT_QOS = QoSProfile(
@@ -121,6 +126,8 @@ class Identifier(LifecycleNode):
     def __init__(self, **node_options: Any) -> None:
         super().__init__("identifier", **node_options)
         self._declare_parameters()
+        # Transitions may be triggered from any thread, in the middle of a callback.
+        self._lock = threading.RLock()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pipeline: Pipeline | None = None
         self._inputs: Inputs | None = None
@@ -222,7 +229,8 @@ class Identifier(LifecycleNode):
     ) -> TransitionCallbackReturn:
         """Run a transition; log what goes wrong, because rclpy would swallow it."""
         try:
-            action()
+            with self._lock:
+                action()
         except InputError as error:
             self.get_logger().error(f"cannot {name}: {error}")
         except Exception:
@@ -230,7 +238,8 @@ class Identifier(LifecycleNode):
         else:
             return TransitionCallbackReturn.SUCCESS
         if undo is not None:
-            undo()
+            with self._lock:
+                undo()
         return TransitionCallbackReturn.FAILURE
 
     def _configure(self) -> None:
@@ -272,29 +281,54 @@ class Identifier(LifecycleNode):
         self._last_input = self._steady.now()
         self._active = True
         self._diagnostics.start(self._pipeline, self._subscriptions_made)
-        self._subscribe(FORCE_MESSAGES[values["force.message"]], "force", self._inputs.add_force)
+        self._subscribe(FORCE_MESSAGES[values["force.message"]], "force", self._inputs)
         self._subscribe(
-            DISPLACEMENT_MESSAGES[values["displacement.message"]],
-            "displacement",
-            self._inputs.add_displacement,
+            DISPLACEMENT_MESSAGES[values["displacement.message"]], "displacement", self._inputs
         )
         self._stale_timer = self.create_timer(
             _STALE_CHECK_PERIOD, self._check_stale, clock=self._steady
         )
         self._listening_timers = [self._stale_timer]
 
-    def _subscribe(self, kind: type, topic: str, callback: Callback) -> None:
+    def _subscribe(self, kind: type, topic: str, inputs: Inputs) -> None:
         subscription = self.create_subscription(
             kind,
             topic,
-            callback,
+            self._reader(kind, topic, inputs),
             copy.copy(INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event)
+                incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event),
+                message_lost=lambda event: self._diagnostics.message_lost(topic, event),
             ),
             qos_overriding_options=_OVERRIDABLE,
+            # Decoding the few bytes that count is faster than making a message of them all.
+            raw=True,
         )
         self._subscriptions_made.append(subscription)
+
+    def _reader(self, kind: type, topic: str, inputs: Inputs) -> Callable[[bytes], None]:
+        add = inputs.add_force if topic == "force" else inputs.add_displacement
+        fast = fast_handler(topic, type_name(kind), inputs)
+        assert fast is not None
+
+        def read(data: bytes) -> None:
+            with self._lock:
+                if self._inputs is not inputs or not self._active:
+                    return
+                try:
+                    fast(data)
+                    return
+                except (UnusualError, struct.error):
+                    pass
+                try:
+                    message = deserialize_message(data, kind)
+                except Exception:
+                    # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+                    inputs.reject(topic, _DAMAGED)
+                    return
+                add(message)
+
+        return read
 
     def _stop_listening(self) -> None:
         self._active = False
@@ -350,6 +384,10 @@ class Identifier(LifecycleNode):
             self._publishers_made[PointCloud2].publish(self._map.cloud(frame))
 
     def _check_stale(self) -> None:
+        with self._lock:
+            self._tell_stale()
+
+    def _tell_stale(self) -> None:
         pipeline = self._pipeline
         if not self._active or pipeline is None:
             return
@@ -375,6 +413,10 @@ class Identifier(LifecycleNode):
     # Services
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            return self._reset(response)
+
+    def _reset(self, response: Trigger.Response) -> Trigger.Response:
         if not self._active or self._pipeline is None or self._inputs is None:
             return _answer(response, "the node is not active: activate it first")
         self._pipeline.reset()
@@ -383,6 +425,10 @@ class Identifier(LifecycleNode):
         return _answer(response, None)
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            return self._tare(response)
+
+    def _tare(self, response: Trigger.Response) -> Trigger.Response:
         if not self._active or self._pipeline is None:
             return _answer(response, "the node is not active: activate it first")
         problem = self._pipeline.tare()
@@ -393,9 +439,10 @@ class Identifier(LifecycleNode):
 
     def finish(self) -> None:
         """Report the open contact and let subscribers have it, before the process ends."""
-        if not self._active:
-            return
-        self._deactivate()
+        with self._lock:
+            if not self._active:
+                return
+            self._deactivate()
         # Lifecycle publishers hand on what rclpy's publishers can do.
         for publisher in self._publishers_made.values():
             publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
@@ -435,13 +482,13 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def make_executor() -> Executor:
+def make_executor(context: Context | None = None) -> Executor:
     """Return an EventsExecutor, or the default one where rclpy has none (before 7.1.4)."""
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
-        return SingleThreadedExecutor()
-    executor: Executor = EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    executor: Executor = EventsExecutor(context=context)
     return executor
 
 
