@@ -1,0 +1,469 @@
+"""Every row of docs/faults.md that reaches the pipeline: what a fault does, and what it must not.
+
+A shift of three sites with the same tissue; the fault comes at the second one, or before. Held for
+every row: all outputs finite and in order, no wrong number under a good status, the right counter,
+a true status from a second after good data on, and at the third site what a shift without the
+fault gives.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+import random
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fault_helpers import (
+    WARNING_FLAGS,
+    Outcome,
+    Shift,
+    assert_sound,
+    lies_of,
+    outcome_of,
+    shift,
+)
+from pipeline_helpers import Item, feed
+
+from fden_ros.core.pipeline import Flag, Pipeline, Status
+from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.parameters import check, pipeline_config
+
+TABLE = Path(__file__).parent.parent / "docs" / "faults.md"
+FORCE, DISPLACEMENT = 0, 1
+BOTH = (FORCE, DISPLACEMENT)
+#: In the ramp of the second press, whose contact lasts from 9.06 s to 11.10 s.
+BEGIN, END = 9.6, 10.4
+IN_CONTACT, IN_AIR = 10.0, 12.5
+#: Seconds in which a status may be late after good data; edges of contacts are not looked at.
+PATIENCE, EDGE = 1.0, 0.3
+
+Change = Callable[[Item], Item]
+Step = Item | Callable[[Pipeline], object]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault.
+
+    Parameters
+    ----------
+    name : str
+        As in the table.
+    samples : callable
+        What arrives instead of the shift's samples.
+    counted : tuple of str
+        Counters that must have grown, and no other.
+    good_from : float
+        When the data are good again [s].
+    moved : float
+        By how much the stamps then differ from the shift's [s].
+    flags : Flag
+        Of the second contact, at least.
+    warned : str
+        Part of a warning that must be there.
+    third_site : bool
+        Whether the third site is seen, whole.
+    also : Status
+        What else the status may be in contact, until the probe is lifted.
+    lies : int
+        For so many blocks of 10 ms a number may be wrong before it is noticed: the table says it.
+    """
+
+    name: str
+    samples: Callable[[Shift], Iterable[Step]]
+    counted: tuple[str, ...] = ()
+    good_from: float = END
+    moved: float = 0.0
+    flags: Flag = Flag.NONE
+    warned: str = ""
+    third_site: bool = True
+    also: Status = Status.CONVERGED
+    lies: int = 0
+    parameters: dict[str, object] = field(default_factory=dict)
+
+
+def within(shift_: Shift, item: Item, begin: float, end: float, streams: tuple[int, ...]) -> bool:
+    return item.stream in streams and shift_.at(begin) <= item.stamp_ns < shift_.at(end)
+
+
+def each(
+    change: Change,
+    begin: float = BEGIN,
+    end: float = END,
+    streams: tuple[int, ...] = BOTH,
+) -> Callable[[Shift], list[Step]]:
+    """Change every sample of a stretch of time."""
+
+    def samples(s: Shift) -> list[Step]:
+        return [change(i) if within(s, i, begin, end, streams) else i for i in s.items]
+
+    return samples
+
+
+def some(
+    change: Change, streams: tuple[int, ...] = BOTH, count: int = 5
+) -> Callable[[Shift], list[Step]]:
+    """Change a few samples in the second contact, never two in a row."""
+
+    def samples(s: Shift) -> list[Step]:
+        near = [k for k, i in enumerate(s.items) if within(s, i, BEGIN, END, streams)]
+        step = len(near) // (count + 1)
+        chosen = set(near[step::step][:count])
+        return [change(item) if k in chosen else item for k, item in enumerate(s.items)]
+
+    return samples
+
+
+def value(new: float) -> Change:
+    return lambda item: item._replace(value=new)
+
+
+def plus(offset: float) -> Change:
+    return lambda item: item._replace(value=item.value + offset)
+
+
+def later(seconds: float) -> Change:
+    return lambda item: item._replace(stamp_ns=item.stamp_ns + round(seconds * NANOSECONDS))
+
+
+def without(
+    begin: float, end: float, streams: tuple[int, ...] = BOTH
+) -> Callable[[Shift], list[Step]]:
+    return lambda s: [i for i in s.items if not within(s, i, begin, end, streams)]
+
+
+def stuck(begin: float, end: float, stream: int) -> Callable[[Shift], list[Step]]:
+    def samples(s: Shift) -> list[Step]:
+        held: Item | None = None
+        out: list[Step] = []
+        for item in s.items:
+            if within(s, item, begin, end, (stream,)):
+                held = held or item
+                item = item._replace(value=held.value, position=held.position)
+            out.append(item)
+        return out
+
+    return samples
+
+
+def shuffled(s: Shift) -> list[Step]:
+    items: list[Step] = list(s.items)
+    chosen = [k for k, i in enumerate(s.items) if within(s, i, BEGIN, END, BOTH)]
+    generator = random.Random(3)
+    for k in range(0, len(chosen) - 6, 6):
+        places = chosen[k : k + 6]
+        block = [items[j] for j in places]
+        generator.shuffle(block)
+        for j, item in zip(places, block, strict=True):
+            items[j] = item
+    return items
+
+
+def twice(change: Change, streams: tuple[int, ...] = BOTH) -> Callable[[Shift], list[Step]]:
+    """Let a second publisher add its own sample after each."""
+
+    def samples(s: Shift) -> list[Step]:
+        out: list[Step] = []
+        for item in s.items:
+            out.append(item)
+            if within(s, item, BEGIN, END, streams):
+                out.append(change(item))
+        return out
+
+    return samples
+
+
+def thinned(every: int, streams: tuple[int, ...]) -> Callable[[Shift], list[Step]]:
+    """Keep one sample in `every` from the contact on."""
+
+    def samples(s: Shift) -> list[Step]:
+        counts = [0, 0]
+        out: list[Step] = []
+        for item in s.items:
+            if within(s, item, IN_CONTACT, 99.0, streams):
+                counts[item.stream] += 1
+                if counts[item.stream] % every:
+                    continue
+            out.append(item)
+        return out
+
+    return samples
+
+
+def called(action: Callable[[Pipeline], object], *seconds: float) -> Callable[[Shift], list[Step]]:
+    """Call a service at some times."""
+
+    def samples(s: Shift) -> list[Step]:
+        times = [s.at(second) for second in seconds]
+        out: list[Step] = []
+        for item in s.items:
+            while times and item.stamp_ns >= times[0]:
+                out.append(action)
+                times.pop(0)
+            out.append(item)
+        return out
+
+    return samples
+
+
+def from_then(second: float, change: Change, streams: tuple[int, ...] = BOTH) -> Any:
+    return lambda s: each(change, second, s.second(s.items[-1].stamp_ns) + 1.0, streams)(s)
+
+
+def drift(begin: float, end: float, slope: float) -> Callable[[Shift], list[Step]]:
+    return lambda s: each(
+        lambda i: plus(slope * (s.second(i.stamp_ns) - begin))(i), begin, end, (FORCE,)
+    )(s)
+
+
+def clipped(limit: float) -> Callable[[Shift], list[Step]]:
+    return each(lambda i: i._replace(value=min(i.value, limit)), 0.0, 12.0, (FORCE,))
+
+
+GAP, SATURATED = Flag.GAP, Flag.SATURATED
+BELOW, DRIFTS, JUMPED = "fell below", "drifts", "clock jumped back"
+
+ROWS = [
+    # values
+    Row("force_nan", some(value(math.nan), (FORCE,)), ("force.non_finite",)),
+    Row(
+        "force_nan_run",
+        each(value(math.nan), streams=(FORCE,)),
+        ("force.non_finite",),
+        flags=GAP,
+    ),
+    Row("displacement_nan", some(value(math.nan), (DISPLACEMENT,)), ("displacement.non_finite",)),
+    Row(
+        "displacement_nan_run",
+        each(value(math.nan), streams=(DISPLACEMENT,)),
+        ("displacement.non_finite", "force.displacement_gap"),
+        flags=GAP,
+    ),
+    Row("force_infinite", some(value(math.inf), (FORCE,)), ("force.non_finite",)),
+    Row(
+        "displacement_infinite",
+        some(value(-math.inf), (DISPLACEMENT,)),
+        ("displacement.non_finite",),
+    ),
+    Row("force_absurd", some(value(1e300), (FORCE,)), ("force.out_of_range",)),
+    Row(
+        "displacement_absurd",
+        some(value(-1e300), (DISPLACEMENT,)),
+        ("displacement.out_of_range",),
+    ),
+    Row("force_denormal", some(value(5e-324), (FORCE,)), ("force.spike",)),
+    Row("displacement_denormal", some(value(5e-324), (DISPLACEMENT,)), ("displacement.spike",)),
+    Row("force_spike", some(plus(0.5), (FORCE,)), ("force.spike",)),
+    Row("force_spike_large", some(value(9e4), (FORCE,)), ("force.spike",)),
+    Row("displacement_spike", some(plus(0.002), (DISPLACEMENT,)), ("displacement.spike",)),
+    # stamps
+    Row(
+        "stamp_zero",
+        some(lambda i: i._replace(stamp_ns=0)),
+        ("force.zero_stamp", "displacement.zero_stamp"),
+    ),
+    Row(
+        "stamp_duplicate",
+        twice(lambda item: item),
+        ("force.duplicate_stamp", "displacement.duplicate_stamp"),
+    ),
+    Row("stamp_late", some(later(-0.1), (FORCE,)), ("force.late_stamp",)),
+    Row("stamp_shuffled", shuffled, ("force.late_stamp", "displacement.late_stamp")),
+    Row("stamp_future", some(later(100.0), (FORCE,)), ("force.future_stamp",)),
+    Row("stamp_future_near", some(later(0.3), (FORCE,)), ("force.future_stamp",)),
+    Row("clock_forward_contact", from_then(10.0, later(100.0)), moved=100.0, flags=GAP),
+    Row("clock_forward_air", from_then(12.5, later(100.0)), moved=100.0, good_from=IN_AIR),
+    Row(
+        "clock_back_contact",
+        from_then(10.0, later(-100.0)),
+        moved=-100.0,
+        warned=JUMPED,
+        also=Status.UNKNOWN,
+    ),
+    Row(
+        "clock_back_air",
+        from_then(12.5, later(-3.0)),
+        moved=-3.0,
+        good_from=IN_AIR,
+        warned=JUMPED,
+    ),
+    Row(
+        "clock_of_one_stream",
+        each(later(-3.0), 0.0, 9.0, (FORCE,)),
+        ("force.unpaired",),
+        good_from=9.0,
+    ),
+    Row("bag_loops", lambda s: [*s.items, *s.items], good_from=math.inf, warned=JUMPED),
+    # streams
+    Row("dropout_10_ms", without(10.0, 10.01)),
+    Row("dropout_100_ms", without(10.0, 10.1), flags=GAP),
+    Row("dropout_300_ms_force", without(10.0, 10.3, (FORCE,)), flags=GAP),
+    Row(
+        "dropout_300_ms_displacement",
+        without(10.0, 10.3, (DISPLACEMENT,)),
+        ("force.displacement_gap",),
+        flags=GAP,
+    ),
+    Row("dropout_1_s", without(10.0, 11.0), flags=GAP, good_from=11.0),
+    Row("dropout_10_s", without(4.0, 14.0), good_from=14.0),
+    Row("topic_stops", without(10.0, 99.0, (FORCE,)), good_from=math.inf, third_site=False),
+    Row(
+        "topic_starts_late",
+        without(0.0, 8.0, (DISPLACEMENT,)),
+        ("force.unpaired",),
+        good_from=8.0,
+    ),
+    Row("rate_changes", thinned(2, BOTH), good_from=IN_CONTACT),
+    Row("rate_changes_of_one", thinned(4, (DISPLACEMENT,)), good_from=IN_CONTACT),
+    Row("two_publishers_same", twice(lambda i: i), ("force.duplicate_stamp", "displacement.")),
+    Row(
+        "two_publishers_differ",
+        twice(lambda i: later(0.002)(value(0.0)(i)), (FORCE,)),
+        ("force.spike",),
+    ),
+    # sensors
+    Row(
+        "force_saturated",
+        clipped(0.04),
+        ("force.stuck",),
+        flags=SATURATED,
+        good_from=12.0,
+        warned="repeated one value",
+        lies=5,
+    ),
+    Row(
+        "force_stuck",
+        stuck(9.8, 10.6, FORCE),
+        ("force.stuck",),
+        flags=SATURATED,
+        good_from=10.6,
+        warned="repeated one value",
+    ),
+    Row("displacement_stuck", stuck(9.8, 10.3, DISPLACEMENT), flags=Flag.TISSUE_CHANGED),
+    Row("force_drift", drift(0.0, 99.0, 0.002), warned=DRIFTS),
+    Row("drift_begins_in_contact", drift(10.0, 13.0, 0.01), warned=DRIFTS, lies=30),
+    Row("tare_in_air", called(lambda p: p.tare(), 8.0)),
+    Row("tare_under_load", called(lambda p: p.tare(), 9.3, 9.6, 10.0, 10.5)),
+    Row(
+        "force_wrong_sign",
+        each(lambda i: i._replace(value=-i.value), 0.0, 12.0, (FORCE,)),
+        good_from=13.0,
+        warned=BELOW,
+    ),
+    Row("bias_steps", from_then(13.0, plus(0.05), (FORCE,)), good_from=15.0, warned=""),
+    # contact
+    Row("contact_at_start", without(0.0, 10.0), good_from=11.5, warned=BELOW),
+    Row(
+        "reset_in_contact",
+        called(lambda p: p.reset(), 10.0),
+        good_from=11.5,
+    ),
+    Row("reset_always", called(lambda p: p.reset(), *[0.1 * k for k in range(130)]), good_from=13),
+]
+
+
+@pytest.fixture(scope="module")
+def clean() -> Outcome:
+    s = shift()
+    return outcome_of(s.items, s.parameters)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_fault(row: Row, clean: Outcome) -> None:
+    s = shift()
+    outcome = outcome_of(row.samples(s), s.parameters | row.parameters)
+    assert_sound(outcome.outputs)
+    assert len(lies_of(outcome.outputs, s.sites[0])) <= row.lies
+    assert_counted(row, outcome)
+    assert_true_status(row, s, outcome)
+    second = [c for c in outcome.summaries if s.second(c.start_ns) < row.good_from][-1:]
+    for contact in second:
+        assert contact.flags & row.flags == row.flags
+    if row.third_site:
+        assert_third_site(s, outcome, clean)
+
+
+def assert_counted(row: Row, outcome: Outcome) -> None:
+    rejected = {name for name, count in outcome.pipeline.rejected.items() if count}
+    for name in row.counted:
+        assert any(counter.startswith(name) for counter in rejected), (name, rejected)
+    for counter in rejected:
+        # A sample that is dropped may leave another without its partner.
+        known = counter.startswith((*row.counted, "force.unpaired", "force.displacement_gap"))
+        assert known, counter
+    if row.warned:
+        assert any(row.warned in words for words in outcome.pipeline.warnings)
+
+
+def assert_true_status(row: Row, s: Shift, outcome: Outcome) -> None:
+    presses = [s.press(number) for number in range(3)]
+    states = outcome.states
+    back = [k for k in range(1, len(states)) if states[k].stamp_ns < states[k - 1].stamp_ns]
+    for state in states[back[-1] if back else 0 :]:
+        now = s.second(state.stamp_ns) - row.moved
+        if now < row.good_from + PATIENCE:
+            continue
+        inside = any(begin + EDGE < now < end - EDGE for begin, end in presses)
+        outside = all(now < begin - EDGE or now > end + EDGE for begin, end in presses)
+        if outside:
+            assert state.status is Status.NO_CONTACT, now
+        if inside:
+            assert state.status in (Status.CONVERGING, Status.CONVERGED, row.also), now
+
+
+def assert_third_site(s: Shift, outcome: Outcome, clean: Outcome) -> None:
+    """What a shift without the fault gives, by one standard deviation."""
+    found, expected = outcome.summaries[-1], clean.summaries[-1]
+    assert found.estimate is not None and expected.estimate is not None
+    assert found.converged and found.complete
+    assert not found.flags & (WARNING_FLAGS | Flag.INPUT_REJECTED)
+    sd = math.sqrt(max(expected.estimate.covariance[0, 0], found.estimate.covariance[0, 0]))
+    difference = found.estimate.log_linear_stiffness - expected.estimate.log_linear_stiffness
+    assert abs(difference) < sd
+
+
+def test_a_contact_of_an_hour_is_one_contact_in_constant_memory() -> None:
+    """At 10 Hz, pressed and held, a block a second."""
+    s = shift()
+    begin, _ = s.press(1)
+    held = [item for item in s.items if s.second(item.stamp_ns) < begin + 1.8]
+    pipeline = Pipeline(pipeline_config(check(s.parameters | {"estimate.period": 1.0})), _ignored)
+    feed(pipeline, held)
+    force, displacement = (
+        next(item for item in reversed(held) if item.stream == stream) for stream in BOTH
+    )
+    generator = random.Random(5)
+    sizes = []
+    for k in range(1, 36_000):
+        stamp = force.stamp_ns + k * NANOSECONDS // 10
+        # A hold relaxes with the time since the middle of its ramp to the power -alpha.
+        relaxed = force.value * (1.0 + 0.1 * k / 1.15) ** -0.131
+        pipeline.add_displacement(stamp, displacement.value, displacement.position)
+        pipeline.add_force(stamp, relaxed + generator.gauss(0.0, 1e-3))
+        if k % 12_000 == 0:
+            sizes.append(len(pickle.dumps(pipeline)))
+    assert pipeline.contact_count == 2
+    assert not pipeline.rejected
+    assert max(sizes) - min(sizes) < 10_000
+
+
+def _ignored(output: object) -> None:
+    """Take an output and forget it."""
+
+
+def test_the_table_of_faults_has_every_row_that_is_tested_and_no_other() -> None:
+    text = TABLE.read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)
+    assert len(set(listed)) == len(listed)
+    assert set(listed) == {row.name for row in ROWS} | node_rows()
+
+
+def node_rows() -> set[str]:
+    """Names of the rows that the node's own tests mark."""
+    source = (Path(__file__).parent / "test_faults_node.py").read_text(encoding="utf-8")
+    return set(re.findall(r'@row\("(\w+)"\)', source))

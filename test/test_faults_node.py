@@ -1,0 +1,370 @@
+"""The rows of docs/faults.md that only a running node meets: over real DDS."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import random
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from fden_msgs.msg import TissueEstimate
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from ros_helpers import LOSSLESS, RELIABLE, Bench, identifier, wait_for
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from fden_ros.messages import to_stamp
+from fden_ros.nodes.identifier import Identifier, make_executor
+from fden_ros.simulation.simulate import START_NS
+
+STEP_NS = 4_000_000
+GOOD = (
+    TissueEstimate.STATUS_NO_CONTACT,
+    TissueEstimate.STATUS_CONVERGING,
+    TissueEstimate.STATUS_CONVERGED,
+)
+
+
+def row(name: str) -> Callable[[Any], Any]:
+    """Say which row of the table a test shows."""
+    assert name
+    return lambda test: test
+
+
+class Live:
+    """One node for many rows: time goes on, and so do the samples."""
+
+    def __init__(self, bench: Bench, process: subprocess.Popen[str]) -> None:
+        self.bench, self.process = bench, process
+        self.now = START_NS
+        self.rng = np.random.default_rng(1)
+
+    def stream(self, seconds: float, depth: Callable[[float], float] = lambda t: 0.0) -> None:
+        """Publish good samples, of the air or of a press to `depth` [m]."""
+        count = round(seconds * 1e9 / STEP_NS)
+        for k in range(count):
+            self.now += STEP_NS
+            d = depth(k * STEP_NS * 1e-9)
+            force = 60.0 * max(d, 0.0) + 1e-4 * self.rng.standard_normal()
+            self.bench.publish(self.now, force, d + 1e-6 * self.rng.standard_normal())
+        self.bench.spin_for(0.0)
+
+    def recovers(self) -> None:
+        """Within a second of good data, by their stamps, the status is true."""
+        begin = self.now
+        self.stream(1.2)
+        self.bench.wait_for(
+            lambda: any(
+                stamp(m) > begin + 1_000_000_000 and m.status == TissueEstimate.STATUS_NO_CONTACT
+                for m in self.bench.estimates[-20:]
+            ),
+            "a true status a second after good data",
+        )
+
+    def count(self, name: str) -> int:
+        return int(self.bench.diagnostic().get(f"rejected.{name}", "0"))
+
+    def wait_for_count(self, name: str, least: int) -> None:
+        self.bench.wait_for(lambda: self.count(name) >= least, f"{least} times {name}")
+
+    def wait_for_words(self, words: str) -> None:
+        def said() -> bool:
+            self.stream(0.02)
+            return words in self.bench.diagnostic().get("message", "")
+
+        self.bench.wait_for(said, f"the words {words}")
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[Live]:
+    with Bench() as bench, identifier({"autostart": True, **LOSSLESS}) as process:
+        bench.wait_until_heard()
+        shared = Live(bench, process)
+        shared.stream(1.0)
+        yield shared
+        assert process.poll() is None, "the node has crashed"
+        for message in bench.estimates + bench.summaries:
+            assert all(map(math.isfinite, floats_of(message)))
+    assert process.returncode == 0
+    assert "Traceback" not in process.output  # type: ignore[attr-defined]
+    # Throttled: one line in ten seconds, whatever comes.
+    lines = process.output.splitlines()  # type: ignore[attr-defined]
+    assert sum("samples rejected in the last second" in line for line in lines) < 30
+
+
+@contextlib.contextmanager
+def another_publisher(kind: type, qos: QoSProfile) -> Iterator[None]:
+    """A second publisher of /force, as of another process."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("another", context=context)
+    node.create_publisher(kind, "/force", qos)
+    try:
+        yield
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+def stamp(message: Any) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def floats_of(message: Any) -> list[float]:
+    numbers: list[float] = []
+    for name, kind in message.get_fields_and_field_types().items():
+        if kind == "double":
+            numbers.append(getattr(message, name))
+        elif kind.startswith(("double[", "sequence<double")):
+            numbers += list(getattr(message, name))
+    return numbers
+
+
+@row("sigterm_in_contact")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> None:
+    with Bench() as bench, identifier({"autostart": True, **LOSSLESS}) as process:
+        bench.wait_until_heard()
+        one = Live(bench, process)
+        one.stream(1.5)
+        one.stream(1.0, lambda t: 5e-3 * t)
+        bench.wait_for(
+            lambda: bench.estimates and bench.estimates[-1].status in GOOD[1:], "the contact"
+        )
+        process.send_signal(number)
+        bench.wait_for(lambda: bench.summaries, "the summary of the open contact")
+        assert process.wait(15.0) == 0
+    assert not bench.summaries[0].complete
+
+
+@row("sim_time_without_clock")
+def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on() -> None:
+    with (
+        Bench() as bench,
+        identifier({"autostart": True, "use_sim_time": True, **LOSSLESS}) as process,
+    ):
+        bench.wait_until_heard()
+        one = Live(bench, process)
+        one.wait_for_words("nothing publishes /clock")
+        one.recovers()
+
+
+@row("transitions_in_any_order")
+def test_transitions_in_any_order_from_another_thread_a_thousand_times() -> None:
+    """With samples coming in all the while; then the node still does what it should."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = Identifier(context=context)
+    executor = make_executor(context)
+    executor.add_node(node)
+    feeder = rclpy.create_node("feeder", context=context)
+    forces = feeder.create_publisher(WrenchStamped, "/force", RELIABLE)
+    displacements = feeder.create_publisher(JointState, "/displacement", RELIABLE)
+    stop = threading.Event()
+    errors: list[BaseException] = []
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            while not stop.is_set():
+                executor.spin_once(timeout_sec=0.05)
+
+    def feed() -> None:
+        k = 0
+        while not stop.wait(0.004):
+            k += 1
+            header = WrenchStamped().header
+            header.stamp = to_stamp(START_NS + k * STEP_NS)
+            depth = 1e-3 * abs(math.sin(k * 0.02))
+            force, joint = WrenchStamped(header=header), JointState(header=header)
+            force.wrench.force.z = 60.0 * depth
+            joint.name, joint.position = ["probe"], [depth]
+            displacements.publish(joint)
+            forces.publish(force)
+
+    def change() -> None:
+        generator = random.Random(1)
+        transitions = (
+            node.trigger_configure,
+            node.trigger_activate,
+            node.trigger_deactivate,
+            node.trigger_cleanup,
+        )
+        try:
+            for _ in range(1000):
+                transition = generator.choice(transitions)
+                # rcl refuses what does not begin in the present state.
+                with contextlib.suppress(rclpy._rclpy_pybind11.RCLError):
+                    transition()
+        except BaseException as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=target) for target in (spin, feed, change)]
+    for thread in threads:
+        thread.start()
+    threads[2].join(120.0)
+    finished = not threads[2].is_alive()
+    stop.set()
+    for thread in threads[:2]:
+        thread.join(20.0)
+    try:
+        assert finished and not errors
+        label = node._state_machine.current_state[1]
+        assert label in ("unconfigured", "inactive", "active")
+        wait_for(lambda: not any(t.is_alive() for t in threads), "the threads")
+    finally:
+        executor.shutdown()
+        node.finish()
+        node.destroy_node()
+        feeder.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+@row("wrong_frame")
+def test_another_frame_is_refused_and_counted(live: Live) -> None:
+    for _ in range(30):
+        live.now += STEP_NS
+        live.bench.publish(live.now, 50.0, 0.0, frame="other")
+    live.wait_for_count("force.wrong_frame", 30)
+    live.recovers()
+
+
+@row("missing_field")
+def test_a_joint_state_without_a_position_is_counted(live: Live) -> None:
+    message = JointState(name=["probe"])
+    for _ in range(20):
+        live.now += STEP_NS
+        message.header.stamp = to_stamp(live.now)
+        live.bench.displacement.publish(message)
+    live.wait_for_count("displacement.missing_field", 20)
+    live.recovers()
+
+
+@row("bad_values_live")
+def test_values_that_cannot_be_are_counted_and_never_published(live: Live) -> None:
+    before = live.count("force.non_finite")
+    for value in (math.nan, math.inf, -math.inf, 1e300) * 5:
+        live.now += STEP_NS
+        live.bench.publish(live.now, value, value)
+    live.wait_for_count("force.non_finite", before + 15)
+    live.wait_for_count("displacement.non_finite", 15)
+    live.recovers()
+
+
+@row("clock_jumps_live")
+def test_stamps_that_jump_far_ahead_and_back_are_followed(live: Live) -> None:
+    for jump in (3600, -7200, 10, -2):
+        live.now += jump * 1_000_000_000
+        live.recovers()
+
+
+@row("two_publishers_live")
+def test_two_publishers_are_said(live: Live) -> None:
+    with another_publisher(WrenchStamped, RELIABLE):
+        live.wait_for_words("2 publishers")
+    live.recovers()
+
+
+@row("wrong_type")
+def test_a_topic_of_another_type_is_said(live: Live) -> None:
+    with another_publisher(JointState, RELIABLE):
+        live.wait_for_words("expected geometry_msgs/msg/WrenchStamped")
+    live.recovers()
+
+
+@row("topic_stops_live")
+def test_a_pause_of_the_topics_is_stale_and_then_over(live: Live) -> None:
+    live.bench.wait_for(
+        lambda: live.bench.estimates[-1].status == TissueEstimate.STATUS_STALE, "a stale estimate"
+    )
+    live.bench.wait_for(
+        lambda: "no pair" in live.bench.diagnostic().get("message", ""), "the words"
+    )
+    live.recovers()
+
+
+@row("services_at_any_time")
+def test_services_called_at_any_time_answer_and_break_nothing(live: Live) -> None:
+    answers = []
+    for k in range(30):
+        live.stream(0.1, lambda t: 1e-3 * (1 + t))
+        answers.append(live.bench.call(Trigger, ("reset", "tare")[k % 2]))
+    assert all(answer.message for answer in answers)
+    # What was pressed since the last reset is taken for the air: lift, and all is well.
+    live.stream(3.0)
+    live.recovers()
+
+
+@row("parameters_while_active")
+def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live: Live) -> None:
+    double, text = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
+    values = {
+        "geometry.area": ParameterValue(type=double, double_value=2e-4),
+        "geometry.thickness": ParameterValue(type=double, double_value=-1.0),
+        "force.limit": ParameterValue(type=text, string_value="much"),
+        "alpha.value": ParameterValue(type=double, double_value=math.nan),
+        "stale_timeout": ParameterValue(type=double, double_value=1e9),
+        "no.such": ParameterValue(type=double, double_value=1.0),
+    }
+    for name, value in values.items():
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        result = live.bench.call(SetParameters, "set_parameters", request).results[0]
+        assert not result.successful and result.reason, name
+    live.recovers()
+
+
+@row("publisher_killed")
+def test_a_publisher_that_is_killed_is_noticed_and_another_takes_over(live: Live) -> None:
+    source = """
+import rclpy, time
+from geometry_msgs.msg import WrenchStamped
+from rclpy.qos import QoSProfile
+rclpy.init()
+node = rclpy.create_node("killed")
+publisher = node.create_publisher(WrenchStamped, "/force", QoSProfile(depth=10))
+while True:
+    time.sleep(0.05)
+"""
+    process = subprocess.Popen([sys.executable, "-c", source])
+    try:
+        live.wait_for_words("2 publishers")
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    live.recovers()
+
+
+@row("qos_mismatch")
+def test_a_publisher_whose_qos_does_not_match_is_said(live: Live) -> None:
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    with another_publisher(WrenchStamped, best_effort):
+        live.wait_for_words("incompatible reliability")
+    live.recovers()
+
+
+@row("deactivated_in_contact")
+def test_deactivating_in_a_contact_reports_it_and_activating_starts_afresh(live: Live) -> None:
+    live.stream(1.0)
+    before = len(live.bench.summaries)
+    live.stream(1.0, lambda t: 5e-3 * t)
+    live.bench.wait_for(
+        lambda: live.bench.estimates[-1].status in GOOD[1:], "estimates of the contact"
+    )
+    assert live.bench.change_state(Transition.TRANSITION_DEACTIVATE)
+    live.bench.wait_for(lambda: len(live.bench.summaries) > before, "the summary")
+    assert not live.bench.summaries[-1].complete
+    assert live.bench.change_state(Transition.TRANSITION_ACTIVATE)
+    live.bench.wait_until_heard()
+    live.recovers()
