@@ -1,0 +1,81 @@
+"""Hours on a robot, faster than real time: one pipeline, shift after shift, a fault in each.
+
+Four minutes' worth by default; FDEN_SOAK_SECONDS=3600 plays an hour's worth.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import random
+
+from fault_helpers import WARNING_FLAGS, outcome_of, shift
+from pipeline_helpers import Item
+from test_faults import ROWS
+
+from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
+from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.parameters import check, pipeline_config
+
+SECONDS = float(os.environ.get("FDEN_SOAK_SECONDS", "240"))
+#: These leave no clean part behind: the same stamps again, or a sensor that stays dead.
+LEFT_OUT = {"bag_loops", "topic_stops"}
+#: Estimates of the clean part may differ by so many standard deviations: what came before moves
+#: the grid of the blocks and the bias that was measured, not what was pressed.
+DEVIATIONS = 1.0
+
+
+def ignored(output: object) -> None:
+    """Take an output and forget it."""
+
+
+class Emitter:
+    """Keeps the last summary only."""
+
+    def __init__(self) -> None:
+        self.last: ContactSummary | None = None
+        self.count = 0
+
+    def __call__(self, output: Output) -> None:
+        self.count += 1
+        if isinstance(output, ContactSummary):
+            self.last = output
+
+
+def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were() -> None:
+    s = shift()
+    duration = s.second(s.items[-1].stamp_ns) + 0.5
+    clean = outcome_of(s.items, s.parameters).summaries[-1]
+    assert clean.estimate is not None
+    emitter = Emitter()
+    pipeline = Pipeline(pipeline_config(check(s.parameters)), emitter)
+    rows = [row for row in ROWS if row.name not in LEFT_OUT and not row.parameters]
+    generator = random.Random(11)
+    offset, sizes, played = 0, [], []
+    for _ in range(max(round(SECONDS / duration), 1)):
+        row = generator.choice(rows)
+        played.append(row.name)
+        # A robot is back at its first site before the next shift.
+        for item in row.samples(s):
+            if not isinstance(item, Item):
+                item(pipeline)
+                continue
+            stamp = item.stamp_ns and item.stamp_ns + offset
+            if item.stream == 0:
+                pipeline.add_force(stamp, item.value)
+            else:
+                pipeline.add_displacement(stamp, item.value, item.position)
+        found = emitter.last
+        assert found is not None and found.estimate is not None, played
+        assert found.converged and found.complete and not found.flags & WARNING_FLAGS, played
+        sd = math.sqrt(max(clean.estimate.covariance[0, 0], found.estimate.covariance[0, 0]))
+        difference = found.estimate.log_linear_stiffness - clean.estimate.log_linear_stiffness
+        assert abs(difference) < DEVIATIONS * sd, played
+        emitter.last = None
+        offset += round((duration + row.moved) * NANOSECONDS)
+        pipeline._emit_output = ignored
+        sizes.append(len(pickle.dumps(pipeline)))
+        pipeline._emit_output = emitter
+    assert emitter.count > 100 * len(played)
+    assert max(sizes) < 1.2 * sizes[0] + 50_000, sizes
