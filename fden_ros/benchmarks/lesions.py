@@ -1,0 +1,190 @@
+"""A grid of 400 sites with stiffer inclusions: each site against its surroundings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from fden_ros.benchmarks.populations import (
+    PRIOR,
+    draw_likelihood,
+    population,
+    press,
+)
+from fden_ros.core.classifier import Likelihood, likelihood_of_estimate
+from fden_ros.core.relative import (
+    Comparison,
+    LogStiffness,
+    compare,
+    log_stiffness,
+    neighbours,
+    without_prior,
+)
+
+Array = NDArray[np.float64]
+
+SIDE, SPACING = 20, 5.0  #: sites, [mm]
+CONTRASTS = (1.5, 2.0, 4.0)
+DIAMETERS = (8.0, 12.0, 20.0)  #: [mm]
+#: Healthy tissue varies from place to place: deviation of ln G, ln Gn, alpha within one organ, and
+#: the length over which it does [mm].
+NATURAL_SD = (0.12, 0.05, 0.006)
+_LENGTH = 15.0
+#: How sharp the edge of an inclusion is to the probe [mm].
+_EDGE = 1.5
+#: Surroundings are within this distance [mm].
+SURROUNDINGS = 25.0
+STRAIN, TIME_SCALE = 0.1, 0.1
+RATIO = 1.25
+
+
+@dataclass(frozen=True)
+class Inclusion:
+    """A stiffer ball, seen from above [mm]."""
+
+    x: float
+    y: float
+    diameter: float
+    contrast: float
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Sites of one organ."""
+
+    positions: Array  #: [mm], shape (n, 2)
+    values: Array  #: true (ln G, ln Gn, alpha), shape (n, 3)
+    inclusions: tuple[Inclusion, ...]
+    inside: NDArray[np.intp]  #: index of the inclusion that the site lies in, or -1
+    edge: NDArray[np.bool_]  #: outside, but the probe feels an inclusion
+
+    @property
+    def log_ratio(self) -> Array:
+        """Return ln of how many times stiffer than healthy, 0 outside, shape (n,)."""
+        contrasts = np.array([math.log(i.contrast) for i in self.inclusions] + [0.0])
+        result: Array = contrasts[self.inside]
+        return result
+
+
+def make_grid(generator: np.random.Generator) -> Grid:
+    """Return 400 sites with an inclusion of every contrast and size, at random places."""
+    axis = SPACING * np.arange(SIDE)
+    positions = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    inclusions = _place(generator, axis[-1])
+    liver = population().tissues[1]
+    values = liver.mean + np.stack([sd * _field(generator) for sd in NATURAL_SD], axis=-1)
+    inside = np.full(len(positions), -1, dtype=np.intp)
+    felt = np.zeros(len(positions))
+    for index, one in enumerate(inclusions):
+        depth = 0.5 * one.diameter - np.hypot(*(positions - [one.x, one.y]).T)
+        share = 1.0 / (1.0 + np.exp(-depth / (0.5 * _EDGE)))
+        # In parallel under the probe: the modulus is the mean by area.
+        values[:, 0] += np.log1p((one.contrast - 1.0) * share)
+        inside[depth > 0.0] = index
+        felt = np.maximum(felt, share)
+    return Grid(positions, values, inclusions, inside, (inside < 0) & (felt > 0.02))
+
+
+def _place(generator: np.random.Generator, extent: float) -> tuple[Inclusion, ...]:
+    wanted = [(d, c) for d in sorted(DIAMETERS, reverse=True) for c in CONTRASTS]
+    while True:
+        placed: list[Inclusion] = []
+        for diameter, contrast in wanted:
+            for _ in range(200):
+                x, y = generator.uniform(0.4 * diameter, extent - 0.4 * diameter, 2)
+                if all(
+                    math.hypot(x - o.x, y - o.y) > 0.5 * (diameter + o.diameter) + 6.0
+                    for o in placed
+                ):
+                    placed.append(Inclusion(float(x), float(y), diameter, contrast))
+                    break
+        if len(placed) == len(wanted):
+            return tuple(placed)
+
+
+def _field(generator: np.random.Generator) -> Array:
+    """Return a smooth random field of unit variance over the grid, shape (n,)."""
+    margin = 2 * SIDE
+    noise = generator.standard_normal((SIDE + 2 * margin, SIDE + 2 * margin))
+    smooth = gaussian_filter(noise, _LENGTH / SPACING / math.sqrt(2.0), mode="wrap")
+    smooth /= smooth.std()
+    result: Array = smooth[margin:-margin, margin:-margin].reshape(-1)
+    return result
+
+
+def drawn_estimates(
+    grid: Grid, precision: Array, generator: np.random.Generator
+) -> list[LogStiffness]:
+    """Return what contacts with these information matrices would make of the sites."""
+    chosen = precision[generator.integers(len(precision), size=len(grid.values))]
+    likelihood = draw_likelihood(grid.values, chosen, generator)
+    return [
+        _of(Likelihood(*(part[i] for part in _parts(likelihood)))) for i in range(len(grid.values))
+    ]
+
+
+def _parts(likelihood: Likelihood) -> tuple[Array, Array, Array]:
+    return likelihood.centre, likelihood.score, likelihood.information
+
+
+def pressed_estimates(grid: Grid, advance: Callable[[], None]) -> list[LogStiffness]:
+    """Return what simulator and pipeline make of the sites, pressed with a short hold."""
+    library = population()
+    found = []
+    for index, value in enumerate(grid.values):
+        one = press(library, value, 0, index, kind=1)
+        advance()
+        if one.estimate is None:
+            found.append(LogStiffness(np.array(math.nan), np.array(math.nan)))
+        else:
+            found.append(_of(likelihood_of_estimate(one.estimate, PRIOR, False)))
+    return found
+
+
+def _of(likelihood: Likelihood) -> LogStiffness:
+    own = without_prior(likelihood)
+    if own is None:
+        return LogStiffness(np.array(math.nan), np.array(math.nan))
+    return log_stiffness(*own, STRAIN, TIME_SCALE)
+
+
+def true_log_stiffness(grid: Grid) -> Array:
+    """Return the true l of the sites, shape (n,)."""
+    nothing = np.zeros((len(grid.values), 3, 3))
+    return log_stiffness(grid.values, nothing, STRAIN, TIME_SCALE).value
+
+
+def comparisons(grid: Grid, found: Sequence[LogStiffness]) -> list[Comparison | None]:
+    """Return each site against those around it."""
+    values = np.array([float(one.value) for one in found])
+    variances = np.array([float(one.variance) for one in found])
+    results: list[Comparison | None] = []
+    for index, one in enumerate(found):
+        if not math.isfinite(float(one.value)):
+            results.append(None)
+            continue
+        near = neighbours(grid.positions, index, SURROUNDINGS)
+        near = near[np.isfinite(values[near])]
+        results.append(compare(one, LogStiffness(values[near], variances[near])))
+    return results
+
+
+def roc(scores: Array, positive: NDArray[np.bool_]) -> tuple[Array, Array, float]:
+    """Return false and true positive rates, and the area under their curve (Mann and Whitney).
+
+    Parameters
+    ----------
+    scores : ndarray, shape (n,)
+    positive : ndarray of bool, shape (n,)
+    """
+    order = np.argsort(-scores, kind="stable")
+    hits = positive[order]
+    true = np.concatenate([[0.0], np.cumsum(hits) / max(int(hits.sum()), 1)])
+    false = np.concatenate([[0.0], np.cumsum(~hits) / max(int((~hits).sum()), 1)])
+    area = float(np.sum(np.diff(false) * 0.5 * (true[1:] + true[:-1])))
+    return false, true, area
