@@ -480,7 +480,9 @@ def _lesions(
         {contrast: _curve(score, truth, contrast) for contrast in CONTRASTS},
         {
             (contrast, wide): _curve(
-                *(part[(truth == 1.0) | (diameter == wide)] for part in (score, truth)), contrast
+                score[(truth == 1.0) | (diameter == wide)],
+                truth[(truth == 1.0) | (diameter == wide)],
+                contrast,
             )[2]
             for contrast in CONTRASTS
             for wide in DIAMETERS
@@ -830,12 +832,14 @@ def _draw_reliability(axes: Axes, found: _Found) -> None:
     axes.patch.set_visible(False)
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(0.0, 1.02)
-    axes.set_xlabel("probability of the most probable class, unknown among them")
+    axes.set_xlabel("probability of the most probable class")
     axes.set_ylabel("share that is right")
     axes.set_title(
         f"Reliability, {len(truth):,} contacts: calibration error {error:.4f}", fontsize=10
     )
-    axes.text(0.03, 0.93, "bars: share of the contacts", color="0.5", fontsize=8)
+    axes.text(
+        0.03, 0.9, "unknown is one of them;\nbars: share of the contacts", color="0.5", fontsize=8
+    )
 
 
 def _draw_confusion(axes: Axes, found: _Found, truth: TissueLibrary) -> None:
