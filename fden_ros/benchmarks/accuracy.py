@@ -245,7 +245,7 @@ _Task = tuple[Case, int, int]
 def _completed(
     tasks: Sequence[_Task], methods: tuple[str, ...], workers: int
 ) -> Iterator[tuple[Case, int, list[Trial]]]:
-    with _single_threaded():
+    with single_threaded():
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
         try:
             futures = {pool.submit(_run_task, task, methods): task for task in tasks}
@@ -262,7 +262,7 @@ def _run_task(task: _Task, methods: tuple[str, ...]) -> list[Trial]:
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
+def single_threaded() -> Iterator[None]:
     """Keep each worker's linear algebra on one core; threads would only wait for each other."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
