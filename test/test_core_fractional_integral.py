@@ -173,6 +173,24 @@ def test_several_orders_at_once_are_what_each_is_alone(data, step_list):
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
+@given(data=st.data(), step_list=steps, repeats=st.integers(1, 4))
+def test_samples_added_together_are_what_they_are_one_by_one(data, step_list, repeats):
+    step_list = step_list * repeats
+    times = np.concatenate([[0.0], np.cumsum(step_list)])
+    values = data.draw(values_at(times))
+    one_by_one = integrated(ORDERS, times, values)
+    together = FractionalIntegral(ORDERS)
+    together.start(float(values[0]))
+    for step, value in zip(step_list, values[1:], strict=True):
+        together.add(step, float(value))
+    total, nothing = together.take_sum(), together.take_sum()
+    for column, order in enumerate(ORDERS):
+        bound = 1e-11 * len(step_list) * magnitude(order, times, values)
+        assert abs(total[column] - one_by_one[:, column].sum()) <= bound
+    assert not np.any(nothing)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(data=st.data(), step_list=steps, order=orders, gain=st.floats(-5.0, 5.0))
 def test_integral_is_linear(data, step_list, order, gain):
     times = np.concatenate([[0.0], np.cumsum(step_list)])

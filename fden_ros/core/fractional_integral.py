@@ -43,6 +43,8 @@ _EXPONENTIALS = 76
 _FIT_POINTS = 1200
 #: Below this value of rate * step, phi_2 is taken from its series, where the closed form cancels.
 _SERIES_LIMIT = 1e-2
+#: So many samples may wait to be added together.
+MOST_WAITING = 64
 
 
 @functools.cache
@@ -75,6 +77,43 @@ def kernel_weights(order: float) -> Array:
     weights: Array = solution / scale
     weights.flags.writeable = False
     return weights
+
+
+class Decays:
+    """How much exponentials have decayed over several steps.
+
+    Parameters
+    ----------
+    rates : ndarray, shape (m,)
+        [1/s].
+    steps : ndarray, shape (n,)
+        [s].
+
+    Attributes
+    ----------
+    by_step : ndarray, shape (m, n)
+        Within each step.
+    to_end : ndarray, shape (m, n)
+        From the end of each step to the end of the last.
+    sums_after : ndarray, shape (m, n)
+        From the end of each step to that of every later one, added up.
+    whole : ndarray, shape (m,)
+        From the beginning to the end of the last step.
+    sum_of_start : ndarray, shape (m,)
+        From the beginning to the end of every step, added up.
+    """
+
+    def __init__(self, rates: Array, steps: Array) -> None:
+        self.by_step: Array = np.exp(rates[:, None] * -steps)
+        self.to_end = np.ones_like(self.by_step)
+        self.sums_after = np.zeros_like(self.by_step)
+        for k in range(steps.size - 1, 0, -1):
+            decay = self.by_step[:, k]
+            np.multiply(self.to_end[:, k], decay, out=self.to_end[:, k - 1])
+            np.add(self.sums_after[:, k], 1.0, out=self.sums_after[:, k - 1])
+            self.sums_after[:, k - 1] *= decay
+        self.whole: Array = self.by_step[:, 0] * self.to_end[:, 0]
+        self.sum_of_start: Array = self.by_step[:, 0] * (1.0 + self.sums_after[:, 0])
 
 
 class FractionalIntegral:
@@ -113,11 +152,16 @@ class FractionalIntegral:
         self._local_new = np.empty(self._order_array.size)
         self._local_previous = np.empty(self._order_array.size)
         self._prepared_step = math.nan
+        self._prepared_steps: tuple[float, ...] = ()
+        self._waiting: list[tuple[float, float]] = []
+        self._sum = np.zeros(self._order_array.size)
         self.last_value = 0.0
 
     def start(self, value: float) -> Array:
         """Forget everything and begin at `value`; return the integral, 0, shape (orders,)."""
         self._memory.fill(0.0)
+        self._waiting.clear()
+        self._sum.fill(0.0)
         self.last_value = value
         return np.zeros(self._order_array.size)
 
@@ -127,6 +171,7 @@ class FractionalIntegral:
         Steps shorter than :data:`SHORTEST_STEP` are outside the kernel's range: the caller merges
         or drops them.
         """
+        self._catch_up()
         if step != self._prepared_step:
             self._prepare(step)
         np.multiply(self._decay, self._memory, out=self._decayed)
@@ -138,7 +183,57 @@ class FractionalIntegral:
         self._memory += self._scratch
         self._memory += self._decayed
         self.last_value = value
+        self._sum += result
         return result
+
+    def add(self, step: float, value: float) -> None:
+        """Add a sample as :meth:`advance` does, where only the sum of the integrals is wanted."""
+        self._waiting.append((step, value))
+        if len(self._waiting) >= MOST_WAITING:
+            self._catch_up()
+
+    def take_sum(self) -> Array:
+        """Return the sum of D^-beta f at all samples since the last call, shape (orders,)."""
+        self._catch_up()
+        total = self._sum
+        self._sum = np.zeros_like(total)
+        return total
+
+    def _catch_up(self) -> None:
+        """Add the samples that wait, all at once: several times faster than one by one."""
+        if not self._waiting:
+            return
+        steps, values = zip(*self._waiting, strict=True)
+        self._waiting.clear()
+        if steps != self._prepared_steps:
+            self._prepare_several(np.array(steps))
+            self._prepared_steps = steps
+        pairs = np.array([(self.last_value, *values[:-1]), values])
+        remembered = self._memory * self._start_share
+        remembered += np.einsum("pik,pk->i", self._shares_after, pairs)
+        self._sum += self._weights @ remembered
+        self._sum += np.einsum("pik,pk->i", self._local, pairs)
+        self._memory *= self._whole_decay
+        self._memory += np.einsum("pik,pk->i", self._shares_at_end, pairs)
+        self.last_value = values[-1]
+
+    def _prepare_several(self, steps: Array) -> None:
+        """Set what the values before and after each step add, shapes (2, rates or orders, n)."""
+        decays = Decays(self._rates, steps)
+        exponent = self._rates[:, None] * steps
+        is_small = exponent < _SERIES_LIMIT
+        small = np.minimum(exponent, _SERIES_LIMIT)
+        large = np.maximum(exponent, _SERIES_LIMIT)
+        series = 0.5 - small * (1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720)))
+        mean_decay = np.where(is_small, 1.0 - small * series, (1.0 - decays.by_step) / large)
+        new_gain = np.where(is_small, series, (1.0 - mean_decay) / large)
+        gains = steps * np.array([mean_decay - new_gain, new_gain])
+        self._shares_after = gains * decays.sums_after
+        self._shares_at_end = gains * decays.to_end
+        self._start_share = decays.sum_of_start
+        self._whole_decay = decays.whole
+        local = steps ** self._order_array[:, None] * self._local_scale[:, None]
+        self._local = np.array([local * self._order_array[:, None], local])
 
     def _prepare(self, step: float) -> None:
         exponent = self._rates * step

@@ -335,13 +335,11 @@ class _Sums:
     stress: float = 0.0
     force: float = 0.0
     has_free: bool = False  #: the tissue was free of the probe for part of it
-    fractional: Array = field(default_factory=lambda: np.zeros(len(order_nodes()) + 3))
 
     def clear(self) -> None:
         self.count = 0
         self.has_free = False
         self.compression = self.stress = self.force = 0.0
-        self.fractional[:] = 0.0
 
 
 class Pipeline:
@@ -545,6 +543,7 @@ class Pipeline:
         if site.usable and site.estimator is None:
             site.estimator = self._new_estimator(onset.noise_sd * scale, site.origin_sd)
         self._rest_until(site, first.stamp_ns)
+        site.integral.take_sum()
         if site.estimator is not None:
             site.estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
             contact.changes_before = site.estimator.change_count
@@ -640,14 +639,16 @@ class Pipeline:
         step = (pair.stamp_ns - site.last_ns) / NANOSECONDS
         is_free = self._is_free(force, contact, site)
         sums.has_free |= is_free
-        if step > 0.0:
-            fractional = site.integral.advance(step, 0.0 if is_free else stress)
-            sums.fractional += fractional
-        if site.estimator is not None and not contact.ended:
-            if is_free and step > 0.0:
-                site.estimator.rest(step, fractional[_EXACT_ORDERS:])
-            elif not is_free:
-                site.estimator.press(step, compression)
+        estimator = site.estimator if not contact.ended else None
+        if not is_free:
+            if step > 0.0:
+                site.integral.add(step, stress)
+            if estimator is not None:
+                estimator.press(step, compression)
+        elif step > 0.0:
+            free = site.integral.advance(step, 0.0)
+            if estimator is not None:
+                estimator.rest(step, free[_EXACT_ORDERS:])
         site.last_ns = pair.stamp_ns
         if self._meter is not None:
             self._oscillate(pair.stamp_ns, compression, stress, is_free)
@@ -724,7 +725,7 @@ class Pipeline:
         count = sums.count
         compression = sums.compression / count
         stress, force = sums.stress / count, sums.force / count
-        fractional = sums.fractional / count
+        fractional = site.integral.take_sum() / count
         block = Block(
             compression=compression,
             stress=stress,
