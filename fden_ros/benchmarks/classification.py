@@ -443,7 +443,8 @@ class _Lesions:
 
     curves: dict[float, tuple[Array, Array, float]]  #: by contrast
     by_size: dict[tuple[float, float], float]  #: area by contrast and diameter
-    coverage: float  #: of the 95 % interval of the ratio, inside and outside
+    coverage: float  #: of the 95 % interval of the ratio where there is no lesion around
+    coverage_among: float  #: of healthy sites among lesions, which the surroundings include
     false_alarms: float  #: healthy sites with P(stiffer by RATIO) above a half
     found: dict[float, float]  #: sites of a contrast with that
     grid: Grid
@@ -467,6 +468,10 @@ def _lesions(
         parts.append(_grid_scores(grid, compared))
         advance()
     assert last is not None
+    sound = make_grid(generator, has_lesions=False)
+    _, holds, _, _, _ = _grid_scores(
+        sound, comparisons(sound, drawn_estimates(sound, precision, generator))
+    )
     areas = {}
     if size.presses_grid:
         grid = make_grid(np.random.default_rng(7))
@@ -487,6 +492,7 @@ def _lesions(
             for contrast in CONTRASTS
             for wide in DIAMETERS
         },
+        float(np.mean(holds)),
         float(np.mean(inside[truth == 1.0])),
         float(np.mean(alarm[truth == 1.0])),
         {contrast: float(np.mean(alarm[truth == contrast])) for contrast in CONTRASTS},
@@ -644,7 +650,8 @@ def _figures(found: _Found) -> dict[str, Any]:
                 f"{c:g} times, {d:g} mm": area for (c, d), area in lesions.by_size.items()
             },
             "pipeline_roc_area": {str(c): area for c, area in lesions.pipeline_areas.items()},
-            "interval_coverage_healthy": lesions.coverage,
+            "interval_coverage": lesions.coverage,
+            "interval_coverage_among_lesions": lesions.coverage_among,
             "false_alarms": lesions.false_alarms,
             "found": {str(c): share for c, share in lesions.found.items()},
         },
@@ -761,7 +768,8 @@ def _lesion_table(lesions: _Lesions) -> Table:
         columns = (*columns, "pipeline")
     table = _table(
         f"Lesions: sites against their surroundings; false alarms {100 * lesions.false_alarms:.1f}"
-        f" %, intervals hold the truth of {100 * lesions.coverage:.0f} %",
+        f" %; 95 % intervals hold the truth of {100 * lesions.coverage:.0f} %, among lesions "
+        f"{100 * lesions.coverage_among:.0f} %",
         columns,
     )
     for contrast in CONTRASTS:

@@ -71,11 +71,11 @@ class Grid:
         return result
 
 
-def make_grid(generator: np.random.Generator) -> Grid:
+def make_grid(generator: np.random.Generator, has_lesions: bool = True) -> Grid:
     """Return 400 sites with an inclusion of every contrast and size, at random places."""
     axis = SPACING * np.arange(SIDE)
     positions = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    inclusions = _place(generator, axis[-1])
+    inclusions = _place(generator, axis[-1]) if has_lesions else ()
     liver = population().tissues[1]
     values = liver.mean + np.stack([sd * _field(generator) for sd in NATURAL_SD], axis=-1)
     inside = np.full(len(positions), -1, dtype=np.intp)

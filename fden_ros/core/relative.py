@@ -9,8 +9,8 @@ the strain x,
 because a fractional solid has no stiffness without a time scale, nor a nonlinear one without a
 strain. The surroundings vary by nature: :math:`l_k \sim N(m, t^2 + v_k)` with :math:`v_k` the
 variance of each estimate (a random-effects mean; R. DerSimonian and N. Laird, Controlled Clinical
-Trials 7 (1986) 177), where a small share may be something else, lesions among them: each place
-counts with its probability of not being that. The mean enters with Student's t.
+Trials 7 (1986) 177), where a share, estimated too, may be something else, lesions among them: each
+place counts with its probability of not being that. The mean enters with Student's t.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ ANSWERS = ("softer", "alike", "stiffer")
 
 #: Fewer places are no surroundings.
 LEAST_SURROUNDINGS = 4
-#: Share of the surroundings that may be something else, and its spread in l.
-_FOREIGN, _FOREIGN_SD = 0.1, 1.5
+#: Share of the surroundings that is something else, at first and at least and at most, and its
+#: spread in l.
+_FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
 #: Tissue that varies less is not believed.
 _LEAST_SD = 0.02
 _MEDIAN_TO_SD = 1.4826
@@ -186,10 +187,12 @@ def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | Non
         return None
     mean = float(np.median(values))
     natural = (_MEDIAN_TO_SD * float(np.median(np.abs(values - mean)))) ** 2
+    foreign = _FOREIGN
     for _ in range(_ITERATIONS):
         natural = max(natural, _LEAST_SD**2)
         own = natural + variances
-        belongs = _belongs((values - mean) ** 2, own)
+        belongs = _belongs((values - mean) ** 2, own, foreign)
+        foreign = float(np.clip(1.0 - np.mean(belongs), *_FOREIGN_RANGE))
         weights = belongs / own
         mean = float(weights @ values / weights.sum())
         # The mean takes one degree of freedom.
@@ -205,12 +208,12 @@ def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | Non
     )
 
 
-def _belongs(squares: Array, variances: Array) -> Array:
+def _belongs(squares: Array, variances: Array, foreign: float) -> Array:
     """Return the probability that each of the surroundings is not something else."""
     wide = variances + _FOREIGN_SD**2
     odds = (
-        _FOREIGN
-        / (1.0 - _FOREIGN)
+        foreign
+        / (1.0 - foreign)
         * np.sqrt(variances / wide)
         * np.exp(np.minimum(0.5 * squares * (1.0 / variances - 1.0 / wide), 500.0))
     )
