@@ -369,8 +369,6 @@ class Pipeline:
         order = config.estimator.prior.fractional_order
         self._orders = (order, order + _ORDER_STEP, max(order - _ORDER_STEP, 1e-6), *order_nodes())
         self._order_interpolation = order_interpolation()
-        # The kernel's weights take a moment to compute: now, not at the first touch.
-        FractionalIntegral(self._orders)
         self._detector = ContactDetector(config.contact, order)
         self._meter = (
             ComplexModulusMeter(config.dither_frequencies, config.dither_periods)
@@ -380,6 +378,9 @@ class Pipeline:
         self._sums = _Sums()
         self._epoch = 0
         self._clear()
+        # The kernels' weights take a moment to compute: now, not at the first touch.
+        FractionalIntegral(self._orders)
+        self._new_estimator(1.0, 1.0)
 
     def _clear(self) -> None:
         """Forget all streams, memory, contact and site; counts and ids go on."""
