@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import difflib
+import gc
 import signal
 import struct
 import sys
@@ -519,6 +520,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if node.get_parameter("autostart").value and not _autostart(node):
             return 1
+        # What is there by now stays: the collector need not look through it again and again.
+        gc.collect()
+        gc.freeze()
         spin(executor, lambda: bool(stopped))
         return 0
     finally:
