@@ -316,6 +316,7 @@ class _Contact:
     sample_count: int = 0
     is_pressed: bool = False
     changes_before: int = 0
+    changes_labelled: int = 0
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
     classes: ClassProbabilities | None = None
     decision: Decision = Decision.NONE
@@ -547,7 +548,7 @@ class Pipeline:
         site.integral.take_sum()
         if site.estimator is not None:
             site.estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
-            contact.changes_before = site.estimator.change_count
+            contact.changes_before = contact.changes_labelled = site.estimator.change_count
         self._sums.clear()
         self._block_end_ns = first.stamp_ns
         self._recent.clear()
@@ -871,6 +872,13 @@ class Pipeline:
     def _classify(
         self, stamp_ns: int, contact: _Contact, site: _Site, estimate: Estimate | None
     ) -> None:
+        changes = site.estimator.change_count if site.estimator is not None else 0
+        if changes != contact.changes_labelled:
+            # What was named is no longer under the probe.
+            contact.changes_labelled = changes
+            contact.decider = contact.decided = None
+            if contact.classes is not None:
+                self._decide(stamp_ns, contact, site, None)
         if estimate is None or not estimate.converged:
             if contact.decision is Decision.NONE:
                 self._decide(stamp_ns, contact, site, None)
