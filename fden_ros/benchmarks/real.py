@@ -583,7 +583,7 @@ def _draw_test(axes: Axes, test: Test, outcomes: _ByMethod, which: str) -> None:
     axes.text(0.02, 0.96, "seen", transform=axes.transAxes, va="top", color="0.45")
     for method, color in _COLORS.items():
         outcome = outcomes[method].get(test.name)
-        if outcome is None or method == GIVEN:
+        if outcome is None or method == LEARNED:
             continue
         axes.plot(test.times[seen:], outcome.predicted, color=color, linewidth=1.6, label=method)
         reach = _TWO_SIDED_95 * outcome.predicted_sd

@@ -280,7 +280,7 @@ def _draw(figure: Figure, speed: Speed, memories: list[Memory], scaling: float) 
         figure.subplots(1, len(bars), squeeze=False)[0], bars, strict=True
     ):
         shown: Any = axes.bar(labels, values, width=0.5, color="#4878a8")
-        axes.bar_label(shown, fmt="%.3g", padding=2)
+        axes.bar_label(shown, fmt="%.3g", label_type="center", color="white", fontsize=14)
         axes.axhline(goal, color="#b04030", linestyle="--", label=f"goal {goal:.3g}")
         axes.set_title(title)
         axes.margins(x=0.4, y=0.2)

@@ -123,6 +123,8 @@ def _listen_while_playing(bag: Path, truth: dict[str, Any], node: subprocess.Pop
                     )
                 if problems or (done.is_set() and listener.quiet_for > _QUIET_TIMEOUT):
                     break
+        if not console.is_terminal:
+            console.line()  # rich ends the last line on terminals only
         player.stop()
         thread.join()
         if problems:

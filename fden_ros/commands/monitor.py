@@ -63,3 +63,5 @@ def watch(
         while not until() and (end is None or time.monotonic() < end):
             monitor.spin(_PERIOD)
             live.update(monitor_view(monitor.view()), refresh=True)
+    if not console.is_terminal:
+        console.line()  # rich ends the last line on terminals only
