@@ -315,6 +315,7 @@ class _Contact:
     max_force: float = 0.0
     sample_count: int = 0
     is_pressed: bool = False
+    is_free: bool = True  #: the tissue is not on the probe
     changes_before: int = 0
     changes_labelled: int = 0
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
@@ -696,8 +697,11 @@ class Pipeline:
         The first touch says where the origin is, so there the law holds from the origin on; later
         ones meet a surface that still recovers.
         """
+        # Twice as much to meet it as to leave it, so that noise does neither.
+        threshold = (2.0 if contact.is_free else 1.0) * contact.release_force
         is_first_touch = contact.start_ns == site.start_ns and not contact.is_pressed
-        return force <= contact.release_force and not is_first_touch
+        contact.is_free = force <= threshold and not is_first_touch
+        return contact.is_free
 
     def _hover(self, pair: Pair) -> None:
         if pair.stamp_ns - self._block_end_ns < self._block_ns:
