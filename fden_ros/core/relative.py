@@ -22,8 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import digamma, gammaln
-from scipy.stats import t as students_t
+from scipy.special import digamma, gammaln, stdtr, stdtrit
 
 from fden_ros.core.classifier import ClassProbabilities, Likelihood
 
@@ -104,7 +103,7 @@ class Comparison:
     def interval(self, probability: float = 0.95) -> tuple[float, float]:
         """Return the interval that holds the ratio with this probability."""
         reach = self.log_ratio_sd * float(
-            students_t.ppf(0.5 + 0.5 * probability, self.degrees_of_freedom)
+            stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * probability)
         )
         low, high = self.log_ratio - reach, self.log_ratio + reach
         return math.exp(max(low, -_LARGEST_LOG)), math.exp(min(high, _LARGEST_LOG))
@@ -112,7 +111,7 @@ class Comparison:
     def probability_stiffer(self, ratio: float = 1.0) -> float:
         """Return the probability that the place is more than `ratio` times stiffer."""
         off = (self.log_ratio - math.log(ratio)) / self.log_ratio_sd
-        return float(students_t.cdf(off, self.degrees_of_freedom))
+        return float(stdtr(self.degrees_of_freedom, off))
 
     @property
     def deviations(self) -> float:

@@ -1,0 +1,259 @@
+"""fden train: from labelled bags and tables to a library, and back into a replay."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from fden_ros.cli import main
+from fden_ros.library import load_library
+
+CLASSES = {"liver": (6.3, 2.1, 0.13), "muscle": (7.3, 2.3, 0.2)}
+HEADER = ("tissue", "specimen", "g", "g_sd", "g_n", "g_n_sd", "alpha", "alpha_sd")
+
+
+def rows(specimens=6, each=2, seed=0):
+    rng = np.random.default_rng(seed)
+    found = []
+    for name, mean in CLASSES.items():
+        for specimen in range(specimens):
+            middle = rng.normal(mean, [0.2, 0.1, 0.01])
+            for _ in range(each):
+                g, g_n = np.exp(rng.normal(middle[:2], 0.05))
+                order = rng.normal(middle[2], 0.005)
+                found.append((name, specimen, g, 0.03 * g, g_n, 0.03 * g_n, order, 0.004))
+    return found
+
+
+def written(path, body, header=HEADER):
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *body])
+    return path
+
+
+def train(capsys, *arguments):
+    code = main(["train", *map(str, arguments)])
+    shown = capsys.readouterr()
+    return code, shown.out, shown.err
+
+
+def test_table_becomes_a_library_and_a_check(tmp_path, capsys):
+    table, library = written(tmp_path / "table.csv", rows()), tmp_path / "library.yaml"
+    code, out, _ = train(capsys, table, "-o", library)
+    assert code == 0
+    assert "liver" in out and "error 0.0%" in out and "12 specimens" in out
+    found = load_library(library)
+    assert found.class_names == ("liver", "muscle", "unknown")
+    for tissue in found.tissues:
+        off = np.abs(tissue.mean - CLASSES[tissue.name])
+        assert np.all(off < [0.3, 0.15, 0.02])
+    assert found.units == "Pa"
+
+
+def test_answer_in_json_has_the_check_and_the_warnings(tmp_path, capsys):
+    body = [(name, "", *rest) for name, _, *rest in rows()]
+    table = written(tmp_path / "table.csv", body)
+    code, out, _ = train(capsys, table, "-o", tmp_path / "l.yaml", "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["contacts"] == 24
+    assert answer["check"]["left_out"] == "one contact at a time: no specimen is named"
+    assert any("no specimen is named for liver, muscle" in line for line in answer["warnings"])
+
+
+def test_priors_and_names_of_columns_can_be_set(tmp_path, capsys):
+    header = ("organ", "animal", *HEADER[2:])
+    table = written(tmp_path / "table.csv", rows(), header)
+    library = tmp_path / "library.yaml"
+    options = ("--tissue-column", "organ", "--specimen-column", "animal")
+    priors = ("--prior", "liver=3", "--prior", "muscle=1", "--unknown", "0.2")
+    assert train(capsys, table, "-o", library, *options, *priors)[0] == 0
+    found = load_library(library)
+    assert [round(one.prior, 4) for one in found.classes] == [0.6, 0.2, 0.2]
+
+
+def test_contacts_that_did_not_converge_are_left_out_and_counted(tmp_path, capsys):
+    body = [(*row, i % 4 != 0, "") for i, row in enumerate(rows())]
+    table = written(tmp_path / "table.csv", body, (*HEADER, "converged", "flags"))
+    _, out, _ = train(capsys, table, "-o", tmp_path / "l.yaml", "--json")
+    answer = json.loads(out)
+    assert answer["contacts"] == 18
+    assert answer["left_out"] == {"not converged": 6}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys, suffix):
+    if suffix == ".parquet":
+        pyarrow = pytest.importorskip("pyarrow")
+        from pyarrow import parquet
+    # Contacts that showed as much as the prior knew: the truth lies twice as far from it.
+    log_sd, mean = 0.3, math.log(520.0)
+    body = []
+    for specimen in range(8):
+        g = math.exp(mean + 0.4)
+        sd = log_sd / math.sqrt(2.0)
+        body.append(("a", specimen, g, sd * g, 8.4, 0.05 * 8.4, 0.131, 0.002, "prior"))
+    header = (*HEADER, "alpha_source")
+    path = tmp_path / f"results{suffix}"
+    if suffix == ".parquet":
+        columns = dict(zip(header, map(list, zip(*body, strict=True)), strict=True))
+        parquet.write_table(pyarrow.table(columns), path)
+    else:
+        written(path, body, header)
+    assert train(capsys, path, "-o", tmp_path / "l.yaml")[0] == 0
+    found = load_library(tmp_path / "l.yaml").tissues[0]
+    assert found.mean[0] == pytest.approx(mean + 0.8, abs=0.05)
+
+
+def test_order_that_was_given_is_not_learned(tmp_path, capsys):
+    body = [("a", i, 500.0, 10.0, 8.0, 0.2, 0.45, 0.001, "given") for i in range(6)]
+    table = written(tmp_path / "t.csv", body, (*HEADER, "alpha_source"))
+    config = tmp_path / "probe.yaml"
+    config.write_text("alpha: {source: given, value: 0.45, sd: 0.001}\n", encoding="utf-8")
+    assert train(capsys, table, "-o", tmp_path / "l.yaml", "--config", config)[0] == 0
+    spread = load_library(tmp_path / "l.yaml").tissues[0].covariance[2, 2] ** 0.5
+    # Nothing was seen of it: all orders are possible.
+    assert spread > 0.1
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Two bags of one site each, from the golden scenario's sensors, and their parameters."""
+    folder = tmp_path_factory.mktemp("bags")
+    for name, g in (("soft", 450.0), ("stiff", 1500.0)):
+        scenario = {
+            "description": name,
+            "seed": 1,
+            "geometry": {"kind": "flat_punch", "radius_m": 0.01, "thickness_m": 0.02},
+            "approach": {"distance_m": 0.002, "start_pause_s": 1.0},
+            "sites": [
+                {
+                    "tissue": {
+                        "linear_stiffness": g,
+                        "nonlinear_stiffness": 8.0,
+                        "fractional_order": 0.13,
+                    },
+                    "presses": [
+                        {
+                            "kind": "ramp_hold",
+                            "strain_rate": 0.4,
+                            "max_strain": 0.22,
+                            "hold_s": 0.3,
+                        }
+                    ],
+                }
+            ],
+            "force": {"rate_hz": 200.0, "noise_stress_pa": 3.0},
+            "displacement": {"rate_hz": 200.0},
+        }
+        path = folder / f"{name}.yaml"
+        path.write_text(yaml.safe_dump(scenario), encoding="utf-8")
+        assert main(["bag", str(path), "-o", str(folder / name)]) == 0
+    parameters = folder / "soft" / "identifier.yaml"
+    content = yaml.safe_load(parameters.read_text(encoding="utf-8"))
+    wide = folder / "probe.yaml"
+    (section,) = content.values()
+    section["ros__parameters"].setdefault("prior", {})["linear_stiffness_log_sd"] = 1.0
+    wide.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return folder, wide
+
+
+def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsys):
+    folder, config = bags
+    library = tmp_path / "library.yaml"
+    sources = [f"soft/one={folder / 'soft'}", f"stiff/two={folder / 'stiff'}"]
+    code, out, _ = train(capsys, *sources, "--config", config, "-o", library, "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["contacts"] == 2
+    assert any("soft has a single specimen" in line for line in answer["warnings"])
+    assert load_library(library).geometry == "flat_punch"
+    recorded = yaml.safe_load(library.read_text(encoding="utf-8"))["geometry"]
+    assert recorded["thickness"] == 0.02 and recorded["area"] == pytest.approx(math.pi * 1e-4)
+
+    content = yaml.safe_load(config.read_text(encoding="utf-8"))
+    (section,) = content.values()
+    section["ros__parameters"]["classifier"] = {"library": str(library)}
+    chosen = tmp_path / "chosen.yaml"
+    chosen.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert main(["replay", str(folder / "stiff"), "--config", str(chosen), "--json"]) == 0
+    (contact,) = json.loads(capsys.readouterr().out)["contacts"]
+    assert contact["label"] == "stiff"
+    assert contact["probabilities"]["stiff"] > 0.7
+    assert 0.05 < contact["typicality"] <= 1.0
+    assert 0.12 < contact["decision_strain"] <= 0.23
+    assert 0.2 < contact["decision_time"] < 1.5
+
+
+def test_list_of_bags_is_read_with_paths_from_its_folder(bags, tmp_path, capsys):
+    folder, config = bags
+    listed = written(
+        folder / "labels.csv",
+        [("soft", "soft", "one"), ("stiff", "stiff", "two")],
+        ("bag", "tissue", "specimen"),
+    )
+    _, out, _ = train(capsys, listed, "--config", config, "-o", tmp_path / "l.yaml", "--json")
+    assert json.loads(out)["contacts"] == 2
+
+
+def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, capsys):
+    folder, config = bags
+    newtons = tmp_path / "newtons.yaml"
+    newtons.write_text("geometry: {area: 1.0}\n", encoding="utf-8")
+    table, library = written(tmp_path / "t.csv", rows()), tmp_path / "library.yaml"
+    assert train(capsys, table, "--config", newtons, "-o", library)[0] == 0
+    assert load_library(library).units == "N"
+    content = yaml.safe_load(config.read_text(encoding="utf-8"))
+    (section,) = content.values()
+    section["ros__parameters"]["classifier"] = {"library": str(library)}
+    chosen = tmp_path / "chosen.yaml"
+    chosen.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert main(["replay", str(folder / "soft"), "--config", str(chosen)]) == 1
+    error = capsys.readouterr().err
+    assert "in N s^alpha, but the estimates are in Pa s^alpha" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "body", "words"),
+    [
+        (HEADER[1:], [row[1:] for row in rows()], "which tissue is it? Add a column tissue"),
+        (
+            ("label", *HEADER[1:]),
+            rows(),
+            "its column label is what the classifier said, not the truth",
+        ),
+        (("tissue", "g", "g_n"), [("a", 1, 2)], "column g_sd is missing"),
+        (HEADER, [("", *rows()[0][1:])], "row 1: tissue is empty"),
+        (HEADER, [("unknown", *rows()[0][1:])], "cannot be called `unknown`"),
+        (HEADER, [("a", 1, 500, 0, 8, 0.2, 0.1, 0.01)], "must be positive"),
+        (HEADER, [("a", 1, "much", 1, 8, 0.2, 0.1, 0.01)], "g is 'much', must be a number"),
+        (HEADER, [("a", 1, "", "", "", "", "", "")], "no contact to learn from"),
+    ],
+)
+def test_mistake_in_a_table_is_told_in_one_line(tmp_path, capsys, header, body, words):
+    table = written(tmp_path / "t.csv", body, header)
+    code, _, error = train(capsys, table, "-o", tmp_path / "l.yaml")
+    assert code == 1
+    assert words in error and error.count("\n") == 1
+
+
+def test_wrong_sources_are_told_in_one_line(tmp_path, capsys):
+    for arguments, words in (
+        ([tmp_path / "nothing.csv"], "no such file or folder"),
+        ([tmp_path], "which tissue is it? Write TISSUE="),
+        ([written(tmp_path / "t.csv", rows()), "--prior", "heart=1"], "there is no such tissue"),
+    ):
+        code, _, error = train(capsys, *arguments, "-o", tmp_path / "l.yaml")
+        assert code == 1
+        assert words in error and error.count("\n") == 1
+
+
+def test_bad_prior_is_wrong_usage(tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["train", "t.csv", "-o", str(tmp_path / "l.yaml"), "--prior", "liver"])
+    assert ended.value.code == 2
+    assert "TISSUE=P" in capsys.readouterr().err

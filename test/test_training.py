@@ -1,0 +1,212 @@
+"""Libraries learned from labelled contacts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from fden_ros.core.classifier import UNKNOWN, Likelihood, log_evidence, posterior
+from fden_ros.errors import InputError
+from fden_ros.library import parse_library
+from fden_ros.training import (
+    Contacts,
+    check,
+    check_object,
+    contacts_of,
+    joined,
+    learn,
+    library_of,
+    library_text,
+    share_interval,
+)
+
+MEAN = np.array([6.3, 2.1, 0.13])
+BETWEEN = np.diag(np.square([0.25, 0.15, 0.015]))
+WITHIN = np.diag(np.square([0.12, 0.10, 0.008]))
+SHIFT = np.array([1.2, 0.1, 0.08])
+
+
+def drawn(rng, *, classes=2, specimens=20, each=3, error=(0.05, 0.05, 0.005), named=True):
+    """Contacts of classes SHIFT apart, with estimation errors of very different size."""
+    tissues, names, means, covariances = [], [], [], []
+    for index in range(classes):
+        for specimen in range(specimens):
+            middle = rng.multivariate_normal(MEAN + index * SHIFT, BETWEEN)
+            for _ in range(each):
+                covariance = np.diag(np.square(np.array(error) * rng.uniform(0.2, 2.0, 3)))
+                value = rng.multivariate_normal(middle, WITHIN)
+                means.append(rng.multivariate_normal(value, covariance))
+                covariances.append(covariance)
+                tissues.append("abc"[index])
+                names.append(str(specimen) if named else "")
+    return contacts_of(tissues, names, np.array(means), np.array(covariances))
+
+
+def test_estimation_error_is_taken_out():
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(4):
+        # Errors as large as the spread itself.
+        spreads = learn(drawn(rng, specimens=40, error=(0.3, 0.2, 0.02)))
+        found += [(np.diag(one.between), np.diag(one.within)) for one in spreads.values()]
+    between, within = np.mean(found, axis=0)
+    # Uncorrected the whole would be 2.3 times too large.
+    np.testing.assert_allclose(between + within, np.diag(BETWEEN + WITHIN), rtol=0.3)
+    np.testing.assert_allclose(between, np.diag(BETWEEN), rtol=0.4)
+
+
+def test_mean_is_found_with_its_error():
+    rng = np.random.default_rng(1)
+    off = []
+    for _ in range(40):
+        one = learn(drawn(rng, classes=1, specimens=40))["a"]
+        off.append((one.mean - MEAN) @ np.linalg.solve(one.mean_covariance, one.mean - MEAN))
+    # Hotelling's, all but chi-squared with three degrees of freedom; four deviations of the mean.
+    assert abs(np.mean(off) - 3.0) < 4.0 * math.sqrt(6.0 / 40.0)
+
+
+def test_order_that_no_contact_showed_is_learned_from_those_that_did():
+    rng = np.random.default_rng(2)
+    contacts = drawn(rng, specimens=40)
+    information = contacts.likelihood.information.copy()
+    blind = rng.random(len(contacts)) < 0.7
+    information[blind, 2, :] = information[blind, :, 2] = 0.0
+    centre = contacts.likelihood.centre.copy()
+    # What was published there is the prior's, and says nothing.
+    centre[blind, 2] = 0.4
+    seen = Contacts(
+        contacts.tissues,
+        contacts.specimens,
+        Likelihood(centre, contacts.likelihood.score, information),
+    )
+    for index, one in enumerate(learn(seen).values()):
+        assert one.mean[2] == pytest.approx(0.13 + index * SHIFT[2], abs=0.015)
+        assert math.sqrt(one.between[2, 2] + one.within[2, 2]) == pytest.approx(0.017, rel=0.4)
+
+
+def test_single_specimen_takes_the_spread_of_the_others():
+    rng = np.random.default_rng(3)
+    many, one = drawn(rng, classes=1, specimens=30), drawn(rng, classes=1, specimens=1, each=5)
+    both = joined([many, Contacts(("z",) * 5, one.specimens, one.likelihood)])
+    spreads = learn(both)
+    assert spreads["z"].specimens == 1
+    np.testing.assert_allclose(
+        np.diag(spreads["z"].between), np.diag(spreads["a"].between), rtol=0.6
+    )
+    assert library_of(spreads).tissues[1].degrees_of_freedom == 4.0
+
+
+def test_contacts_of_one_specimen_are_not_so_many_specimens():
+    rng = np.random.default_rng(4)
+    few = drawn(rng, classes=1, specimens=4, each=25)
+    named, unnamed = (
+        learn(few)["a"],
+        learn(Contacts(few.tissues, ("",) * 100, few.likelihood))["a"],
+    )
+    assert (named.specimens, unnamed.specimens) == (4, 100)
+    wide, narrow = named.tissue("a"), unnamed.tissue("a")
+    assert wide.degrees_of_freedom < 8.0 < narrow.degrees_of_freedom
+    assert named.mean_covariance[0, 0] > 5.0 * unnamed.mean_covariance[0, 0]
+
+
+def test_library_from_few_specimens_is_calibrated():
+    rng = np.random.default_rng(5)
+    said, right = [], []
+    for _ in range(40):
+        library = library_of(learn(drawn(rng, specimens=4, each=2)), unknown_prior=0.001)
+        fresh = drawn(rng, specimens=25, each=1)
+        probabilities = posterior(library, log_evidence(library, fresh.likelihood)[0])
+        said.append(probabilities.max(axis=1))
+        truth = np.array(fresh.tissues) == "b"
+        right.append(probabilities.argmax(axis=1) == truth)
+    said, right = np.concatenate(said), np.concatenate(right)
+    assert abs(np.mean(said) - np.mean(right)) < 0.025
+
+
+# The check
+
+
+def test_check_leaves_out_specimens_not_contacts():
+    rng = np.random.default_rng(6)
+    # Every specimen has a place of its own, and classes do not differ: only the specimen tells.
+    tissues, names, means = [], [], []
+    for index in range(16):
+        middle = rng.normal(MEAN, [0.8, 0.3, 0.03])
+        for _ in range(6):
+            tissues.append("ab"[index % 2])
+            names.append(str(index))
+            means.append(rng.normal(middle, [0.01, 0.01, 0.001]))
+    covariance = np.broadcast_to(np.diag(np.square([0.01, 0.01, 0.001])), (96, 3, 3))
+    contacts = contacts_of(tissues, names, np.array(means), covariance)
+    result = check(contacts, learn(contacts))
+    assert 0.25 < np.mean(result.errors) < 0.9
+    low, high = result.interval()
+    assert low < 0.5 < high
+
+
+def test_check_says_what_it_could_not_do():
+    rng = np.random.default_rng(7)
+    many, one = drawn(rng, classes=1, specimens=6), drawn(rng, classes=1, specimens=1, each=2)
+    both = joined([many, Contacts(("z",) * 2, one.specimens, one.likelihood)])
+    result = check(both, learn(both))
+    assert result.unchecked == ("z",)
+    assert len(result.truth) == len(many)
+    unnamed = drawn(rng, specimens=5, named=False)
+    said = check_object(check(unnamed, learn(unnamed)))
+    assert said["without_named_specimens"] == ["a", "b"]
+    assert said["left_out"] == "one contact at a time: no specimen is named"
+
+
+def test_interval_of_a_share_counts_specimens():
+    rng = np.random.default_rng(8)
+    inside = 0
+    for _ in range(400):
+        # Whole specimens go wrong together.
+        hits = np.repeat(rng.random(30) < 0.3, 10)
+        low, high = share_interval(hits, [str(i // 10) for i in range(300)])
+        inside += low <= 0.3 <= high
+    assert inside / 400 > 0.92
+    assert share_interval(np.zeros(50, dtype=bool), ["a"] * 25 + ["b"] * 25)[1] > 0.5
+
+
+# The file
+
+
+def test_library_that_was_written_is_read_again():
+    rng = np.random.default_rng(9)
+    contacts = drawn(rng)
+    spreads = learn(contacts)
+    library = library_of(spreads, "mine", {"a": 3.0}, 0.2, "N", "flat_punch")
+    text = library_text(
+        library, spreads, contacts, check(contacts, spreads), {"kind": "flat_punch"}
+    )
+    again = parse_library(text, "text")
+    assert (again.name, again.units, again.geometry) == ("mine", "N", "flat_punch")
+    assert again.class_names == ("a", "b", UNKNOWN)
+    for one, other in zip(library.classes, again.classes, strict=True):
+        np.testing.assert_allclose(one.mean, other.mean, rtol=1e-8)
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-8)
+        assert one.degrees_of_freedom == other.degrees_of_freedom
+        assert one.prior == pytest.approx(other.prior, rel=1e-5)
+    assert library.tissues[0].prior == pytest.approx(3.0 * library.tissues[1].prior)
+    content = yaml.safe_load(text)
+    assert content["tissues"][0]["trained_on"] == {"contacts": 60, "specimens": 20}
+    assert content["check"]["contacts"] == 120
+
+
+def test_unknown_is_wider_than_any_class():
+    library = library_of(learn(drawn(np.random.default_rng(10), classes=3)))
+    for tissue in library.tissues:
+        difference = library.unknown.covariance - tissue.covariance
+        assert np.linalg.eigvalsh(difference)[0] > 0.0
+
+
+def test_nothing_to_learn_from_is_told():
+    empty = contacts_of(
+        [], [], np.empty((0, 3)), np.empty((0, 3, 3)), skipped={"not converged": 3}
+    )
+    with pytest.raises(InputError, match="no contact to learn from \\(3 not converged\\)"):
+        joined([empty])
