@@ -19,6 +19,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -29,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,6 +73,8 @@ class Run:
     lost: int  #: pairs that did not come through
     told: int  #: of these, how many the process itself counted
     rejected: int
+    batches: int  #: how often messages had to be taken together
+    most_waiting: int  #: messages
     published: int
     cpu: float  #: share of a core
     latency_ms: dict[str, float]  #: p50, p99, p99.9 from stamp to arrival of the result
@@ -132,9 +136,9 @@ def measure(what: str, rate: float, seconds: float) -> Run:
         tested = stack.enter_context(_process(middle, environment))
         sender = stack.enter_context(_process(source, environment))
         watched = _watch(tested.pid, sender, seconds)
-        sent = json.loads(_ended(sender))["sent"]
+        sent = json.loads(_ended(sender)).get("sent", 0)
         # What is still under way.
-        time.sleep(2.0)
+        time.sleep(2.0 + (2.0 if rate > 1000.0 else 0.0))
         for process in (tested, sink):
             process.send_signal(signal.SIGINT)
         _ended(tested)
@@ -149,6 +153,8 @@ def measure(what: str, rate: float, seconds: float) -> Run:
         lost=lost,
         told=counts.get("lost", 0),
         rejected=counts.get("rejected", 0),
+        batches=counts.get("batches", 0),
+        most_waiting=counts.get("most waiting", 0),
         published=heard["published"],
         cpu=watched[0],
         latency_ms=heard["latency_ms"],
@@ -169,15 +175,20 @@ def _node_arguments() -> list[str]:
 
 @contextlib.contextmanager
 def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[Any]:
-    process = subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+    with tempfile.TemporaryFile("w+") as errors:
+        process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True
+        )
+        try:
+            yield process
+            if process.returncode:
+                errors.seek(0)
+                words = " ".join(errors.read().split())[-300:]
+                raise InputError(f"{command[2:4]} ended with {process.returncode}: {words}")
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
 
 
 def _ended(process: Any) -> str:
@@ -349,7 +360,7 @@ def _sink() -> None:
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         for entry in message.status[0].values:
-            if entry.key in ("pairs", "rejected"):
+            if entry.key in ("pairs", "rejected", "most waiting", "batches"):
                 counts[entry.key] = int(entry.value)
             if entry.key.startswith("lost."):
                 counts[entry.key] = int(entry.value)
@@ -370,9 +381,10 @@ def _sink() -> None:
 def _heard(arrivals: list[tuple[int, int]], counts: dict[str, int]) -> dict[str, Any]:
     times = np.array(arrivals, dtype=np.int64).reshape(-1, 2)
     kept = times[times[:, 0] > times[0, 0] + round(_WARM_UP * 1e9)] if len(times) else times
-    # A state of the timer's, such as a stale one, repeats an old stamp.
-    latency = 1e-6 * (kept[:, 1] - kept[:, 0])
-    latency = latency[latency < 400.0] if len(latency) else np.array([np.nan])
+    if len(kept) > 1:
+        # A stale state is stamped 1 ns after the state that it takes back.
+        kept = kept[1:][np.diff(kept[:, 0]) != 1]
+    latency = 1e-6 * (kept[:, 1] - kept[:, 0]) if len(kept) else np.array([np.nan])
     shares = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
     return {
         "published": len(kept),
@@ -423,7 +435,20 @@ def _table(runs: Sequence[Run]) -> Any:
 
     load = os.getloadavg()[0]
     table = Table(title=f"{os.cpu_count()} cores, load {load:.1f} at the end", box=box.SIMPLE_HEAD)
-    for name in ("", "Hz", "s", "sent", "lost", "told", "CPU", "p50", "p99", "p99.9", "MB"):
+    for name in (
+        "",
+        "Hz",
+        "s",
+        "sent",
+        "lost",
+        "told",
+        "waited",
+        "CPU",
+        "p50",
+        "p99",
+        "p99.9",
+        "MB",
+    ):
         table.add_column(name, justify="left" if not name else "right", no_wrap=True)
     for one in runs:
         table.add_row(
@@ -433,6 +458,7 @@ def _table(runs: Sequence[Run]) -> Any:
             str(one.sent),
             str(one.lost),
             str(one.told),
+            str(one.most_waiting),
             f"{one.cpu:.2f}",
             *(f"{one.latency_ms[p]:.2f}" for p in ("p50", "p99", "p99.9")),
             f"{one.memory_mb[-1]:.0f}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from rclpy.qos import qos_policy_name_from_kind
 from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.nodes.backlog import Backlog
 
 if TYPE_CHECKING:
     from fden_ros.nodes.identifier import Identifier
@@ -35,12 +37,16 @@ class Diagnostics:
         self._subscriptions: Sequence[Subscription] = ()
         self._incompatible: dict[str, str] = {}
         self._lost: dict[str, int] = {}
+        self._backlog = Backlog()
         self._pairs_before = 0
         self._rejected_before = 0
         self._lost_before = 0
 
-    def start(self, pipeline: Pipeline, subscriptions: Sequence[Subscription]) -> None:
+    def start(
+        self, pipeline: Pipeline, subscriptions: Sequence[Subscription], backlog: Backlog
+    ) -> None:
         """Begin to report on `pipeline`, fed by `subscriptions`, a list that may still grow."""
+        self._backlog = backlog
         self._pipeline = pipeline
         self._subscriptions = subscriptions
         self._incompatible.clear()
@@ -76,6 +82,10 @@ class Diagnostics:
         """Take note of messages that came faster than they were read."""
         self._lost[topic] = int(event.total_count)
 
+    def _lost_by_topic(self) -> Counter[str]:
+        """Return what the middleware and the backlog dropped so far."""
+        return Counter(self._lost) + self._backlog.dropped
+
     def _publish(self) -> None:
         pipeline = self._pipeline
         if pipeline is None:
@@ -85,7 +95,15 @@ class Diagnostics:
             self._problems(pipeline),
             pipeline,
             self._pairs_before,
-            {f"lost.{topic}": count for topic, count in sorted(self._lost.items())},
+            {
+                "waiting": self._backlog.waiting,
+                "most waiting": self._backlog.most_waiting,
+                "batches": self._backlog.batches,
+                **{
+                    f"lost.{topic}": count
+                    for topic, count in sorted(self._lost_by_topic().items())
+                },
+            },
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -99,7 +117,7 @@ class Diagnostics:
             problems += self._publisher_problems(subscription)
         if pipeline.pair_count == self._pairs_before:
             problems.append("no pair of force and displacement in the last second")
-        lost = sum(self._lost.values()) - self._lost_before
+        lost = sum(self._lost_by_topic().values()) - self._lost_before
         self._lost_before += lost
         if lost:
             problems.append(f"{lost} messages lost in the last second: they come too fast")

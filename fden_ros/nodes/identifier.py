@@ -70,6 +70,7 @@ from fden_ros.messages import (
     modulus_message,
     summary_message,
 )
+from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.diagnostics import Diagnostics, type_name
 from fden_ros.nodes.markers import StiffnessMap
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config
@@ -133,6 +134,7 @@ class Identifier(LifecycleNode):
         self._pipeline: Pipeline | None = None
         self._inputs: Inputs | None = None
         self._active = False
+        self._backlog = Backlog()
         self._last_state: TissueState | None = None
         self._last_input = self._steady.now()
         self._seen_pairs = 0
@@ -281,7 +283,8 @@ class Identifier(LifecycleNode):
         self._seen_pairs = 0
         self._last_input = self._steady.now()
         self._active = True
-        self._diagnostics.start(self._pipeline, self._subscriptions_made)
+        self._backlog = Backlog()
+        self._diagnostics.start(self._pipeline, self._subscriptions_made, self._backlog)
         self._subscribe(FORCE_MESSAGES[values["force.message"]], "force", self._inputs)
         self._subscribe(
             DISPLACEMENT_MESSAGES[values["displacement.message"]], "displacement", self._inputs
@@ -292,10 +295,18 @@ class Identifier(LifecycleNode):
         self._listening_timers = [self._stale_timer]
 
     def _subscribe(self, kind: type, topic: str, inputs: Inputs) -> None:
+        read = self._reader(kind, topic, inputs)
+        source: Input | None = None
+
+        def on_message(data: bytes) -> None:
+            with self._lock:
+                if self._active and source is not None:
+                    self._backlog.add(source, data)
+
         subscription = self.create_subscription(
             kind,
             topic,
-            self._reader(kind, topic, inputs),
+            on_message,
             copy.copy(INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event),
@@ -306,6 +317,8 @@ class Identifier(LifecycleNode):
             raw=True,
         )
         self._subscriptions_made.append(subscription)
+        source = Input(topic, taker(subscription), read)
+        self._backlog.inputs.append(source)
 
     def _reader(self, kind: type, topic: str, inputs: Inputs) -> Callable[[bytes], None]:
         add = inputs.add_force if topic == "force" else inputs.add_displacement
@@ -313,26 +326,24 @@ class Identifier(LifecycleNode):
         assert fast is not None
 
         def read(data: bytes) -> None:
-            with self._lock:
-                if self._inputs is not inputs or not self._active:
-                    return
-                try:
-                    fast(data)
-                    return
-                except (UnusualError, struct.error):
-                    pass
-                try:
-                    message = deserialize_message(data, kind)
-                except Exception:
-                    # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                    inputs.reject(topic, _DAMAGED)
-                    return
-                add(message)
+            try:
+                fast(data)
+                return
+            except (UnusualError, struct.error):
+                pass
+            try:
+                message = deserialize_message(data, kind)
+            except Exception:
+                # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+                inputs.reject(topic, _DAMAGED)
+                return
+            add(message)
 
         return read
 
     def _stop_listening(self) -> None:
         self._active = False
+        self._backlog.clear()
         for subscription in self._subscriptions_made:
             self.destroy_subscription(subscription)
         self._subscriptions_made.clear()
@@ -386,6 +397,8 @@ class Identifier(LifecycleNode):
 
     def _check_stale(self) -> None:
         with self._lock:
+            if self._active and self._backlog.waiting:
+                self._backlog.work()
             self._tell_stale()
 
     def _tell_stale(self) -> None:
