@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.library import load_library
+from fden_ros.library import library_for, load_library, units_of
+from fden_ros.parameters import check, pipeline_config
 
 MOMENTS = {
     "linear_stiffness": {"mean": 544.8, "sd": 155.3},
@@ -114,3 +115,88 @@ def liver_with(**changes):
 )
 def test_mistake_is_told_in_one_line_with_the_file(tmp_path, data, said):
     assert said in refused(written(tmp_path, data))
+
+
+# Format 2
+
+
+LEARNED = {
+    "mean": [6.3, 2.1, 0.13],
+    "covariance": [[0.08, 0.01, 0.0], [0.01, 0.04, 0.0], [0.0, 0.0, 1e-4]],
+    "degrees_of_freedom": 7,
+}
+
+
+def learned_with(**changes):
+    return content(format=2, tissues=[{"name": "liver", "distribution": LEARNED | changes}])
+
+
+def test_learned_distribution_is_read_with_its_degrees_of_freedom(tmp_path):
+    library = load_library(written(tmp_path, learned_with()))
+    (tissue,) = library.tissues
+    np.testing.assert_allclose(tissue.mean, LEARNED["mean"])
+    np.testing.assert_allclose(tissue.covariance, LEARNED["covariance"])
+    assert tissue.degrees_of_freedom == 7.0
+    assert library.units == "Pa" and library.geometry == ""
+
+
+def test_typed_and_learned_tissues_stand_in_one_file(tmp_path):
+    tissues = [{"name": "a", "distribution": LEARNED}, {"name": "b", **MOMENTS}]
+    data = content(format=2, units="N", geometry={"kind": "sphere"}, tissues=tissues)
+    library = load_library(written(tmp_path, data))
+    assert library.class_names == ("a", "b", "unknown")
+    assert [t.degrees_of_freedom for t in library.tissues] == [7.0, math.inf]
+    assert (library.units, library.geometry) == ("N", "sphere")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (learned_with(mean=[1.0, 2.0]), "must be (ln G, ln Gn, alpha)"),
+        (learned_with(mean="high"), "must be (ln G, ln Gn, alpha)"),
+        (learned_with(covariance=[[1.0, 0.0], [0.0, 1.0]]), "three rows of three"),
+        (learned_with(covariance=[[1, 2, 0], [2, 1, 0], [0, 0, 1]]), "positive definite"),
+        (learned_with(covariance=[[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]), "symmetric"),
+        (learned_with(degrees_of_freedom=0), "must be a positive number"),
+        (content(format=2, units="psi"), "must be Pa or N"),
+        (content(format=2, geometry="sphere"), "needs `geometry` with `kind`"),
+        (content(format=2, tissues=[{"name": "a", "distribution": 1}]), "needs `distribution`"),
+    ],
+)
+def test_mistake_in_a_learned_library_is_told_in_one_line(tmp_path, data, said):
+    assert said in refused(written(tmp_path, data))
+
+
+# Units and geometry
+
+
+def parameters(path="", **geometry):
+    values = {f"geometry.{name}": value for name, value in geometry.items()}
+    return check({"classifier.library": str(path), **values})
+
+
+def test_estimates_in_newtons_are_told_by_the_area_of_one(tmp_path):
+    assert units_of(parameters()) == "Pa"
+    assert units_of(parameters(area=1.0)) == "N"
+    assert units_of(parameters(kind="sphere", area=1.0)) == "Pa"
+    newtons = written(tmp_path, content(format=2, units="N"))
+    assert library_for(parameters(newtons, area=1.0)).units == "N"
+
+
+@pytest.mark.parametrize(("units", "area"), [("N", 1e-4), ("Pa", 1.0)])
+def test_library_of_other_units_is_refused(tmp_path, units, area):
+    path = written(tmp_path, content(format=2, units=units))
+    with pytest.raises(InputError, match=f"G is in {units} s\\^alpha, but the estimates"):
+        pipeline_config(parameters(path, area=area))
+
+
+def test_built_in_library_is_left_out_where_it_does_not_fit():
+    assert pipeline_config(parameters(area=1.0)).library is None
+    assert pipeline_config(parameters()).library.name == "paper"
+
+
+def test_library_of_another_geometry_is_refused(tmp_path):
+    path = written(tmp_path, content(format=2, geometry={"kind": "sphere"}))
+    with pytest.raises(InputError, match=r"was made with geometry\.kind sphere"):
+        library_for(parameters(path))
+    assert library_for(parameters(path, kind="sphere")).geometry == "sphere"
