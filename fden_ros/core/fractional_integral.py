@@ -24,8 +24,10 @@ recursion: Lubich and Schädle, SIAM J. Sci. Comput. 24 (2002) 161.
 
 from __future__ import annotations
 
+import bisect
 import functools
 import math
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -114,6 +116,27 @@ class Decays:
             self.sums_after[:, k - 1] *= decay
         self.whole: Array = self.by_step[:, 0] * self.to_end[:, 0]
         self.sum_of_start: Array = self.by_step[:, 0] * (1.0 + self.sums_after[:, 0])
+
+
+@functools.cache
+def _falling_rates() -> Array:
+    """Return -s_j; for the first one, whose exponential stands still, a number near 0."""
+    rates = -relaxation_rates()
+    rates[0] = -sys.float_info.min / SHORTEST_STEP
+    return rates
+
+
+@functools.cache
+def _rate_list() -> list[float]:
+    return [float(rate) for rate in relaxation_rates()]
+
+
+@functools.cache
+def _gain_series() -> Array:
+    """Return phi_2 of each rate as coefficients of the step's powers, shape (76, 5)."""
+    coefficients = np.array([1 / 2, -1 / 6, 1 / 24, -1 / 120, 1 / 720])
+    series: Array = relaxation_rates()[:, None] ** np.arange(5) * coefficients
+    return series
 
 
 class FractionalIntegral:
@@ -236,20 +259,20 @@ class FractionalIntegral:
         self._local = np.array([local * self._order_array[:, None], local])
 
     def _prepare(self, step: float) -> None:
-        exponent = self._rates * step
-        np.exp(-exponent, out=self._decay)
-        few = int(np.searchsorted(exponent, _SERIES_LIMIT))
-        small, large = exponent[:few], exponent[few:]
-        self._new_gain[:few] = 0.5 - small * (
-            1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720))
-        )
-        mean_decay = self._scratch
-        mean_decay[:few] = 1.0 - small * self._new_gain[:few]
-        mean_decay[few:] = (1.0 - self._decay[few:]) / large
-        self._new_gain[few:] = (1.0 - mean_decay[few:]) / large
-        np.subtract(mean_decay, self._new_gain, out=self._previous_gain)
-        self._previous_gain *= step
-        self._new_gain *= step
+        falling, gain, mean_decay = self._scratch, self._new_gain, self._previous_gain
+        np.multiply(_falling_rates(), step, out=falling)
+        np.expm1(falling, out=self._decay)
+        np.divide(self._decay, falling, out=mean_decay)
+        self._decay += 1.0
+        np.subtract(mean_decay, 1.0, out=gain)
+        gain /= falling
+        few = bisect.bisect_left(_rate_list(), _SERIES_LIMIT / step)
+        # The closed form cancels there.
+        powers = np.array([1.0, step, step**2, step**3, step**4])
+        np.dot(_gain_series()[:few], powers, out=gain[:few])
+        mean_decay -= gain
+        mean_decay *= step
+        gain *= step
         np.multiply(step**self._order_array, self._local_scale, out=self._local_new)
         np.multiply(self._local_new, self._order_array, out=self._local_previous)
         self._prepared_step = step

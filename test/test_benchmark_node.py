@@ -1,0 +1,86 @@
+"""The benchmarks of speed measure what they say; their goals are for a quiet machine."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+from fden_ros.benchmarks import node as benchmark
+from fden_ros.cli import main
+from fden_ros.nodes.backlog import Backlog, Input
+
+
+def test_a_run_through_the_node_loses_nothing_and_measures_all() -> None:
+    run = benchmark.measure(benchmark.NODE, 200.0, 3.0)
+    assert run.sent == 1000
+    assert run.lost == 0
+    assert run.published > 50
+    assert 0.0 < run.cpu < 2.0
+    assert 0.0 < run.latency_ms["p50"] <= run.latency_ms["p99"] <= run.latency_ms["p99.9"]
+    assert min(run.memory_mb) > 10.0
+    assert math.isnan(run.memory_growth)
+
+
+def test_goals_tell_silent_losses_from_those_that_were_said() -> None:
+    def run(what: str, rate: float, lost: int = 0, told: int = 0, cpu: float = 0.2) -> object:
+        latency = {"p50": 0.5, "p99": 1.0, "p99.9": 2.0}
+        memory = tuple(100.0 + (second > 100) for second in range(200))
+        return benchmark.Run(what, rate, 10.0, 100, lost, told, 0, 0, 0, 90, cpu, latency, memory)
+
+    runs = [
+        run(benchmark.NODE, 1000.0, cpu=0.3),
+        run(benchmark.RELAY, 1000.0),
+        run(benchmark.NODE, 2000.0, lost=5, told=5),
+        run(benchmark.NODE, 4000.0, lost=5, told=3),
+    ]
+    goals = {goal.name: goal for goal in benchmark._goals(runs)}  # type: ignore[arg-type]
+    assert goals["CPU over relay's"].met is False
+    assert goals["p99 latency over relay's"].met is True
+    assert goals["memory grown after a minute [MB]"].value == 1.0
+    assert goals["pairs lost silently at 2000 Hz"].met is True
+    assert goals["pairs lost silently at 4000 Hz"].met is False
+    figure = Figure()
+    benchmark._draw(runs, figure)  # type: ignore[arg-type]
+    assert len(figure.axes) == 2
+
+
+def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted() -> None:
+    read: list[bytes] = []
+    incoming = [b"%d" % number for number in range(30_000)]
+    coming = iter(incoming)
+    source = Input("force", lambda: next(coming, None), read.append)
+    backlog = Backlog()
+    backlog.inputs.append(source)
+    for _ in range(40):
+        if (data := next(coming, None)) is not None:
+            backlog.add(source, data)
+    while backlog.waiting:
+        backlog.work()
+    dropped = backlog.dropped["force"]
+    assert 9_000 < dropped < 11_000
+    assert len(read) + dropped == len(incoming)
+    numbers = [int(data) for data in read]
+    assert numbers == sorted(numbers)
+    assert numbers[-1] == 29_999
+    assert backlog.batches == 1
+
+
+def test_core_is_quick_and_its_figures_are_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("fracmem")
+    pytest.importorskip("differint")
+    from fden_ros.benchmarks import core
+
+    monkeypatch.setattr(core, "_QUICK_HISTORIES", (1000, 2000))
+    assert main(["benchmark", "core", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    goals = {goal["name"]: goal for goal in result["goals"]}
+    assert goals["fracmem's error over ours"]["met"]
+    assert goals["memory per sample at 1e4 over 1e3"]["value"] == pytest.approx(1.0, abs=0.05)
+    assert set(result["figures"]["stages_microseconds"]) >= {"pairing", "all of it in contact"}
+    assert (tmp_path / "core.png").stat().st_size > 10_000
