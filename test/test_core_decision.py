@@ -13,6 +13,7 @@ from fden_ros.core.classifier import TissueLibrary
 from fden_ros.core.pipeline import (
     Classification,
     Decision,
+    Flag,
     Output,
     Pipeline,
     Status,
@@ -42,7 +43,7 @@ RAMP = Ramp(strain_rate=0.4, max_strain=0.25)
 HOLD = RampHold(strain_rate=0.4, max_strain=0.25, hold_s=1.5)
 
 
-def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1):
+def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1, **others):
     scenario = Scenario(
         name="one",
         geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
@@ -58,6 +59,7 @@ def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1):
         "prior.alpha_sd": 0.1,
         "prior.linear_stiffness_log_sd": 1.0,
     }
+    parameters |= {name.replace("__", "."): value for name, value in others.items()}
     config = replace(pipeline_config(check(parameters)), library=library)
     outputs: list[Output] = []
     pipeline = Pipeline(config, outputs.append)
@@ -122,6 +124,15 @@ def test_without_a_library_nothing_is_classified():
     assert {a.decision for a in answers(outputs)} == {Decision.UNDETERMINED}
     (summary,) = summaries_of(outputs)
     assert summary.converged and summary.classes is None
+
+
+def test_classification_carries_the_mismatch_of_its_contact():
+    # The force is ten times as noisy as it is said to be.
+    outputs = pressed(BUILT_IN, HOLD, noise=5.0, force__noise=0.5e-3 * math.pi * 0.1)
+    (summary,) = summaries_of(outputs)
+    assert summary.flags & Flag.MODEL_MISMATCH
+    assert answers(outputs)[-1].flags & Flag.MODEL_MISMATCH
+    assert not answers(pressed(BUILT_IN, HOLD, noise=5.0))[-1].flags & Flag.MODEL_MISMATCH
 
 
 def test_stiff_tissue_is_unknown_to_a_library_of_liver():

@@ -318,6 +318,7 @@ class _Contact:
     is_free: bool = True  #: the tissue is not on the probe
     changes_before: int = 0
     changes_labelled: int = 0
+    flags_decided: Flag = Flag.NONE
     ended: bool = False  #: reported already, after a gap; the probe has not left yet
     classes: ClassProbabilities | None = None
     decision: Decision = Decision.NONE
@@ -883,6 +884,9 @@ class Pipeline:
             contact.decider = contact.decided = None
             if contact.classes is not None:
                 self._decide(stamp_ns, contact, site, None)
+        elif (contact.flags ^ contact.flags_decided) & Flag.MODEL_MISMATCH:
+            # What was said stands, but no longer without a reservation.
+            self._decide(stamp_ns, contact, site, contact.classes)
         if estimate is None or not estimate.converged:
             if contact.decision is Decision.NONE:
                 self._decide(stamp_ns, contact, site, None)
@@ -966,6 +970,7 @@ class Pipeline:
         if classes is not None and classes.label:
             decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
         contact.decision, contact.classes = decision, classes
+        contact.flags_decided = contact.flags
         self._emit(
             Classification(
                 stamp_ns=stamp_ns,

@@ -1,0 +1,92 @@
+"""What a decision took, and how a site compares, in messages and back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fden_ros.core.classifier import ClassProbabilities
+from fden_ros.core.estimator import Estimate
+from fden_ros.core.pipeline import (
+    Classification,
+    ContactSummary,
+    Decided,
+    Decision,
+    Flag,
+    OrderSource,
+)
+from fden_ros.core.relative import Comparison
+from fden_ros.messages import classification_message, summary_message, summary_of
+from fden_ros.replay import contact_object
+from fden_ros.report.rows import CORRELATIONS, contact_row
+
+CLASSES = ClassProbabilities("liver", ("liver", "unknown"), (0.9, 0.1), 0.4)
+COMPARISON = Comparison(math.log(2.0), 0.1, 20.0, 0.1, 21.0)
+COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 4e-4, 1e-6], [0.0, 1e-6, 1e-6]])
+
+
+def summary(classes=CLASSES, decided=None, comparison=None):
+    return ContactSummary(
+        stamp_ns=2,
+        start_ns=1,
+        end_ns=2,
+        site_id=1,
+        contact_id=1,
+        flags=Flag.MODEL_MISMATCH,
+        converged=True,
+        complete=True,
+        position=None,
+        order_source=OrderSource.LEARNED,
+        estimate=Estimate(6.0, 2.0, 0.1, COVARIANCE, 0.0, 0.0, 1.0, True, 10),
+        max_strain=0.2,
+        max_stress=100.0,
+        max_force=1.0,
+        sample_count=10,
+        rejected_count=0,
+        classes=classes,
+        decided=decided,
+        comparison=comparison,
+    )
+
+
+def test_decision_goes_into_the_message_with_its_flags():
+    output = Classification(
+        1, Decision.CLASS, 1, 1, Flag.MODEL_MISMATCH, CLASSES, "mine", Decided(0.8, 0.21)
+    )
+    message = classification_message(output, "probe")
+    assert message.flags == Flag.MODEL_MISMATCH
+    assert (message.label, message.typicality) == ("liver", 0.4)
+    assert (message.decision_time, message.decision_strain) == (0.8, 0.21)
+    assert (message.ratio, message.ratio_low, message.ratio_high) == (0.0, 0.0, 0.0)
+
+
+def test_comparison_goes_into_the_message_with_its_interval():
+    message = summary_message(summary(comparison=COMPARISON), "probe")
+    assert message.ratio == pytest.approx(2.0)
+    assert message.ratio_low < 2.0 < message.ratio_high
+    row = contact_object(summary(comparison=COMPARISON))
+    assert (row["ratio_low"], row["ratio_high"]) == (message.ratio_low, message.ratio_high)
+
+
+def test_summary_comes_back_from_its_message():
+    sent = summary(decided=Decided(0.8, 0.21))
+    back = summary_of(summary_message(sent, "probe"))
+    assert back.classes == CLASSES
+    assert back.decided == sent.decided
+
+
+def test_probabilities_without_a_label_come_back_too():
+    open_ = CLASSES._replace(label="")
+    back = summary_of(summary_message(summary(open_), "probe"))
+    assert back.classes == open_ and back.decided is None
+    assert back.classes.words == "undetermined"
+    assert CLASSES.words == "liver 90%"
+
+
+def test_row_of_a_table_has_the_correlations():
+    row = contact_row(summary(), None)
+    for name, (i, j) in CORRELATIONS.items():
+        expected = COVARIANCE[i, j] / math.sqrt(COVARIANCE[i, i] * COVARIANCE[j, j])
+        assert row[name] == pytest.approx(expected)
