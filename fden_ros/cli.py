@@ -19,6 +19,7 @@ COMMANDS = (
     "play",
     "demo",
     "train",
+    "relative",
     "fit",
     "calibrate",
     "reproduce",
@@ -40,6 +41,7 @@ Identify soft tissue from force and displacement with the FDEN model.
                                       an archive of bags, a row a contact
   fden train liver/1=bags -o library.yaml
                                       a tissue library from labelled contacts
+  fden relative results.parquet       sites that are stiffer than their surroundings
   fden play /tmp/ramp                 publish a bag on live topics
   fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment

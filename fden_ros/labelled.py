@@ -216,7 +216,7 @@ def _from_table(
     columns: Columns,
     advance: Callable[[], None],
 ) -> Contacts:
-    rows, names = _rows_of(source.path)
+    rows, names = read_rows(source.path)
     if columns.tissue not in names and not source.tissue:
         hint = (
             "; its column label is what the classifier said, not the truth"
@@ -311,7 +311,14 @@ def _number(row: Mapping[str, Any], name: str, where: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _rows_of(path: Path) -> tuple[Sequence[Mapping[str, Any]], tuple[str, ...]]:
+def read_rows(path: Path) -> tuple[Sequence[Mapping[str, Any]], tuple[str, ...]]:
+    """Return the rows of a table (CSV, TSV or Parquet) and the names of its columns.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
     if path.suffix == ".parquet":
         return _parquet(path)
     table = read_table(path)

@@ -1,0 +1,169 @@
+"""``fden relative``: every site against those around it, from a table of results."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fden_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DESCRIPTION = """\
+Find what is stiffer than its surroundings, without a library: each site of a table of results (CSV
+or Parquet, from fden batch or fden report --csv) is compared with all others, or with those near
+it. Stiffness is the apparent modulus at a stated strain and time scale. Prints a table with how
+many times stiffer each site is, its 95 % interval and P(stiffer by the ratio).
+"""
+
+EPILOG = """\
+examples:
+  fden relative results.parquet --distance 0.025
+  fden relative palpation.csv --ratio 1.5 --strain 0.1 --time-scale 0.1 --map map.png
+  fden relative palpation.csv --json | jq '.sites[] | select(.probability > 0.9)'
+
+The last converged contact of each site counts. Columns: site, g, g_sd, g_n, g_n_sd, alpha,
+alpha_sd, and x, y, z [m] for --distance and --map. Of estimates with a column alpha_source the
+estimator's prior is taken out: give the --config that they were made with. Exit codes: 0 done, 1
+the input cannot be used, 2 wrong usage.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "relative",
+        help="find sites that are stiffer than their surroundings",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("results", type=Path, metavar="RESULTS", help="CSV or Parquet")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file (YAML)")
+    parser.add_argument("--ratio", type=_positive, default=1.5, metavar="R", help="default: 1.5")
+    parser.add_argument(
+        "--strain", type=_positive, default=0.1, metavar="X", help="of the comparison (0.1)"
+    )
+    parser.add_argument(
+        "--time-scale", type=_positive, default=0.1, metavar="S", help="of the comparison (0.1 s)"
+    )
+    parser.add_argument(
+        "--distance", type=_positive, default=0.0, metavar="M", help="of surroundings (all)"
+    )
+    parser.add_argument("--map", type=Path, metavar="FILE", help="draw a map (.png, .svg, .pdf)")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the table")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare and print; return the exit code."""
+    from fden_ros.core.relative import RelativeConfig
+    from fden_ros.parameters import check, read_parameter_file
+    from fden_ros.relative_map import compare_sites
+
+    parameters = read_parameter_file(args.config) if args.config else check({})
+    config = RelativeConfig(args.ratio, args.strain, args.time_scale, args.distance)
+    rows = compare_sites(args.results, parameters, config)
+    if args.map is not None:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(7, 6), layout="constrained")
+        _draw(figure, rows, config)
+        _write(args.map, lambda: figure.savefig(args.map, dpi=130))
+    if args.csv is not None:
+        _write(args.csv, lambda: _write_csv(args.csv, rows))
+    if args.json:
+        json.dump({"sites": rows}, sys.stdout, allow_nan=False)
+        print()
+        return 0
+    _print(rows, args.ratio)
+    return 0
+
+
+def _write(path: Path, write: Any) -> None:
+    try:
+        write()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise InputError(f"{path}: cannot be written: {reason}") from None
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _print(rows: list[dict[str, Any]], ratio: float) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="Sites against their surroundings", box=box.SIMPLE_HEAD)
+    for name in ("site", "times stiffer", "95 %", f"P(> {ratio:g})", "deviations", ""):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in sorted(rows, key=lambda row: -(row["ratio"] or 0.0)):
+        if row["ratio"] is None:
+            table.add_row(str(row["site"]), "–", "–", "–", "–", "too few around")
+            continue
+        table.add_row(
+            str(row["site"]),
+            f"{row['ratio']:.2f}",
+            f"{row['ratio_low']:.2f} to {row['ratio_high']:.2f}",
+            f"{row['probability']:.3f}",
+            f"{row['deviations']:.1f}",
+            row["label"],
+        )
+    Console().print(table)
+
+
+def _draw(figure: Figure, rows: list[dict[str, Any]], config: Any) -> None:
+    import numpy as np
+
+    used = [row for row in rows if row["x"] is not None and row["ratio"] is not None]
+    if not used:
+        raise InputError("no map: the results hold no positions (x, y, z) of compared sites")
+    positions = np.array([[row["x"], row["y"], row["z"] or 0.0] for row in used])
+    # Seen along the direction in which the sites spread least: that of the approach.
+    _, _, axes_of = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)
+    flat = int(np.argmax(np.abs(axes_of[-1])))
+    shown = [index for index in range(3) if index != flat]
+    ratio = np.array([row["ratio"] for row in used])
+    axes = figure.add_subplot()
+    points = axes.scatter(
+        1e3 * positions[:, shown[0]],
+        1e3 * positions[:, shown[1]],
+        c=np.log2(ratio),
+        cmap="RdBu_r",
+        vmin=-2.0,
+        vmax=2.0,
+        s=90.0,
+        edgecolors=["k" if row["probability"] > 0.5 else "0.8" for row in used],
+    )
+    bar = figure.colorbar(points, ax=axes, ticks=(-2, -1, 0, 1, 2), label="times stiffer")
+    bar.ax.set_yticklabels(["¼", "½", "1", "2", "4"])
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{'xyz'[shown[0]]} [mm]")
+    axes.set_ylabel(f"{'xyz'[shown[1]]} [mm]")
+    axes.set_title(
+        f"At a strain of {config.strain:g} within {config.time_scale:g} s; "
+        f"black edge: P(> {config.ratio:g} times) > ½",
+        fontsize=10,
+    )
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} must be a positive number")
+    return value
