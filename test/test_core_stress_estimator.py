@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from fden_ros.benchmarks.simulated import STRESS, Case, run_trial
 from fden_ros.core.estimator import Block, EstimatorConfig, Prior
 from fden_ros.core.geometry import PassThrough
+from fden_ros.core.pipeline import Flag, TissueState
 from fden_ros.core.stress_estimator import StressEstimator
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.scenario import load_scenario
@@ -227,3 +228,32 @@ def test_noise_on_a_released_probe_and_a_corner_between_samples_do_no_harm():
         assert np.all(np.abs(outcome.error[:2]) < 5.0 * trial.bound[:2])
         errors.append(outcome.error[:2] / np.sqrt(outcome.covariance.diagonal()[:2]))
     assert np.mean(np.square(errors)) < chi2.ppf(0.9999, 26) / 26, errors
+
+
+def test_inclusion_met_on_the_way_is_told_at_once_and_its_stiffness_learned():
+    scenario = load_scenario("inclusion")
+    rate = scenario.sites[0].presses[0].strain_rate
+    errors = []
+    for seed in range(2):
+        recording = simulate(scenario, seed)
+        _, outputs = identified(items_of(recording), parameters_of(recording))
+        truth, found = recording.truth, summaries_of(outputs)
+        assert len(found) == len(truth["contacts"])
+        for summary, contact, site in zip(found, truth["contacts"], truth["sites"], strict=True):
+            assert summary.flags & Flag.TISSUE_CHANGED and summary.converged
+            assert not summary.flags & Flag.MODEL_MISMATCH
+            told = next(
+                o.stamp_ns
+                for o in outputs
+                if isinstance(o, TissueState)
+                and o.contact_id == summary.contact_id
+                and o.flags & Flag.TISSUE_CHANGED
+            )
+            met = contact["start_ns"] * 1e-9 + site["stiffening"]["strain"] / rate
+            assert 0.0 < told * 1e-9 - met < 0.06
+            parameters = ("linear_stiffness", "nonlinear_stiffness")
+            exact = (*(site[name] for name in parameters), summary.estimate.fractional_order)
+            error = error_of(summary.estimate, exact)[:2]
+            assert np.all(np.abs(error) < 0.02)
+            errors.append(error / np.sqrt(summary.estimate.covariance.diagonal()[:2]))
+    assert np.mean(np.square(errors)) < chi2.ppf(0.9999, 12) / 12, errors

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import gamma, roots_jacobi
 
+from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import FdenModel, pieces_of, stress_of_moves
-from fden_ros.simulation.contact import contacts_of_moves
+from fden_ros.simulation.contact import Stiffening, contacts_of_moves
 from fden_ros.simulation.trajectory import Approach, Palpation, Path, Ramp, RampHold, Sinusoid
 
 TISSUES = [(0.02, 6.0), (0.131, 8.5), (0.32, 12.0), (0.6, 10.0)]
@@ -175,3 +176,28 @@ def test_a_probe_that_stays_in_the_air_touches_nothing():
     history = contacts_of_moves(path.moves, FdenModel(520.0, 8.5, 0.131))
     assert history.contacts == ()
     assert not history.stress(np.linspace(0.0, path.time, 50)).any()
+
+
+@pytest.mark.parametrize("ratio", [1.5, 4.0])
+def test_stress_in_a_stiffer_tissue_on_the_way_agrees_with_time_stepping(ratio):
+    model = FdenModel(520.0, 8.5, 0.131)
+    moves = moves_over_fresh_tissue(RampHold(strain_rate=0.2, max_strain=0.25, hold_s=0.5))
+    step = 2.5e-4
+    times = np.arange(0.0, moves[-1].stop, step)
+    strain = strain_at(moves, times)
+    met = times[int(np.argmax(strain >= 0.14))]
+    weights = np.diff(np.arange(times.size + 1.0) ** (1.0 - 0.131))
+    weights *= step**-0.131 / gamma(2.0 - 0.131)
+    phi = np.maximum(model.phi(strain), 0.0) * np.where(times >= met, ratio, 1.0)
+    stepped = np.convolve(np.diff(phi, prepend=0.0), weights)[: times.size]
+    history = contacts_of_moves(moves, model, Stiffening(0.14, ratio))
+    (contact,) = history.contacts
+    # Just after the step the stress itself is singular, and stepping is none.
+    pressed = (times < contact.stop - 0.01) & (np.abs(times - met - 0.01) > 0.011)
+    error = (history.stress(times) - stepped)[pressed]
+    assert np.abs(error).max() < 2e-3 * stepped.max()
+
+
+def test_tissue_cannot_become_softer_on_the_way():
+    with pytest.raises(InputError, match="at least 1"):
+        Stiffening(0.1, 0.5)

@@ -59,7 +59,7 @@ def test_scenario_that_comes_along_loads_by_name(name):
 
 def test_expected_scenarios_come_along():
     expected = {"ramp", "slow_ramp", "fast_ramp", "ramp_hold", "palpation", "sinusoid"}
-    assert expected | {"pose_100hz", "delay_dropout", "demo"} <= set(scenario_names())
+    assert expected | {"pose_100hz", "delay_dropout", "demo", "inclusion"} <= set(scenario_names())
 
 
 def test_scenario_is_found_in_a_sourced_workspace(tmp_path, monkeypatch):
@@ -96,6 +96,8 @@ def test_numbers_without_a_dot_and_defaults_are_understood(tmp_path):
         (("sites", 0, "presses", 0, "kind"), None, "kind is missing; it is one of palpation"),
         (("sites", 0, "presses", 0, "max_strain"), None, "max_strain is missing"),
         (("sites", 0, "presses", 0, "strain_rate"), -0.1, "must be positive"),
+        (("sites", 0, "stiffening"), {"strain": 0.1, "ratio": 0.5}, "at least 1"),
+        (("sites", 0, "stiffening"), {"strain": 0.1}, "ratio is missing"),
         (("sites", 0, "presses", 0, "strain_rate"), "fast", "must be a finite number"),
         (("sites", 0, "presses", 0, "strain_rate"), float("nan"), "must be a finite number"),
         (("sites", 0, "presses"), [], "presses is empty"),

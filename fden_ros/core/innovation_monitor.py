@@ -14,7 +14,7 @@ _SCALES = 14
 #: Of a normal distribution, one-sided: 3e-7 for each test of a scale.
 _MISMATCH_DEVIATIONS = 5.0
 #: A single window so far from zero is a change: 2e-9 where the model is right.
-_CHANGE_DEVIATIONS = 6.0
+CHANGE_DEVIATIONS = 6.0
 #: Scales of the windows, 4 to 64 innovations, in which a change is looked for.
 _CHANGE_SCALES = range(2, 7)
 LONGEST_CHANGE_WINDOW = 1 << _CHANGE_SCALES[-1]
@@ -46,7 +46,7 @@ class InnovationMonitor:
             square = total * total / (1 << scale)
             self._windows[scale] += 1
             self._square_sums[scale] += square
-            if scale in _CHANGE_SCALES and square > _CHANGE_DEVIATIONS**2 * usual:
+            if scale in _CHANGE_SCALES and square > CHANGE_DEVIATIONS**2 * usual:
                 self.change_window = 1 << scale
             if self._square_sums[scale] > _chi_squared_limit(self._windows[scale]):
                 self.mismatch_count = max(self.mismatch_count, 1)

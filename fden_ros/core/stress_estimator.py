@@ -27,7 +27,11 @@ from scipy.special import ndtr
 
 from fden_ros.core.estimator import Block, Estimate, EstimatorConfig, Innovation
 from fden_ros.core.geometry import Geometry
-from fden_ros.core.innovation_monitor import LONGEST_CHANGE_WINDOW, InnovationMonitor
+from fden_ros.core.innovation_monitor import (
+    CHANGE_DEVIATIONS,
+    LONGEST_CHANGE_WINDOW,
+    InnovationMonitor,
+)
 from fden_ros.core.model import elastic_response
 from fden_ros.core.stress_basis import (
     HIGHEST_ORDER,
@@ -88,10 +92,12 @@ _MISMATCH_DELAY = 64
 #: An innovation beyond so many deviations makes the estimate doubtful for so many blocks: by then
 #: the tests have said what it was.
 _SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
+#: So many blocks in a row that each are a surprise are a change.
+_SURPRISES = 4
 #: How much ln G may change: a lesion is up to several times stiffer than what is around it.
 _CHANGE_OF_LOG_G = 1.0
-#: A change may be seen so much too late [s], and be so large a share of the fractional stress.
-_PULSE_DURATION, _PULSE_SHARE = 0.02, 2.0
+#: A change is seen at least so late [s], and is so large a share of the fractional stress.
+_SHORTEST_PULSE, _PULSE_SHARE = 0.002, 2.0
 #: Then, so long, the pulse's shape matters too much to learn anything [s].
 _BLIND_TIME = 0.1
 #: A tissue that changes oftener is none that the model describes.
@@ -181,8 +187,10 @@ class StressEstimator:
         self._contact_start: float | None = None
         self._monitor = InnovationMonitor()
         self._was_mismatch = False
+        self._surprises = 0
+        self._first_surprise = 0.0
         self._blind_until = -math.inf
-        self._recent_states: deque[Array] = deque(maxlen=LONGEST_CHANGE_WINDOW + 2)
+        self._recent_states: deque[tuple[float, Array]] = deque(maxlen=LONGEST_CHANGE_WINDOW + 2)
         self.change_count = 0
         self._doubtful_blocks = 0
 
@@ -246,7 +254,7 @@ class StressEstimator:
         if innovation.normalized_squared > _SURPRISING**2:
             self._doubtful_blocks = _DOUBTFUL_BLOCKS
         if block.memory_time >= self._blind_until:
-            self._watch(innovation, noise, block.memory_time)
+            self._watch(innovation, noise, block)
         if block.memory_time < self._blind_until:
             return innovation
         self._pending.append((law, columns, 1.0 / noise))
@@ -255,7 +263,8 @@ class StressEstimator:
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         self._blocks_since_solved += 1
-        if self._is_narrow:
+        # While every block is a surprise, the state is kept from being spoilt by a change.
+        if self._is_narrow and not self._surprises:
             self._step_on(innovation, jacobian, noise)
         return innovation
 
@@ -293,29 +302,42 @@ class StressEstimator:
         corner = (_CORNER_SHARE * bend / block.size * step**-order) ** 2
         return float(slope**2 * (white + corner))
 
-    def _watch(self, innovation: Innovation, noise: float, time: float) -> None:
+    def _watch(self, innovation: Innovation, noise: float, block: Block) -> None:
         """Look whether the tissue has changed, or was never what the model says."""
+        is_known = innovation.variance <= _TOLD_BY_NOISE * noise
+        may_change = self.change_count < _MOST_CHANGES
+        # What is not known yet cannot be surprising; but once it was, it goes on being so.
+        is_surprising = innovation.normalized_squared > CHANGE_DEVIATIONS**2 and (
+            is_known or self._surprises > 0
+        )
+        self._surprises = self._surprises + 1 if is_surprising and may_change else 0
+        if self._surprises == 1:
+            self._first_surprise = block.memory_time
+        if self._surprises >= _SURPRISES:
+            self._start_anew(innovation, self._first_surprise, block)
+            return
         is_fresh = self._is_narrow or self._blocks_since_solved == 0
-        if not is_fresh or innovation.variance > _TOLD_BY_NOISE * noise:
-            # What is not known yet cannot be surprising, and what comes from the same state twice
-            # is not independent.
+        if not is_known or not is_fresh:
+            # What comes from the same state twice is not independent.
             return
         monitor = self._monitor
         monitor.add(innovation.innovation / math.sqrt(innovation.variance))
-        self._recent_states.append(self._state.copy())
-        if monitor.change_window and self.change_count < _MOST_CHANGES:
+        self._recent_states.append((block.memory_time, self._state.copy()))
+        if monitor.change_window and may_change:
             # The newest data have spoilt the state already.
-            unspoilt = max(len(self._recent_states) - monitor.change_window - 1, 0)
-            self._state = self._recent_states[unspoilt].copy()
-            self._start_anew(innovation)
-            self._blind_until = time + _BLIND_TIME
+            first = max(len(self._recent_states) - monitor.change_window, 0)
+            changed_at, _ = self._recent_states[first]
+            _, self._state = self._recent_states[max(first - 1, 0)]
+            self._start_anew(innovation, changed_at, block)
 
-    def _start_anew(self, innovation: Innovation) -> None:
+    def _start_anew(self, innovation: Innovation, changed_at: float, block: Block) -> None:
         """Learn a new tissue from here on; what was, is remembered as it was."""
+        self._blind_until = block.memory_time + _BLIND_TIME
         first, in_gn, _ = self._grid.stencil(float(self._state[_LOG_GN]))
         in_origin, _ = self._origin_interpolation(float(self._state[_ORIGIN]))
         g = math.exp(self._state[_LOG_G])
-        self._basis.freeze(first, g * np.outer(in_gn, in_origin), _PULSE_DURATION)
+        late = block.memory_time + 0.5 * block.duration - changed_at
+        self._basis.freeze(first, g * np.outer(in_gn, in_origin), max(late, _SHORTEST_PULSE))
         self._pending.clear()
         for sums in (self._law, self._cross, self._columns):
             sums.fill(0.0)
@@ -338,6 +360,7 @@ class StressEstimator:
         self._max_compression = -math.inf
         # Nor is it one that the model describes if it did not fit before the change.
         self._was_mismatch = self.is_mismatch
+        self._surprises = 0
         self._monitor = InnovationMonitor()
         self._recent_states.clear()
         self.change_count += 1
@@ -587,7 +610,8 @@ class StressEstimator:
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        if self._blocks_since_solved >= (_NARROW_BLOCKS if self._is_narrow else _WIDE_BLOCKS):
+        is_due = self._blocks_since_solved >= (_NARROW_BLOCKS if self._is_narrow else _WIDE_BLOCKS)
+        if is_due and not self._surprises:
             self._solve()
             self._blocks_since_solved = 0
         config = self._config

@@ -21,6 +21,10 @@ The first term counts only the motion since r and is the closed form of
 integral over the past stress. That stress has algebraic singularities where the velocity jumps, so
 each piece is integrated by Gauss-Legendre quadrature in a variable that is graded towards both of
 its ends.
+
+A probe that passes into a stiffer tissue at the time p, where it is so deep, presses on
+:math:`\phi = G\,(1 + (\rho - 1)\,H(t - p))\,\phi_1(x)`: the stress of the motion since p,
+:math:`\rho - 1` times, and that of a step of :math:`(\rho - 1)\,\phi(x_p)` come on top.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import gamma
 
+from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import (
     FdenModel,
     FloatArray,
@@ -76,6 +81,41 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class Stiffening:
+    """Another tissue from where on the probe is so deep.
+
+    Attributes
+    ----------
+    strain
+        Where it begins.
+    ratio
+        How many times G is what it was before, at least 1.
+    """
+
+    strain: float
+    ratio: float
+
+    def __post_init__(self) -> None:
+        if not (self.strain > 0.0 and self.ratio >= 1.0):
+            raise InputError(
+                f"stiffening: strain is {self.strain} and ratio {self.ratio}; "
+                "they must be positive and at least 1"
+            )
+
+    def stress(self, moves: Sequence[Move], times: FloatArray, model: FdenModel) -> FloatArray:
+        """Return what it adds to the stress at `times` of a contact's motion."""
+        added = np.zeros_like(times)
+        met = min((t for move in moves for t in move.crossings(self.strain)), default=np.inf)
+        later = times > met
+        if later.any():
+            since = times[later] - met
+            step = model.phi(self.strain) * since**-model.fractional_order
+            added[later] = step / gamma(1.0 - model.fractional_order)
+            added[later] += stress_of_moves(_after(moves, met), times[later], model)
+        return (self.ratio - 1.0) * added
+
+
+@dataclass(frozen=True)
 class Contact:
     """One stretch of time in which the probe presses.
 
@@ -87,18 +127,23 @@ class Contact:
         The probe's motion in between.
     memory
         The stress of the contacts before this one.
+    stiffening
+        What is met on the way, if anything.
     """
 
     start: float
     stop: float
     moves: tuple[Move, ...]
     memory: Memory
+    stiffening: Stiffening | None = None
 
     def stress(self, times: FloatArray, model: FdenModel) -> FloatArray:
         """Return the stress in Pa at `times` within the contact."""
-        return stress_of_moves(self.moves, times, model) + self.memory.stress(
-            times, self.start, model
-        )
+        stress = stress_of_moves(self.moves, times, model)
+        stress += self.memory.stress(times, self.start, model)
+        if self.stiffening is not None:
+            stress += self.stiffening.stress(self.moves, times, model)
+        return stress
 
     def max_strain(self, model: FdenModel) -> float:
         """Return the largest strain of the contact."""
@@ -127,7 +172,9 @@ class ContactHistory:
         return np.maximum(stress, 0.0)
 
 
-def contacts_of_moves(moves: Sequence[Move], model: FdenModel) -> ContactHistory:
+def contacts_of_moves(
+    moves: Sequence[Move], model: FdenModel, stiffening: Stiffening | None = None
+) -> ContactHistory:
     """Follow a probe over fresh tissue and return the contacts it makes.
 
     Parameters
@@ -136,12 +183,14 @@ def contacts_of_moves(moves: Sequence[Move], model: FdenModel) -> ContactHistory
         Consecutive moves of the probe; its strain is negative above the undisturbed surface.
     model
         The tissue, at rest at the beginning.
+    stiffening
+        What the probe meets on the way down; every contact is taken to begin above it.
     """
     contacts: list[Contact] = []
     memory = Memory()
     rest = list(moves)
     while (touch := _first_touch(rest, memory, model)) is not None:
-        contact = _contact_from(_after(rest, touch), memory, model)
+        contact = _contact_from(_after(rest, touch), memory, model, stiffening)
         contacts.append(contact)
         memory = _extended(memory, contact, model)
         rest = _after(rest, contact.stop)
@@ -166,14 +215,16 @@ def _first_touch(moves: Sequence[Move], memory: Memory, model: FdenModel) -> flo
     return None
 
 
-def _contact_from(moves: Sequence[Move], memory: Memory, model: FdenModel) -> Contact:
+def _contact_from(
+    moves: Sequence[Move], memory: Memory, model: FdenModel, stiffening: Stiffening | None
+) -> Contact:
     """Return the contact that begins with the first of `moves`, up to its release."""
     touch = moves[0].start
     for count, move in enumerate(moves, start=1):
-        known = moves[:count]
+        known = Contact(touch, move.stop, tuple(moves[:count]), memory, stiffening)
 
-        def stress(times: FloatArray, known: Sequence[Move] = known) -> FloatArray:
-            return stress_of_moves(known, times, model) + memory.stress(times, touch, model)
+        def stress(times: FloatArray, known: Contact = known) -> FloatArray:
+            return known.stress(times, model)
 
         for piece in pieces_of(move, model):
             times = _scan(piece)
@@ -184,8 +235,8 @@ def _contact_from(moves: Sequence[Move], memory: Memory, model: FdenModel) -> Co
             low = piece.start if index == 0 else float(times[index - 1])
             release = _root(stress, low, float(times[index]), fallback_low=False)
             last = move.between(move.start, release)
-            return Contact(touch, release, (*moves[: count - 1], last), memory)
-    return Contact(touch, moves[-1].stop, tuple(moves), memory)
+            return Contact(touch, release, (*moves[: count - 1], last), memory, stiffening)
+    return Contact(touch, moves[-1].stop, tuple(moves), memory, stiffening)
 
 
 def _scan(piece: Piece) -> FloatArray:

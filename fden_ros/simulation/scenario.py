@@ -23,6 +23,7 @@ import yaml
 
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import FdenModel, FloatArray
+from fden_ros.simulation.contact import Stiffening
 from fden_ros.simulation.trajectory import (
     TRAJECTORIES,
     Approach,
@@ -291,15 +292,21 @@ class Site:
         One or more presses, one after the other; the tissue remembers.
     position_m
         Where it lies, across the approach axis.
+    stiffening
+        A stiffer tissue that the probe meets on its way, if any; for a single press.
     """
 
     tissue: Tissue
     presses: tuple[Press, ...]
     position_m: tuple[float, float] = (0.0, 0.0)
+    stiffening: Stiffening | None = None
 
     def __post_init__(self) -> None:
         if not self.presses:
             raise InputError("site: presses is empty; name at least one press")
+        single = len(self.presses) == 1 and isinstance(self.presses[0], Ramp | RampHold)
+        if self.stiffening is not None and not single:
+            raise InputError("site: with a stiffening, presses must be one ramp or ramp_hold")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,10 @@ class Recording:
     force: Stream
     displacement: Stream
     truth: dict[str, Any]
+
+
+def _ratio(site: Site) -> float:
+    return site.stiffening.ratio if site.stiffening is not None else 1.0
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,9 @@ def _visits(scenario: Scenario, generator: np.random.Generator) -> list[_Visit]:
         path = _path_over(
             site, scenario.geometry, approach, pause, END_PAUSE_S if is_last else 0.0
         )
-        contacts = contacts_of_moves(path.moves, site.tissue.model(generator))
+        contacts = contacts_of_moves(
+            path.moves, site.tissue.model(generator), site.stiffening
+        )
         visits.append(_Visit(site, start, start + path.time, tuple(path.moves), contacts))
         start += path.time
     return visits
@@ -272,11 +278,13 @@ def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str,
     sites = [
         {
             "site": number,
-            "linear_stiffness": visit.contacts.model.linear_stiffness,
+            # At the end of the contact, which is what an estimate is held against.
+            "linear_stiffness": visit.contacts.model.linear_stiffness * _ratio(visit.site),
             "nonlinear_stiffness": visit.contacts.model.nonlinear_stiffness,
             "fractional_order": visit.contacts.model.fractional_order,
             "position": list(visit.site.position_m),
         }
+        | ({"stiffening": asdict(visit.site.stiffening)} if visit.site.stiffening else {})
         for number, visit in enumerate(visits, start=1)
     ]
     met = [
