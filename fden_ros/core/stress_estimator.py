@@ -254,7 +254,7 @@ class StressEstimator:
         if innovation.normalized_squared > _SURPRISING**2:
             self._doubtful_blocks = _DOUBTFUL_BLOCKS
         if block.memory_time >= self._blind_until:
-            self._watch(innovation, noise, block)
+            self._watch(innovation, noise, block, law, columns)
         if block.memory_time < self._blind_until:
             return innovation
         self._pending.append((law, columns, 1.0 / noise))
@@ -302,13 +302,17 @@ class StressEstimator:
         corner = (_CORNER_SHARE * bend / block.size * step**-order) ** 2
         return float(slope**2 * (white + corner))
 
-    def _watch(self, innovation: Innovation, noise: float, block: Block) -> None:
+    def _watch(
+        self, innovation: Innovation, noise: float, block: Block, law: Array, columns: Array
+    ) -> None:
         """Look whether the tissue has changed, or was never what the model says."""
         is_known = innovation.variance <= _TOLD_BY_NOISE * noise
         may_change = self.change_count < _MOST_CHANGES
-        # What is not known yet cannot be surprising; but once it was, it goes on being so.
-        is_surprising = innovation.normalized_squared > CHANGE_DEVIATIONS**2 and (
-            is_known or self._surprises > 0
+        is_surprising = (
+            innovation.normalized_squared > CHANGE_DEVIATIONS**2
+            # What is not known yet cannot be surprising; but once it was, it goes on being so.
+            and (is_known or not self._is_narrow or self._surprises > 0)
+            and (self._is_narrow or self._is_beyond_all_nodes(innovation, law, columns))
         )
         self._surprises = self._surprises + 1 if is_surprising and may_change else 0
         if self._surprises == 1:
@@ -329,6 +333,19 @@ class StressEstimator:
             changed_at, _ = self._recent_states[first]
             _, self._state = self._recent_states[max(first - 1, 0)]
             self._start_anew(innovation, changed_at, block)
+
+    def _is_beyond_all_nodes(self, innovation: Innovation, law: Array, columns: Array) -> bool:
+        """Whether an innovation is a surprise for every ln Gn that is likely as well."""
+        states = self._node_states
+        in_order, by_order = self._order_interpolation(states[:, _ORDER])
+        in_origin, _ = self._origin_interpolation(states[:, _ORIGIN])
+        rows = np.zeros((_SIZE + 1, _COLUMNS, states.shape[0]))
+        self._fill_columns(rows, states.T, in_order.T, by_order.T)
+        residuals = columns @ rows[0]
+        residuals += np.exp(states[:, _LOG_G]) * np.sum(law * _outer(in_origin, in_order), axis=1)
+        mean = self._node_weights @ residuals
+        spread = self._node_weights @ (residuals - mean) ** 2
+        return bool(mean**2 > CHANGE_DEVIATIONS**2 * (innovation.variance + spread))
 
     def _start_anew(self, innovation: Innovation, changed_at: float, block: Block) -> None:
         """Learn a new tissue from here on; what was, is remembered as it was."""
