@@ -466,7 +466,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     ),
     Parameter(
         "classification.significance",
-        0.05,
+        0.06,
         "1",
         "library: unknown is what only this share of the best fitting tissue lies as far from.",
         0.0,

@@ -320,7 +320,7 @@ def test_label_is_taken_back_when_it_is_no_longer_likely():
 
 
 def test_unknown_by_the_test_needs_a_better_fit_to_become_known():
-    out, edge, in_ = (said(0.9, 0.1, 0.0, typicality=t) for t in (0.03, 0.07, 0.11))
+    out, edge, in_ = (said(0.9, 0.1, 0.0, typicality=t) for t in (0.03, 0.08, 0.14))
     assert labels(out, *[edge] * 8) == [UNKNOWN] * 9
     assert labels(out, *[in_] * 8)[-1] == "a"
 

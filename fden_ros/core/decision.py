@@ -31,7 +31,7 @@ class DecisionConfig:
     probability: float = 0.7
     release: float = 0.5
     dwell: float = 0.2
-    significance: float = 0.05
+    significance: float = 0.06
 
 
 class Decider:
