@@ -19,8 +19,17 @@ from fden_ros.core.synchronize import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 SECONDS = float(os.environ.get("FDEN_SOAK_SECONDS", "240"))
-#: These leave no clean part behind: the same stamps again, a sensor that stays dead or slow.
-LEFT_OUT = {"bag_loops", "topic_stops", "rate_changes", "rate_changes_of_one"}
+#: These leave no clean part behind: the same stamps again, a sensor that stays dead or slow, or
+#: air that is not the air's for less than a lookback before the third site.
+LEFT_OUT = {
+    "bag_loops",
+    "bias_steps",
+    "contact_at_start",
+    "force_wrong_sign",
+    "rate_changes",
+    "rate_changes_of_one",
+    "topic_stops",
+}
 #: Estimates of the clean part may differ by so many standard deviations: what came before moves
 #: the grid of the blocks and the bias that was measured, not what was pressed.
 DEVIATIONS = 1.0
