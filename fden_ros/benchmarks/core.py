@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
-import pickle
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -192,7 +191,11 @@ def _own(history: int, jitter: float) -> Measured:
 
 
 def _state_size(state: object) -> float:
-    return len(pickle.dumps(state)) / 1024.0
+    """Return the size of an object's arrays and lists of numbers [kB]."""
+    values = vars(state).values()
+    arrays = sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+    lists = sum(8 * len(value) for value in values if isinstance(value, list))
+    return (arrays + lists) / 1024.0
 
 
 def _fracmem(history: int, fracmem: Any) -> Measured:
