@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from fault_helpers import assert_sound, outcome_of, shift
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pipeline_helpers import Item
 
@@ -106,6 +106,7 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
 
 
 @DAMAGED
+@example([("add", 757, 45, 9.99, 101), ("value", 332, 1, 0.434, 1)], {})
 @given(damages, modes)
 def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(
     done: list[tuple[str, int, int, float, int]], parameters: dict[str, object]

@@ -37,7 +37,7 @@ ROSDEP_KEYS = {
     "scipy": "python3-scipy",
     "zstandard": "mcap-ros2-support",
 }
-IMPORT_NAMES = {"mcap-ros2-support": "mcap_ros2", "pyyaml": "yaml"}
+IMPORT_NAMES = {"mcap-ros2-support": "mcap_ros2", "pyyaml": "yaml", "scikit-learn": "sklearn"}
 
 
 def manifest(path: str = "package.xml") -> ElementTree.Element:
@@ -109,7 +109,8 @@ def test_no_plain_requirement_brings_a_second_ros() -> None:
 
 
 def test_every_import_is_declared() -> None:
-    python = {IMPORT_NAMES.get(name, name) for name in requirements() | requirements("batch")}
+    declared = requirements() | requirements("batch") | requirements("benchmark")
+    python = {IMPORT_NAMES.get(name, name) for name in declared}
     ros = {key for key in dependencies("exec_depend") if "-" not in key}
     assert imported_modules("fden_ros", "launch") <= python | ros
 

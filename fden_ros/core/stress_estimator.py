@@ -83,6 +83,8 @@ _CORNER_SHARE = 0.1
 #: A node of less weight does not count there.
 _LEAST_WEIGHT = 1e-6
 _TINY = 1e-12
+#: Eigenvalues of a scaled Hessian below this are rounding.
+_SINGULAR = 1e-11
 #: ln G of a state that runs away stops so far from its prior.
 _LOG_REACH = 12.0
 #: Innovations count for the tests while their variance is below this many times the noise's.
@@ -511,7 +513,7 @@ class StressEstimator:
         hessian = quadratics[:, 1 + free[:, None], 1 + free] + np.diag(precision)
         gradient = quadratics[:, 0, 1 + free] + precision * (states - self._mean)[:, free]
         steps = np.zeros_like(states)
-        steps[:, free] = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
+        steps[:, free] = -(_inverse(hessian) @ gradient[:, :, None])[:, :, 0]
         return np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP), hessian
 
     def _bounded(self, state: Array) -> Array:
@@ -523,7 +525,7 @@ class StressEstimator:
 
     def _covariances(self, hessians: Array, quadratics: Array, free: Indices) -> Array:
         """Return the covariances of all parameters, shape (n, 6, 6)."""
-        inverses = np.linalg.inv(hessians)
+        inverses = _inverse(hessians)
         covariances = np.zeros((hessians.shape[0], _SIZE, _SIZE))
         covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
         if self._config.order_given:
@@ -661,6 +663,18 @@ class StressEstimator:
             return float(ndtr((math.log(strain) + self._state[_LOG_GN]) / deviation))
         beyond = ndtr((math.log(strain) + self._grid.nodes) / (0.5 * LOG_SPACING))
         return float(min(self._node_weights @ beyond, 1.0))
+
+
+def _inverse(matrices: Array) -> Array:
+    """Return the inverses of matrices that rounding may have robbed of being positive definite."""
+    scale = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), _TINY) ** -0.5
+    scaled = matrices * scale[:, :, None] * scale[:, None, :]
+    values, vectors = np.linalg.eigh(scaled)
+    vectors *= scale[:, :, None]
+    result: Array = (vectors / np.maximum(values, _SINGULAR)[:, None, :]) @ vectors.transpose(
+        0, 2, 1
+    )
+    return result
 
 
 def _decrement(steps: Array, hessians: Array, free: Indices) -> Array:
