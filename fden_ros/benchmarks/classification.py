@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks import Goal, Report, progress, real, within
 from fden_ros.benchmarks.lesions import (
     CONTRASTS,
     DIAMETERS,
@@ -54,7 +53,6 @@ from fden_ros.benchmarks.populations import (
     stacked,
     training_contacts,
 )
-from fden_ros.benchmarks.real import DATA_VARIABLE, read_tests
 from fden_ros.benchmarks.real_classes import ONLINE, Told, tell
 from fden_ros.core.classifier import Likelihood, Tissue, TissueLibrary, log_evidence, posterior
 from fden_ros.core.decision import DecisionConfig
@@ -107,23 +105,16 @@ _QUICK = _Size(48, 20_000, 1, (5, 20), 1024, 4, 8, 2, False)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the benchmark's own arguments."""
+    """Add the benchmark's own arguments; without a folder measured tissue is left out."""
+    real.add_arguments(parser)
     parser.epilog = EPILOG
-    parser.add_argument(
-        "data",
-        nargs="?",
-        type=Path,
-        metavar="DIR",
-        default=os.environ.get(DATA_VARIABLE),
-        help=f"folder with measured tests (default: the variable {DATA_VARIABLE}, else none)",
-    )
 
 
 def run(args: argparse.Namespace) -> Report:
     """Measure; return the report."""
     _require_sklearn()
     size = _QUICK if args.quick else _FULL
-    tests = read_tests(Path(args.data)) if args.data is not None and not args.quick else []
+    tests = real.read_tests(Path(args.data)) if args.data is not None and not args.quick else []
     truth = population()
     steps = size.pressed + size.libraries + len(size.curve) + size.foreign + size.grids
     steps += size.presses_grid * SIDE**2 + (len(tests) + 4) * bool(tests)

@@ -146,9 +146,7 @@ def _visits(scenario: Scenario, generator: np.random.Generator) -> list[_Visit]:
         path = _path_over(
             site, scenario.geometry, approach, pause, END_PAUSE_S if is_last else 0.0
         )
-        contacts = contacts_of_moves(
-            path.moves, site.tissue.model(generator), site.stiffening
-        )
+        contacts = contacts_of_moves(path.moves, site.tissue.model(generator), site.stiffening)
         visits.append(_Visit(site, start, start + path.time, tuple(path.moves), contacts))
         start += path.time
     return visits
