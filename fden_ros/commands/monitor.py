@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 DESCRIPTION = """\
@@ -47,7 +49,13 @@ def watch(
     until: Callable[[], bool] = lambda: False,
     console: Any = None,
 ) -> None:
-    """Show an identifier until `until` holds or `duration` [s] is over."""
+    """Show an identifier until `until` holds or `duration` [s] is over.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After SIGINT or SIGTERM.
+    """
     from rich.console import Console
     from rich.live import Live
 
@@ -57,11 +65,29 @@ def watch(
     console = console or Console()
     end = time.monotonic() + duration if duration is not None else None
     with (
+        _signals_noted() as noted,
         Monitor(identifier) as monitor,
         Live(console=console, auto_refresh=False, transient=False) as live,
     ):
-        while not until() and (end is None or time.monotonic() < end):
+        while not noted and not until() and (end is None or time.monotonic() < end):
             monitor.spin(_PERIOD)
             live.update(monitor_view(monitor.view()), refresh=True)
     if not console.is_terminal:
         console.line()  # rich ends the last line on terminals only
+    if noted:
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _signals_noted() -> Iterator[list[int]]:
+    """Note SIGINT and SIGTERM: raised in the middle of rclpy they come out as something else."""
+    noted: list[int] = []
+    before = {
+        number: signal.signal(number, lambda caught, _: noted.append(caught))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
