@@ -119,7 +119,7 @@ class McapFile:
         """
         with self.path.open("rb") as file:
             file.seek(span.offset)
-            content = file.read(span.length)
+            content = file.read(min(span.length, self.path.stat().st_size))
         rows = list(_rows(_unpack(content, span.cut_off) if span.packed else content))
         rows.sort(key=log_time)
         return rows
@@ -207,7 +207,9 @@ class _Scan:
             if end > self._size:
                 if opcode == Opcode.CHUNK:
                     self._close_run(offset)
-                    content = Span(0, offset + _RECORD.size, length, packed=True, cut_off=True)
+                    # A damaged length may be more than memory holds.
+                    left = self._size - offset - _RECORD.size
+                    content = Span(0, offset + _RECORD.size, left, packed=True, cut_off=True)
                     self._add_chunk(stream, content)
                 self._break_off(offset)
                 return
