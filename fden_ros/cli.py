@@ -7,6 +7,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.errors import InputError
 

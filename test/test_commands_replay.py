@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fden_ros.cli import main
 from fden_ros.recording.reader import BagReader
-from fden_ros.simulation.scenario import load_scenario
+from fden_ros.recording.synthetic import write_recording
+from fden_ros.simulation.scenario import load_scenario, ramp_scenario
 from fden_ros.simulation.simulate import Recording, Stream, simulate
 
 ROOT = Path(__file__).parent.parent
@@ -551,10 +553,14 @@ def test_results_of_the_recording_itself_are_refused(
 def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Signals) -> None:
     out = tmp_path / "out" / "results"
     out.parent.mkdir()
+    # So long that it is not done before the signal comes.
+    scenario = ramp_scenario(strain_rate=0.5, max_strain=0.2, hold_s=100.0, seed=1)
+    bag = tmp_path / "long"
+    write_recording(simulate(scenario), bag)
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "fden_ros.cli", "replay", str(GOLDEN / "golden_palpation")),
-            *("--config", str(GOLDEN / "golden_palpation" / "identifier.yaml"), "-o", str(out)),
+            *(sys.executable, "-m", "fden_ros.cli", "replay", str(bag)),
+            *("--config", str(bag / "identifier.yaml"), "-o", str(out)),
         ],
         cwd=ROOT,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
@@ -562,7 +568,7 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Sign
         stderr=subprocess.PIPE,
     )
     while not list(out.parent.rglob("*.mcap")) and process.poll() is None:
-        pass
+        time.sleep(0.01)
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 128 + number

@@ -15,7 +15,6 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -245,36 +244,19 @@ _Task = tuple[Case, int, int]
 def _completed(
     tasks: Sequence[_Task], methods: tuple[str, ...], workers: int
 ) -> Iterator[tuple[Case, int, list[Trial]]]:
-    with single_threaded():
-        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
-        try:
-            futures = {pool.submit(_run_task, task, methods): task for task in tasks}
-            for future in as_completed(futures):
-                task = futures[future]
-                yield task[0], task[1], future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        futures = {pool.submit(_run_task, task, methods): task for task in tasks}
+        for future in as_completed(futures):
+            task = futures[future]
+            yield task[0], task[1], future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _run_task(task: _Task, methods: tuple[str, ...]) -> list[Trial]:
     case, first, end = task
     return [run_trial(case, number, methods) for number in range(first, end)]
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Keep each worker's linear algebra on one core; threads would only wait for each other."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 # Figures

@@ -139,8 +139,9 @@ def measure(what: str, rate: float, seconds: float) -> Run:
         sent = json.loads(_ended(sender)).get("sent", 0)
         # What is still under way.
         time.sleep(2.0 + (2.0 if rate > 1000.0 else 0.0))
-        for process in (tested, sink):
-            process.send_signal(signal.SIGINT)
+        # The relay leaves nothing to tidy up.
+        tested.send_signal(signal.SIGINT if what == NODE else signal.SIGKILL)
+        sink.send_signal(signal.SIGINT)
         _ended(tested)
         heard = json.loads(_ended(sink))
     counts = heard["counts"]
@@ -181,7 +182,7 @@ def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[An
         )
         try:
             yield process
-            if process.returncode:
+            if process.returncode > 0:
                 errors.seek(0)
                 words = " ".join(errors.read().split())[-300:]
                 raise InputError(f"{command[2:4]} ended with {process.returncode}: {words}")
@@ -288,7 +289,7 @@ def _source(rate: float, seconds: float) -> None:
 
 
 def _relay(raw: bool) -> None:
-    """Take the same messages, publish one of the same kind as often, compute nothing."""
+    """Take the same messages, publish one of the same kind as often, compute nothing, for ever."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from fden_msgs.msg import TissueEstimate
@@ -299,7 +300,6 @@ def _relay(raw: bool) -> None:
     from fden_ros.nodes.identifier import ESTIMATE_QOS, INPUT_QOS, make_executor, spin
     from fden_ros.recording.cdr import serialize
 
-    stopped = _signals()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("identifier")
     estimates = node.create_publisher(TissueEstimate, _ESTIMATE, ESTIMATE_QOS)
@@ -331,10 +331,7 @@ def _relay(raw: bool) -> None:
     node.create_timer(1.0, tell)
     executor = make_executor()
     executor.add_node(node)
-    spin(executor, lambda: bool(stopped))
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    spin(executor, lambda: False)
 
 
 def _sink() -> None:

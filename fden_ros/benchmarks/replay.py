@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from fden_ros.benchmarks import Goal, Report, progress, within
-from fden_ros.benchmarks.accuracy import single_threaded
 from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
@@ -195,10 +194,8 @@ def _archive(folder: Path, bag: Path) -> Path:
 
 def _in_a_process(function: Callable[[Path], T], bag: Path) -> T:
     """Call a function in a process of its own, whose peak of memory is its alone."""
-    with (
-        single_threaded(),
-        ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool,
-    ):
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
         return pool.submit(function, bag).result()
 
 
@@ -231,8 +228,7 @@ def _batch(archive: Path, output: Path, workers: int) -> float:
     command += ["batch", str(archive), "-o", str(output), "--workers", str(workers)]
     command += ["--config", str(archive / PARAMETER_FILE)]
     start = time.perf_counter()
-    with single_threaded():
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return time.perf_counter() - start
 
 

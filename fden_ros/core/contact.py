@@ -75,6 +75,7 @@ class Onset(NamedTuple):
     displacement: float  #: at the onset, compliance removed [m]
     displacement_sd: float  #: its standard deviation [m]
     seen: bool  #: False: the force was there when the data began, so the origin is not known
+    air_seen: bool  #: the data began in the air, even if the surface is not to be seen in them
 
 
 class Release(NamedTuple):
@@ -331,7 +332,8 @@ class ContactDetector:
             return None
         self._forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
         level = self._level(bias)
-        seen = surface.first > 0 and float(force[0]) < threshold
+        air_seen = float(force[0]) < threshold
+        seen = surface.first > 0 and air_seen
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
         onset = Onset(
@@ -344,6 +346,7 @@ class ContactDetector:
             displacement=surface.displacement,
             displacement_sd=surface.displacement_sd,
             seen=seen,
+            air_seen=air_seen,
         )
         self.in_contact = True
         self.force_bias = level.value

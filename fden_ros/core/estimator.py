@@ -171,6 +171,9 @@ class Estimator(Protocol):
     def estimate(self) -> Estimate:
         """Return the present estimate."""
 
+    def settle(self, *, fully: bool = False) -> None:
+        """Do what takes long while nobody waits for an estimate; `fully`: all, at the end."""
+
 
 class _Member:
     """One extended Kalman filter with its weight and its sensitivity to alpha."""
@@ -340,6 +343,9 @@ class FractionalStressEstimator:
         weights: Array = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
         return weights
+
+    def settle(self, *, fully: bool = False) -> None:
+        """Do nothing: an update leaves nothing to do."""
 
     def estimate(self) -> Estimate:
         """Return the mixture's mean and covariance, alpha's own uncertainty included."""

@@ -90,6 +90,8 @@ class Decays:
         [1/s].
     steps : ndarray, shape (n,)
         [s].
+    counts : ndarray, shape (n,)
+        1 where the end of a step is added up, 0 where it is not.
 
     Attributes
     ----------
@@ -105,17 +107,17 @@ class Decays:
         From the beginning to the end of every step, added up.
     """
 
-    def __init__(self, rates: Array, steps: Array) -> None:
+    def __init__(self, rates: Array, steps: Array, counts: Array) -> None:
         self.by_step: Array = np.exp(rates[:, None] * -steps)
         self.to_end = np.ones_like(self.by_step)
         self.sums_after = np.zeros_like(self.by_step)
         for k in range(steps.size - 1, 0, -1):
             decay = self.by_step[:, k]
             np.multiply(self.to_end[:, k], decay, out=self.to_end[:, k - 1])
-            np.add(self.sums_after[:, k], 1.0, out=self.sums_after[:, k - 1])
+            np.add(self.sums_after[:, k], counts[k], out=self.sums_after[:, k - 1])
             self.sums_after[:, k - 1] *= decay
         self.whole: Array = self.by_step[:, 0] * self.to_end[:, 0]
-        self.sum_of_start: Array = self.by_step[:, 0] * (1.0 + self.sums_after[:, 0])
+        self.sum_of_start: Array = self.by_step[:, 0] * (counts[0] + self.sums_after[:, 0])
 
 
 @functools.cache
@@ -209,6 +211,15 @@ class FractionalIntegral:
         self._sum += result
         return result
 
+    def ahead(self, step: float) -> Array:
+        """Return D^-beta f at `step` seconds after the last sample if f is 0 by then."""
+        self._catch_up()
+        if step != self._prepared_step:
+            self._prepare(step)
+        result: Array = self._weights @ (self._decay * self._memory)
+        result += self._local_previous * self.last_value
+        return result
+
     def add(self, step: float, value: float) -> None:
         """Add a sample as :meth:`advance` does, where only the sum of the integrals is wanted."""
         self._waiting.append((step, value))
@@ -242,7 +253,7 @@ class FractionalIntegral:
 
     def _prepare_several(self, steps: Array) -> None:
         """Set what the values before and after each step add, shapes (2, rates or orders, n)."""
-        decays = Decays(self._rates, steps)
+        decays = Decays(self._rates, steps, np.ones(steps.size))
         exponent = self._rates[:, None] * steps
         is_small = exponent < _SERIES_LIMIT
         small = np.minimum(exponent, _SERIES_LIMIT)

@@ -334,6 +334,7 @@ class _Sums:
     count: int = 0
     start_ns: int = 0
     start_compression: float = 0.0
+    first_step: float = 0.0  #: from the sample before the first [s]
     compression: float = 0.0
     stress: float = 0.0
     force: float = 0.0
@@ -525,7 +526,8 @@ class Pipeline:
     def _touch(self, onset: Onset) -> None:
         first = onset.samples[0]
         site = self._site
-        if site is None or self._is_new_site(site, first):
+        is_known = site is not None and not self._is_new_site(site, first)
+        if site is None or not is_known:
             site = self._site = self._new_site(onset)
         self.contact_count += 1
         contact = self._contact = _Contact(
@@ -539,7 +541,9 @@ class Pipeline:
             position=first.position,
             flags=site.flags,
         )
-        if not onset.seen and not self._begins_at_origin(first):
+        # A site that was pressed before needs no surface, only to be left alone in between.
+        is_followed = onset.air_seen if is_known else onset.seen
+        if not is_followed and not self._begins_at_origin(first):
             site.usable = False
             site.flags |= Flag.ORIGIN_UNCERTAIN
             contact.flags |= Flag.ORIGIN_UNCERTAIN
@@ -641,9 +645,12 @@ class Pipeline:
         compression = (displacement - site.origin) / geometry.length
         sums = self._sums
         step = (pair.stamp_ns - site.last_ns) / NANOSECONDS
-        is_free = self._is_free(force, contact, site)
+        is_free = self._is_free(step, force, compression, contact, site)
         sums.has_free |= is_free
         estimator = site.estimator if not contact.ended else None
+        if estimator is not None and sums.count == 0 and not self._muted:
+            # Only now: whoever waits for the last block's estimate has it already.
+            estimator.settle()
         if not is_free:
             if step > 0.0:
                 site.integral.add(step, stress)
@@ -658,6 +665,7 @@ class Pipeline:
             self._oscillate(pair.stamp_ns, compression, stress, is_free)
         if sums.count == 0:
             sums.start_ns, sums.start_compression = pair.stamp_ns, compression
+            sums.first_step = step
         sums.count += 1
         sums.compression += compression
         sums.stress += stress
@@ -692,17 +700,49 @@ class Pipeline:
                 )
             )
 
-    def _is_free(self, force: float, contact: _Contact, site: _Site) -> bool:
+    def _is_free(
+        self, step: float, force: float, compression: float, contact: _Contact, site: _Site
+    ) -> bool:
         """Whether the tissue has left the probe, or has not met it yet.
 
         The first touch says where the origin is, so there the law holds from the origin on; later
         ones meet a surface that still recovers.
         """
-        # Twice as much to meet it as to leave it, so that noise does neither.
-        threshold = (2.0 if contact.is_free else 1.0) * contact.release_force
+        clear = 2.0 * contact.release_force
         is_first_touch = contact.start_ns == site.start_ns and not contact.is_pressed
-        contact.is_free = force <= threshold and not is_first_touch
-        return contact.is_free
+        if is_first_touch:
+            is_free = False
+        elif abs(force) <= clear and step > 0.0 and self._is_known(site):
+            # Where noise hides the force, the law says where the surface is.
+            is_free = self._is_above_surface(step, compression, site)
+        else:
+            # Twice as much to meet it as to leave it, so that noise does neither.
+            is_free = force <= (clear if contact.is_free else contact.release_force)
+        contact.is_free = is_free
+        return is_free
+
+    @staticmethod
+    def _is_known(site: _Site) -> bool:
+        return (
+            site.usable
+            and site.estimate is not None
+            and site.estimate.converged
+            and site.estimator is not None
+            and not site.estimator.is_mismatch
+        )
+
+    def _is_above_surface(self, step: float, compression: float, site: _Site) -> bool:
+        """Whether the tissue would have to pull at the probe, by what is known of it."""
+        estimate = site.estimate
+        assert estimate is not None
+        weights, _ = self._order_interpolation(estimate.fractional_order)
+        free = float(weights @ site.integral.ahead(step)[_EXACT_ORDERS:])
+        response = elastic_response(
+            self.config.geometry.strain(compression - estimate.strain_origin),
+            math.exp(estimate.log_linear_stiffness),
+            math.exp(estimate.log_nonlinear_stiffness),
+        )
+        return response.value <= free
 
     def _hover(self, pair: Pair) -> None:
         if pair.stamp_ns - self._block_end_ns < self._block_ns:
@@ -741,7 +781,7 @@ class Pipeline:
             / (self._orders[1] - self._orders[2]),
             memory_time=0.5 * (sums.start_ns + stamp_ns - 2 * site.start_ns) / NANOSECONDS,
             size=count,
-            duration=(stamp_ns - sums.start_ns) / NANOSECONDS * count / max(count - 1, 1),
+            duration=(stamp_ns - sums.start_ns) / NANOSECONDS + sums.first_step,
         )
         has_free = sums.has_free
         sums.clear()
@@ -997,6 +1037,9 @@ class Pipeline:
             return
         if not contact.ended:
             contact.ended = True
+            if site.estimator is not None and site.usable and site.estimate is not None:
+                site.estimator.settle(fully=True)
+                site.estimate = site.estimator.estimate()
             if not complete:
                 contact.flags |= self._saturation(contact)
             self._emit(self._summary(contact, site, end_ns, complete))

@@ -42,6 +42,9 @@ _ORDER_NODES = 11
 #: Nodes of ln Gn stand so far apart, and so many of them serve one value.
 LOG_SPACING = 0.1
 STENCIL = 8
+#: Between two samples the compression is linear in time, and phi in parts no longer than this [1].
+_LONGEST_PART = 0.002
+_MOST_PARTS = 8
 #: Beyond this exponent a node says nothing about any tissue.
 _MAX_EXPONENT = 60.0
 
@@ -164,12 +167,20 @@ class StressBasis:
         self._last = np.zeros(columns)
         self._count = 0
         self._prepared_steps: tuple[float, ...] = ()
-        self._waiting: list[tuple[float, float]] = []
+        self._waiting: list[tuple[float, float, float]] = []
+        #: None: in the air.
+        self._compression: float | None = None
         self._strains = np.zeros(len(self._origins))
 
     def press(self, step: float, compression: float) -> None:
         """Take a sample in contact `step` seconds after the last."""
-        self._waiting.append((step, compression))
+        before = self._compression
+        way = compression - before if before is not None and step > 0.0 else 0.0
+        parts = min(max(math.ceil(abs(way) / _LONGEST_PART), 1), _MOST_PARTS)
+        for left in range(parts - 1, 0, -1):
+            self._waiting.append((step / parts, compression - way * left / parts, 0.0))
+        self._waiting.append((step / parts, compression, 1.0))
+        self._compression = compression
         self._count += 1
         if len(self._waiting) >= MOST_WAITING:
             self._catch_up()
@@ -178,23 +189,24 @@ class StressBasis:
         """Take the samples that wait, all at once: several times faster than one by one."""
         if not self._waiting:
             return
-        steps = np.array([step for step, _ in self._waiting])
+        waiting = np.array(self._waiting)
+        steps, counts = waiting[:, 0], waiting[:, 2]
         strains = np.array(
-            [[self._geometry.strain(u - o) for o in self._origins] for _, u in self._waiting]
+            [[self._geometry.strain(u - o) for o in self._origins] for _, u, _ in self._waiting]
         )
         self._waiting.clear()
         before, self._strains = np.vstack([self._strains, strains[:-1]]), strains[-1]
         if steps[0] <= 0.0:
             # The first sample of all: the memory begins here.
-            steps, strains, before = steps[1:], strains[1:], before[1:]
+            steps, counts, strains, before = steps[1:], counts[1:], strains[1:], before[1:]
             if not steps.size:
                 return
         signals = np.zeros((steps.size, self._last.size))
         signals[:, : self._signal_count] = self._law(strains)
         change = np.diff(signals, axis=0, prepend=self._last[None])
         self._last = signals[-1]
-        if (key := tuple(steps)) != self._prepared_steps:
-            self._prepare(steps)
+        if (key := (*steps, *counts)) != self._prepared_steps:
+            self._prepare(steps, counts)
             self._prepared_steps = key
         self._memory_sum += self._memory * self._start_share
         self._memory_sum += self._gain_after @ change
@@ -206,9 +218,11 @@ class StressBasis:
             columns = slice(origin, self._signal_count, self._shape[1])
             self._begin_within(int(k), share * float(steps[k]), columns, change[k, columns])
 
-    def _prepare(self, steps: Array) -> None:
-        self._decays = Decays(self._rates, steps)
+    def _prepare(self, steps: Array, counts: Array) -> None:
+        self._decays = Decays(self._rates, steps, counts)
         self._gain, self._local = self._gains(steps)
+        self._counts = counts
+        self._local *= counts
         self._gain_after = self._gain * self._decays.sums_after
         self._gain_at_end = self._gain * self._decays.to_end
         self._start_share = self._decays.sum_of_start[:, None]
@@ -218,6 +232,7 @@ class StressBasis:
         """Let the change over step k have begun at the touch, `duration` before its end."""
         own = slice(k, k + 1)
         gain, local = self._gains(np.array([duration]))
+        local *= self._counts[k]
         gain -= self._gain[:, own]
         self._memory_sum[:, columns] += gain * self._decays.sums_after[:, own] * change
         self._memory[:, columns] += gain * self._decays.to_end[:, own] * change
@@ -250,6 +265,7 @@ class StressBasis:
         self._catch_up()
         if step <= 0.0:
             return
+        self._compression = None
         signals = np.zeros_like(self._last)
         signals[self._free] = free_response
         gain, _ = self._gains(np.array([step]))

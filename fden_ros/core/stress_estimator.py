@@ -33,6 +33,7 @@ from fden_ros.core.innovation_monitor import (
     InnovationMonitor,
 )
 from fden_ros.core.model import elastic_response
+from fden_ros.core.motion_noise import MotionNoise
 from fden_ros.core.stress_basis import (
     HIGHEST_ORDER,
     LOG_SPACING,
@@ -77,9 +78,6 @@ _WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
 _MOST_PENDING = 32
 #: Steps end when the last one lowered minus twice the log-posterior by less than this.
 _CLOSE = 0.01
-#: The strain at a corner is off by so much of the bend, a quarter where it is in the middle of a
-#: step and less elsewhere; the straight line through it then counts at the step's end by half.
-_CORNER_SHARE = 0.1
 #: A node of less weight does not count there.
 _LEAST_WEIGHT = 1e-6
 _TINY = 1e-12
@@ -133,7 +131,7 @@ class StressEstimator:
         self._config = config
         self._geometry = geometry
         self._noise_variance = noise_sd**2
-        self._motion_noise = motion_noise
+        self._motion = MotionNoise(motion_noise)
         self._grid = LogStiffnessGrid(
             math.log(prior.nonlinear_stiffness),
             min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
@@ -148,7 +146,7 @@ class StressEstimator:
         self._law = np.zeros((STENCIL, nodes, inner, inner))
         self._cross = np.zeros((nodes, inner, _COLUMNS))
         self._columns = np.zeros((_COLUMNS, _COLUMNS))
-        self._pending: list[tuple[Array, Array, float]] = []
+        self._pending: list[tuple[Array, Array, float, int]] = []
         self._mean = np.array(
             [
                 math.log(prior.linear_stiffness),
@@ -181,9 +179,6 @@ class StressEstimator:
             -0.5 * ((self._grid.nodes - self._mean[_LOG_GN]) / (deviations[_LOG_GN] or 1.0)) ** 2
         )
         self._node_weights /= self._node_weights.sum()
-        # How sharply the motion bends [1], for which two rates must be known.
-        self._bend = 0.0
-        self._last_rate, self._last_compression = math.nan, 0.0
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -210,7 +205,7 @@ class StressEstimator:
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the force."""
-        self._last_rate = math.nan
+        self._motion.interrupt()
         self._forget_nuisances()
         self._was_mismatch = False
         self._contact_start = None
@@ -225,21 +220,17 @@ class StressEstimator:
 
     def press(self, step: float, compression: float) -> None:
         """Take a sample in contact."""
-        if step > 0.0:
-            rate = (compression - self._last_compression) / step
-            self._bend = max(self._bend, abs(rate - self._last_rate) * step)
-            self._last_rate = rate
-        self._last_compression = compression
+        self._motion.press(step, compression)
         self._basis.press(step, compression)
 
     def rest(self, step: float, free_response: Array) -> None:
         """Take a step in the air."""
-        self._last_rate = math.nan
+        self._motion.interrupt()
         self._basis.rest(step, free_response)
 
     def skip(self) -> None:
         """Let a block go by."""
-        self._bend = 0.0
+        self._motion.skip_block()
         self._basis.discard_block()
 
     def update(self, block: Block) -> Innovation:
@@ -259,7 +250,7 @@ class StressEstimator:
             self._watch(innovation, noise, block, law, columns)
         if block.memory_time < self._blind_until:
             return innovation
-        self._pending.append((law, columns, 1.0 / noise))
+        self._pending.append((law, columns, 1.0 / noise, block.size))
         if len(self._pending) >= _MOST_PENDING:
             self._add_up()
         self._max_compression = max(self._max_compression, block.compression)
@@ -283,14 +274,7 @@ class StressEstimator:
         self._covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
 
     def _noise_of_motion(self, block: Block) -> float:
-        """Variance that the displacement's noise gives to a block's mean stress [Pa^2].
-
-        White noise of the strain, differentiated to the order alpha and averaged over the block;
-        and what is lost of a corner of the motion between two samples.
-        """
-        bend, self._bend = self._bend, 0.0
-        if not block.duration:
-            return 0.0
+        """Variance that the motion gives to a block's mean stress [Pa^2]."""
         compression = block.compression - float(self._state[_ORIGIN])
         response = elastic_response(
             self._geometry.strain(compression),
@@ -298,11 +282,14 @@ class StressEstimator:
             math.exp(self._state[_LOG_GN]),
         )
         slope = response.by_strain * self._geometry.strain_slope(compression)
-        order = float(self._state[_ORDER])
-        white = self._motion_noise * block.duration ** (-1.0 - 2.0 * order)
-        step = block.duration / block.size
-        corner = (_CORNER_SHARE * bend / block.size * step**-order) ** 2
-        return float(slope**2 * (white + corner))
+        variance, before = self._motion.take_block(
+            block.duration, block.size, slope, float(self._state[_ORDER])
+        )
+        if before > 0.0 and self._pending:
+            law, columns, weight, size = self._pending[-1]
+            weight = 1.0 / (1.0 / weight + before / size**2)
+            self._pending[-1] = (law, columns, weight, size)
+        return variance
 
     def _watch(
         self, innovation: Innovation, noise: float, block: Block, law: Array, columns: Array
@@ -457,7 +444,7 @@ class StressEstimator:
         """Add the blocks since the last time to the sums."""
         if not self._pending:
             return
-        laws, columns, weights = (np.array(part) for part in zip(*self._pending, strict=True))
+        laws, columns, weights, _ = (np.array(part) for part in zip(*self._pending, strict=True))
         self._pending.clear()
         by_node = laws.transpose(1, 0, 2)
         weighted = by_node * weights[:, None]
@@ -470,7 +457,12 @@ class StressEstimator:
         self._cross += weighted.transpose(0, 2, 1) @ columns
         self._columns += (columns * weights[:, None]).T @ columns
 
-    def _solve(self) -> None:
+    def settle(self, *, fully: bool = False) -> None:
+        """Solve for the posterior anew, with all blocks so far, when that is due."""
+        due = _NARROW_BLOCKS if self._is_narrow else _WIDE_BLOCKS
+        if self._surprises or self._blocks_since_solved < (1 if fully else due):
+            return
+        self._blocks_since_solved = 0
         self._add_up()
         if not self._is_narrow:
             self._solve_nodes()
@@ -629,10 +621,6 @@ class StressEstimator:
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        is_due = self._blocks_since_solved >= (_NARROW_BLOCKS if self._is_narrow else _WIDE_BLOCKS)
-        if is_due and not self._surprises:
-            self._solve()
-            self._blocks_since_solved = 0
         config = self._config
         # Symmetric to the last bit, which products of matrices are not.
         covariance = 0.5 * self._monitor.inflation * (self._covariance + self._covariance.T)

@@ -1,0 +1,93 @@
+"""What is not known of the motion, as noise of the stress: white noise, and corners cut short."""
+
+from __future__ import annotations
+
+import math
+
+#: The strain at a corner of the motion is off by so much of the bend: a quarter where the corner
+#: is in the middle of a step, less elsewhere.
+_CORNER_SHARE = 0.15
+#: Of what was wrong there the law remembers so many times alpha one step later, and less in
+#: proportion to time.
+_CORNER_MEMORY = 2.0
+#: A bend of so many standard deviations of the noise is none.
+_NOISE_BENDS = 3.0
+
+
+class MotionNoise:
+    """Variance of a block's mean stress that comes from its motion.
+
+    Parameters
+    ----------
+    white : float
+        Variance of the compression's noise per sample times the time between samples [s].
+    """
+
+    def __init__(self, white: float) -> None:
+        self._white = white
+        # How sharply the motion bends [1], for which two rates must be known.
+        self._bend = self._first_bend = 0.0
+        self._is_first = True
+        self._last_rate, self._last_compression = math.nan, 0.0
+        self._remembered, self._age = 0.0, 0.0
+
+    def press(self, step: float, compression: float) -> None:
+        """Take the motion of a sample in contact."""
+        if step > 0.0:
+            rate = (compression - self._last_compression) / step
+            if not math.isnan(self._last_rate):
+                noise = _NOISE_BENDS * math.sqrt(6.0 * self._white / step)
+                bend = max(abs(rate - self._last_rate) * step - noise, 0.0)
+                self._bend = max(self._bend, bend)
+                if self._is_first:
+                    self._first_bend = bend
+            self._last_rate = rate
+        self._is_first = False
+        self._last_compression = compression
+
+    def interrupt(self) -> None:
+        """Let the next sample begin a new motion."""
+        self._last_rate = math.nan
+
+    def skip_block(self) -> None:
+        """Let a block go by."""
+        self._bend = self._first_bend = 0.0
+        self._is_first = True
+
+    def take_block(
+        self, duration: float, size: int, slope: float, order: float
+    ) -> tuple[float, float]:
+        """Return the variance for the block that ends now, and a further one for that before.
+
+        A corner between two blocks spoils the last sample of the first, if force and displacement
+        are not sampled together.
+
+        Parameters
+        ----------
+        duration : float
+            [s].
+        size : int
+            Samples in the block.
+        slope : float
+            Of the elastic response by the compression [Pa].
+        order : float
+            alpha [1].
+
+        Returns
+        -------
+        tuple of float
+            [Pa^2]; the second for a block of one sample.
+        """
+        bend, first_bend = self._bend, self._first_bend
+        self.skip_block()
+        if not duration:
+            return 0.0, 0.0
+        step = duration / size
+        self._age += duration
+        white = self._white * duration ** (-1.0 - 2.0 * order) * slope**2
+        by_bend = _CORNER_SHARE * abs(slope) * step**-order
+        remembered = _CORNER_MEMORY * order * self._remembered / self._age
+        corner = by_bend * bend
+        if corner >= remembered:
+            self._remembered, self._age = corner * step, step
+        return white + max(corner / size, remembered) ** 2, (by_bend * first_bend) ** 2
