@@ -11,7 +11,7 @@ from fden_ros.benchmarks import BENCHMARKS, Goal, Report, within
 from fden_ros.benchmarks.accuracy import CASES, measure
 from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, bounds, contact_bounds, slope
-from fden_ros.benchmarks.simulated import STRESS, Outcome, Trial
+from fden_ros.benchmarks.simulated import STRESS, Outcome, Trial, run_trial
 from fden_ros.cli import main
 from fden_ros.core.estimator import Prior
 from fden_ros.simulation.closed_form import FdenModel, LinearMove
@@ -164,6 +164,14 @@ def test_contacts_without_an_estimate_count_as_failures():
 
 
 # The paper's filter
+
+
+def test_a_site_pressed_before_goes_on_where_noise_hides_the_surface():
+    # In the tenth press of this recording the detector does not see the touch.
+    (case,) = (c for c in CASES if c.name == "ten_palpations")
+    outcome = run_trial(case, 8, (STRESS,)).outcomes[STRESS]
+    assert outcome.found and outcome.converged
+    assert np.all(np.abs(outcome.error[:2]) < 0.02)
 
 
 def test_appendix_d_identifies_a_clean_ramp():

@@ -86,6 +86,32 @@ def test_touch_between_two_samples_counts_from_when_it_was(order, share):
         assert interpolated(law, np.log(gn), order) == pytest.approx(exact[0], rel=1e-5)
 
 
+@pytest.mark.parametrize("order", [0.131, 0.32])
+def test_coarse_samples_of_a_ramp_are_as_exact_as_fine_ones(order):
+    # In steps of 0.02 the elastic response is anything but straight.
+    gn, rate, top = 13.1, 2.0, 0.3
+    times = np.arange(0.0, top / rate + 1e-9, 0.01)
+    law, _, _ = last_response(
+        StressBasis(PassThrough(), GRID.nodes, np.zeros(1)), times, rate * times
+    )
+    model = FdenModel(1.0, gn, order)
+    exact = stress_of_piecewise_linear_strain([0.0, 1.0], [0.0, rate], times[-1:], model)[0]
+    assert interpolated(law, np.log(gn), order) == pytest.approx(exact, rel=1e-3)
+
+
+def test_parts_of_a_step_do_not_count_as_samples():
+    def block(rate):
+        basis = StressBasis(PassThrough(), GRID.nodes, np.zeros(1))
+        for index in range(21):
+            if index == 11:
+                basis.discard_block()
+            basis.press(0.01 if index else 0.0, rate * 0.01 * index)
+        return basis.take_block()[0][0, 5]
+
+    # Node 0 is straight at these strains, so the response is proportional to the rate.
+    assert block(0.4) == pytest.approx(20.0 * block(0.02), rel=1e-9)
+
+
 def test_block_is_the_mean_of_its_samples():
     times = jittered_times(40, 5e-3)
     motion = 0.5 * times

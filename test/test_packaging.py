@@ -196,3 +196,18 @@ def test_colcon_builds_both_packages_into_a_workspace_that_ros_finds(tmp_path: P
     assert run("bash", "-c", sourced + where).stdout.startswith(str(install))
     fden = install / "fden_ros" / "lib" / "fden_ros" / "fden"
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
+
+
+@pytest.mark.parametrize("module", ["fden_ros.nodes.identifier", "fden_ros.cli"])
+@pytest.mark.parametrize("given", [None, "3"])
+def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(
+    module: str, given: str | None
+) -> None:
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    if given is not None:
+        environment["OPENBLAS_NUM_THREADS"] = given
+    script = f"import os, {module}; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == (given or "1")

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import bisect
 import functools
+import itertools
 import math
 import sys
 from collections.abc import Sequence
@@ -82,42 +83,56 @@ def kernel_weights(order: float) -> Array:
 
 
 class Decays:
-    """How much exponentials have decayed over several steps.
+    """How much the exponentials have decayed over several steps.
 
     Parameters
     ----------
-    rates : ndarray, shape (m,)
-        [1/s].
-    steps : ndarray, shape (n,)
+    steps : tuple of float
         [s].
-    counts : ndarray, shape (n,)
+    counts : tuple of float
         1 where the end of a step is added up, 0 where it is not.
 
     Attributes
     ----------
-    by_step : ndarray, shape (m, n)
-        Within each step.
-    to_end : ndarray, shape (m, n)
+    mean : ndarray, shape (76, n)
+        phi_1: the mean decay within each step.
+    to_end : ndarray, shape (76, n)
         From the end of each step to the end of the last.
-    sums_after : ndarray, shape (m, n)
+    sums_after : ndarray, shape (76, n)
         From the end of each step to that of every later one, added up.
-    whole : ndarray, shape (m,)
+    whole : ndarray, shape (76,)
         From the beginning to the end of the last step.
-    sum_of_start : ndarray, shape (m,)
+    sum_of_start : ndarray, shape (76,)
         From the beginning to the end of every step, added up.
     """
 
-    def __init__(self, rates: Array, steps: Array, counts: Array) -> None:
-        self.by_step: Array = np.exp(rates[:, None] * -steps)
-        self.to_end = np.ones_like(self.by_step)
-        self.sums_after = np.zeros_like(self.by_step)
-        for k in range(steps.size - 1, 0, -1):
-            decay = self.by_step[:, k]
-            np.multiply(self.to_end[:, k], decay, out=self.to_end[:, k - 1])
+    def __init__(self, steps: tuple[float, ...], counts: tuple[float, ...]) -> None:
+        rates = relaxation_rates()[:, None]
+        self._exponent = rates * np.array(steps)
+        loss = -np.expm1(-self._exponent)
+        by_step = 1.0 - loss
+        self.mean = np.ones_like(loss)
+        np.divide(loss[1:], self._exponent[1:], out=self.mean[1:])
+        left = itertools.accumulate(reversed(steps[1:]), initial=0.0)
+        self.to_end: Array = np.exp(-rates * np.array([*left][::-1]))
+        self.sums_after = np.zeros_like(by_step)
+        for k in range(len(steps) - 1, 0, -1):
             np.add(self.sums_after[:, k], counts[k], out=self.sums_after[:, k - 1])
-            self.sums_after[:, k - 1] *= decay
-        self.whole: Array = self.by_step[:, 0] * self.to_end[:, 0]
-        self.sum_of_start: Array = self.by_step[:, 0] * (counts[0] + self.sums_after[:, 0])
+            self.sums_after[:, k - 1] *= by_step[:, k]
+        self.whole: Array = by_step[:, 0] * self.to_end[:, 0]
+        self.sum_of_start: Array = by_step[:, 0] * (counts[0] + self.sums_after[:, 0])
+
+    def later_mean(self) -> Array:
+        """Return phi_2, shape (76, n)."""
+        small = np.minimum(self._exponent, _SERIES_LIMIT)
+        series = 0.5 - small * (1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720)))
+        large = np.maximum(self._exponent, _SERIES_LIMIT)
+        result: Array = np.where(self._exponent < _SERIES_LIMIT, series, (1.0 - self.mean) / large)
+        return result
+
+
+#: Force and motion of the same block ask for the same.
+decays_of = functools.lru_cache(maxsize=8)(Decays)
 
 
 @functools.cache
@@ -240,7 +255,7 @@ class FractionalIntegral:
         steps, values = zip(*self._waiting, strict=True)
         self._waiting.clear()
         if steps != self._prepared_steps:
-            self._prepare_several(np.array(steps))
+            self._prepare_several(steps)
             self._prepared_steps = steps
         pairs = np.array([(self.last_value, *values[:-1]), values])
         remembered = self._memory * self._start_share
@@ -251,22 +266,16 @@ class FractionalIntegral:
         self._memory += np.einsum("pik,pk->i", self._shares_at_end, pairs)
         self.last_value = values[-1]
 
-    def _prepare_several(self, steps: Array) -> None:
+    def _prepare_several(self, steps: tuple[float, ...]) -> None:
         """Set what the values before and after each step add, shapes (2, rates or orders, n)."""
-        decays = Decays(self._rates, steps, np.ones(steps.size))
-        exponent = self._rates[:, None] * steps
-        is_small = exponent < _SERIES_LIMIT
-        small = np.minimum(exponent, _SERIES_LIMIT)
-        large = np.maximum(exponent, _SERIES_LIMIT)
-        series = 0.5 - small * (1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720)))
-        mean_decay = np.where(is_small, 1.0 - small * series, (1.0 - decays.by_step) / large)
-        new_gain = np.where(is_small, series, (1.0 - mean_decay) / large)
-        gains = steps * np.array([mean_decay - new_gain, new_gain])
+        decays = decays_of(steps, (1.0,) * len(steps))
+        new_gain = decays.later_mean()
+        gains = np.array(steps) * np.array([decays.mean - new_gain, new_gain])
         self._shares_after = gains * decays.sums_after
         self._shares_at_end = gains * decays.to_end
         self._start_share = decays.sum_of_start
         self._whole_decay = decays.whole
-        local = steps ** self._order_array[:, None] * self._local_scale[:, None]
+        local = np.array(steps) ** self._order_array[:, None] * self._local_scale[:, None]
         self._local = np.array([local * self._order_array[:, None], local])
 
     def _prepare(self, step: float) -> None:

@@ -29,6 +29,7 @@ from scipy.special import gamma
 from fden_ros.core.fractional_integral import (
     MOST_WAITING,
     Decays,
+    decays_of,
     kernel_weights,
     relaxation_rates,
 )
@@ -166,7 +167,7 @@ class StressBasis:
         self._local_sum = np.zeros((self._orders.size, columns))
         self._last = np.zeros(columns)
         self._count = 0
-        self._prepared_steps: tuple[float, ...] = ()
+        self._prepared_steps: tuple[tuple[float, ...], ...] = ()
         self._waiting: list[tuple[float, float, float]] = []
         #: None: in the air.
         self._compression: float | None = None
@@ -189,25 +190,24 @@ class StressBasis:
         """Take the samples that wait, all at once: several times faster than one by one."""
         if not self._waiting:
             return
-        waiting = np.array(self._waiting)
-        steps, counts = waiting[:, 0], waiting[:, 2]
-        strains = np.array(
-            [[self._geometry.strain(u - o) for o in self._origins] for _, u, _ in self._waiting]
-        )
+        steps, compressions, counts = zip(*self._waiting, strict=True)
         self._waiting.clear()
+        strains = np.array(
+            [[self._geometry.strain(u - o) for o in self._origins] for u in compressions]
+        )
         before, self._strains = np.vstack([self._strains, strains[:-1]]), strains[-1]
         if steps[0] <= 0.0:
             # The first sample of all: the memory begins here.
             steps, counts, strains, before = steps[1:], counts[1:], strains[1:], before[1:]
-            if not steps.size:
+            if not steps:
                 return
-        signals = np.zeros((steps.size, self._last.size))
+        signals = np.zeros((len(steps), self._last.size))
         signals[:, : self._signal_count] = self._law(strains)
         change = np.diff(signals, axis=0, prepend=self._last[None])
         self._last = signals[-1]
-        if (key := (*steps, *counts)) != self._prepared_steps:
+        if (steps, counts) != self._prepared_steps:
             self._prepare(steps, counts)
-            self._prepared_steps = key
+            self._prepared_steps = (steps, counts)
         self._memory_sum += self._memory * self._start_share
         self._memory_sum += self._gain_after @ change
         self._local_sum += self._local @ change
@@ -218,11 +218,11 @@ class StressBasis:
             columns = slice(origin, self._signal_count, self._shape[1])
             self._begin_within(int(k), share * float(steps[k]), columns, change[k, columns])
 
-    def _prepare(self, steps: Array, counts: Array) -> None:
-        self._decays = Decays(self._rates, steps, counts)
-        self._gain, self._local = self._gains(steps)
+    def _prepare(self, steps: tuple[float, ...], counts: tuple[float, ...]) -> None:
+        self._decays = decays_of(steps, counts)
+        self._gain = self._decays.mean
+        self._local = self._locals(np.array(steps)) * np.array(counts)
         self._counts = counts
-        self._local *= counts
         self._gain_after = self._gain * self._decays.sums_after
         self._gain_at_end = self._gain * self._decays.to_end
         self._start_share = self._decays.sum_of_start[:, None]
@@ -231,9 +231,8 @@ class StressBasis:
     def _begin_within(self, k: int, duration: float, columns: slice, change: Array) -> None:
         """Let the change over step k have begun at the touch, `duration` before its end."""
         own = slice(k, k + 1)
-        gain, local = self._gains(np.array([duration]))
-        local *= self._counts[k]
-        gain -= self._gain[:, own]
+        gain = Decays((duration,), (1.0,)).mean - self._gain[:, own]
+        local = self._locals(np.array([duration])) * self._counts[k]
         self._memory_sum[:, columns] += gain * self._decays.sums_after[:, own] * change
         self._memory[:, columns] += gain * self._decays.to_end[:, own] * change
         self._local_sum[:, columns] += (local - self._local[:, own]) * change
@@ -252,13 +251,10 @@ class StressBasis:
         result: Array = excess.reshape(strains.shape[0], -1)
         return result
 
-    def _gains(self, steps: Array) -> tuple[Array, Array]:
-        """Return what a change over each step leaves in memory, (rates, n), and at its end."""
-        exponent = self._rates[1:, None] * steps
-        gain = np.ones((self._rates.size, steps.size))
-        gain[1:] = -np.expm1(-exponent) / exponent
-        local = steps ** -self._orders[:, None] * self._local_scale[:, None]
-        return gain, local
+    def _locals(self, steps: Array) -> Array:
+        """Return what a change over each step counts for at its end, shape (orders, n)."""
+        result: Array = steps ** -self._orders[:, None] * self._local_scale[:, None]
+        return result
 
     def rest(self, step: float, free_response: Array) -> None:
         """Take a step in the air, where phi is D^-alpha of the stress so far, shape (orders,)."""
@@ -268,9 +264,9 @@ class StressBasis:
         self._compression = None
         signals = np.zeros_like(self._last)
         signals[self._free] = free_response
-        gain, _ = self._gains(np.array([step]))
-        self._memory *= np.exp(-self._rates * step)[:, None]
-        self._memory += gain * (signals - self._last)
+        decays = Decays((step,), (1.0,))
+        self._memory *= decays.whole[:, None]
+        self._memory += decays.mean * (signals - self._last)
         self._last = signals
 
     def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
