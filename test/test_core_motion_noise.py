@@ -31,16 +31,16 @@ def test_a_straight_motion_is_as_noisy_as_its_samples():
     pressed(motion, 0.005 * np.arange(1, 11))
     own, before = taken(motion, 10)
     assert own == pytest.approx(1e-10 * 0.1 ** (-1.0 - 2.0 * ORDER) * SLOPE**2)
-    assert before == 0.0
+    assert before == pytest.approx(0.0, abs=1e-20)
 
 
 def test_a_corner_spoils_its_block_most_and_those_after_it_less_and_less():
     motion = begun()
     pressed(motion, [0.005, 0.010, 0.015])
-    assert taken(motion, 3) == (0.0, 0.0)
+    assert taken(motion, 3) == pytest.approx((0.0, 0.0), abs=1e-20)
     pressed(motion, [0.020, 0.020, 0.020, 0.020])
     corner, before = taken(motion, 4)
-    assert before == 0.0
+    assert before == pytest.approx(0.0, abs=1e-20)
     # A quarter of the bend is the most that can be wrong; shared by four samples.
     assert 0.0 < corner**0.5 < 0.25 * 0.005 * SLOPE * STEP**-ORDER / 4
     variances = []
