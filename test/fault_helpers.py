@@ -24,8 +24,8 @@ from fden_ros.core.pipeline import (
 from fden_ros.core.synchronize import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import RampHold
+from fden_ros.simulation.simulate import Recording, simulate
+from fden_ros.simulation.trajectory import Palpation, RampHold
 
 RATE = 200.0
 #: What a number must come with so that no controller relies on it.
@@ -59,25 +59,39 @@ class Shift:
         return self.second(contact["start_ns"]), self.second(contact["end_ns"])
 
 
+#: The same everywhere, and not what the prior says.
+TISSUE = Tissue(640.0, 7.4, 0.131)
+
+
 @functools.cache
 def shift(seed: int = 3) -> Shift:
     """Three sites, each pressed and held once."""
-    # The same everywhere, and not what the prior says.
-    tissue = Tissue(640.0, 7.4, 0.131)
     press = RampHold(0.2, 0.26, 0.6)
-    base = ramp_scenario(rate_hz=RATE, seed=seed)
-    scenario: Scenario = replace(
-        base,
-        sites=tuple(Site(tissue, (press,), (0.02 * k, 0.0)) for k in range(3)),
-        displacement=DisplacementSensor(rate_hz=RATE, message="pose", noise_m=1e-6),
-    )
-    recording = simulate(scenario)
+    recording = _recorded(seed, tuple(Site(TISSUE, (press,), (0.02 * k, 0.0)) for k in range(3)))
     return Shift(
         tuple(items_of(recording)),
         parameters_of(recording),
         tuple(recording.truth["sites"]),
         tuple(recording.truth["contacts"]),
     )
+
+
+def bouncing() -> list[Item]:
+    """A probe that bounces on a fourth site, twenty times in two seconds."""
+    press = Palpation(2.0, 0.06, 0.0, retract_rate=2.0, presses=20, lift_m=4e-4, pause_s=0.01)
+    recording = _recorded(4, (Site(TISSUE, (press,), (0.1, 0.0)),))
+    contacts = recording.truth["contacts"]
+    begin, end = contacts[0]["start_ns"] - 50_000_000, contacts[-1]["end_ns"] + 50_000_000
+    return [item for item in items_of(recording) if begin <= item.stamp_ns < end]
+
+
+def _recorded(seed: int, sites: tuple[Site, ...]) -> Recording:
+    scenario: Scenario = replace(
+        ramp_scenario(rate_hz=RATE, seed=seed),
+        sites=sites,
+        displacement=DisplacementSensor(rate_hz=RATE, message="pose", noise_m=1e-6),
+    )
+    return simulate(scenario)
 
 
 def turn_of(second: float) -> Rotation:

@@ -23,6 +23,7 @@ from fault_helpers import (
     Outcome,
     Shift,
     assert_sound,
+    bouncing,
     lies_of,
     outcome_of,
     shift,
@@ -221,6 +222,19 @@ def drift(begin: float, end: float, slope: float) -> Callable[[Shift], list[Step
     )(s)
 
 
+def chatter(begin: float) -> Callable[[Shift], list[Step]]:
+    """Let the probe bounce on another site, in the air between two."""
+
+    def samples(s: Shift) -> list[Step]:
+        bounces = bouncing()
+        offset = s.at(begin) - bounces[0].stamp_ns
+        moved = [item._replace(stamp_ns=item.stamp_ns + offset) for item in bounces]
+        before = [item for item in s.items if item.stamp_ns < moved[0].stamp_ns]
+        return [*before, *moved, *(i for i in s.items if i.stamp_ns > moved[-1].stamp_ns)]
+
+    return samples
+
+
 def clipped(limit: float) -> Callable[[Shift], list[Step]]:
     return each(lambda i: i._replace(value=min(i.value, limit)), 0.0, 12.0, (FORCE,))
 
@@ -363,6 +377,7 @@ ROWS = [
         called(lambda p: p.reset(), 10.0),
         good_from=11.5,
     ),
+    Row("contact_chatter", chatter(6.0), ("displacement.spike",), good_from=8.7, warned=DRIFTS),
     Row("reset_always", called(lambda p: p.reset(), *[0.1 * k for k in range(130)]), good_from=13),
 ]
 
