@@ -377,7 +377,7 @@ ROWS = [
         called(lambda p: p.reset(), 10.0),
         good_from=11.5,
     ),
-    Row("contact_chatter", chatter(6.0), ("displacement.spike",), good_from=8.7, warned=DRIFTS),
+    Row("contact_chatter", chatter(6.0), ("displacement.spike",), good_from=8.0),
     Row("reset_always", called(lambda p: p.reset(), *[0.1 * k for k in range(130)]), good_from=13),
 ]
 

@@ -177,6 +177,7 @@ class ContactDetector:
         self._doubted_rise = 0.0
         self._suspected = False
         self._surface = self._deepest = 0.0
+        self._behind_chunks = 0
 
     def compliance_free(self, pair: Pair, force: float) -> float:
         """Return the displacement of the tissue's surface [m], without the tool's own give."""
@@ -354,6 +355,7 @@ class ContactDetector:
         self._samples.clear()
         self._low_chunks = 0
         self._suspected = False
+        self._behind_chunks = 0
         self._surface = self._deepest = surface.displacement
         return onset
 
@@ -379,12 +381,17 @@ class ContactDetector:
     def _in_contact(self, chunk: _Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
         retreat = self._surface - pair.displacement
-        if retreat > _RETREAT * (self._deepest - self._surface):
-            # Behind the surface there is no tissue: what force is left is drift of the sensor.
-            self._chunks.clear()
-            self._air = None
+        is_low = chunk.mean - self.force_bias < self.release_threshold
+        is_behind = retreat > _RETREAT * (self._deepest - self._surface)
+        self._behind_chunks += is_behind
+        # The chunk in which the probe leaves may still be full of contact.
+        if is_behind and (is_low or self._behind_chunks > 1):
+            if not is_low:
+                # Behind the surface there is no tissue: the force left is drift of the sensor.
+                self._chunks.clear()
+                self._air = None
             return self._release(chunk.start_ns)
-        if chunk.mean - self.force_bias >= self.release_threshold:
+        if not is_low:
             self._low_chunks = 0
             return None
         if self._low_chunks == 0:
