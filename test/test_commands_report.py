@@ -201,7 +201,8 @@ def test_innovations_of_simulated_tissue_pass_their_test(session: Session) -> No
         test = contact.test
         assert test is not None and test.count > 50
         if contact.observes_stress:
-            assert 0.5 < test.mean_square < 1.7
+            # Those of a touch, while the posterior is not normal yet, are among them.
+            assert 0.5 < test.mean_square < 2.0
 
 
 def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None:

@@ -73,7 +73,7 @@ _LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf, np.inf])
 _MOST_STEPS, _MOST_NODE_STEPS = 10, 3
 #: The posterior is solved for anew after so many blocks; when it is narrow, a plain extended
 #: Kalman filter goes on from there in between.
-_WIDE_BLOCKS, _NARROW_BLOCKS = 3, 10
+_WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
 #: Blocks that may wait to be added to the sums together, which is faster.
 _MOST_PENDING = 32
 #: Steps end when the last one lowered minus twice the log-posterior by less than this.
