@@ -273,6 +273,8 @@ _LEARNED_SHARE = 0.5
 _ORDER_STEP = 0.005
 #: The orders of the integral before the nodes: alpha itself and the two for the derivative.
 _EXACT_ORDERS = 3
+#: Samples from before the touch was detected are made up for within about so long [s].
+_CATCH_UP_TIME = 0.03
 #: Steps, ever longer, in which the tissue's relaxation between two contacts is followed.
 _REST_STEPS = 40
 #: The surface found at the touch starts the filter; its deviation is widened, since the filter
@@ -398,6 +400,8 @@ class Pipeline:
         self._stiffnesses: dict[int, tuple[Position | None, LogStiffness]] = {}
         self._previous_ns: int | None = None
         self._usual_step_ns = 0.0
+        self._behind: deque[Pair] = deque()  # samples of the contact that are not taken yet
+        self._pace = 1
         self._sums.clear()
         self._block_end_ns = 0
         self._recent: deque[tuple[int, float]] = deque(maxlen=_RATE_BLOCKS)
@@ -475,7 +479,8 @@ class Pipeline:
         if isinstance(event, Onset):
             self._touch(event)
         elif self._contact is not None:
-            self._press(pair)
+            self._behind.append(pair)
+            self._catch_up(self._pace)
         else:
             self._hover(pair)
         if isinstance(event, Release):
@@ -560,12 +565,27 @@ class Pipeline:
         self._recent.clear()
         if self._meter is not None:
             self._meter.reset()
-        # These samples were in the air as far as anyone was told: only the last state is news.
-        self._muted = True
-        for pair in onset.samples[:-1]:
+        self._behind.extend(onset.samples)
+        self._pace = self._pace_of(onset)
+        self._catch_up(self._pace)
+
+    def _pace_of(self, onset: Onset) -> int:
+        """Return how many samples to take at a time, so that a touch delays no later sample."""
+        samples = onset.samples
+        lasted = (samples[-1].stamp_ns - samples[0].stamp_ns) / NANOSECONDS
+        return 1 + math.ceil(lasted / _CATCH_UP_TIME)
+
+    def _catch_up(self, count: int) -> None:
+        """Take samples that wait since the touch.
+
+        They were in the air as far as anyone was told: only the newest state is news.
+        """
+        behind = self._behind
+        for _ in range(min(count, len(behind))):
+            pair = behind.popleft()
+            self._muted = bool(behind)
             self._press(pair)
         self._muted = False
-        self._press(onset.samples[-1])
 
     def _begins_at_origin(self, pair: Pair) -> bool:
         """Whether the origin is given and a sample is there, so that no press came before it."""
@@ -1032,6 +1052,7 @@ class Pipeline:
         return self.config.library.name
 
     def _end_contact(self, end_ns: int | None, *, complete: bool) -> None:
+        self._catch_up(len(self._behind))
         contact, site = self._contact, self._site
         if contact is None or site is None or end_ns is None:
             return
