@@ -274,7 +274,7 @@ _ORDER_STEP = 0.005
 #: The orders of the integral before the nodes: alpha itself and the two for the derivative.
 _EXACT_ORDERS = 3
 #: Samples from before the touch was detected are made up for within about so long [s].
-_CATCH_UP_TIME = 0.03
+_CATCH_UP_TIME = 0.06
 #: Steps, ever longer, in which the tissue's relaxation between two contacts is followed.
 _REST_STEPS = 40
 #: The surface found at the touch starts the filter; its deviation is widened, since the filter
