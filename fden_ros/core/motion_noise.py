@@ -28,7 +28,7 @@ class MotionNoise:
         # How sharply the motion bends [1], for which two rates must be known.
         self._bend = self._first_bend = 0.0
         self._is_first = True
-        self._last_rate, self._last_compression = math.nan, 0.0
+        self._last_rate = self._last_compression = math.nan
         self._remembered, self._age = 0.0, 0.0
 
     def press(self, step: float, compression: float) -> None:
@@ -47,7 +47,8 @@ class MotionNoise:
 
     def interrupt(self) -> None:
         """Let the next sample begin a new motion."""
-        self._last_rate = math.nan
+        self._last_rate = self._last_compression = math.nan
+        self._remembered = 0.0
 
     def skip_block(self) -> None:
         """Let a block go by."""
