@@ -159,8 +159,8 @@ class Estimator(Protocol):
     def press(self, step: float, compression: float) -> None:
         """Take the motion of a sample in contact, `step` seconds after the last."""
 
-    def rest(self, step: float, free_response: Array) -> None:
-        """Take a step in the air, with D^-alpha of the stress at each of the order nodes."""
+    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
+        """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
@@ -272,7 +272,7 @@ class FractionalStressEstimator:
     def press(self, step: float, compression: float) -> None:
         """Do nothing: the fractional stress holds all of the past."""
 
-    def rest(self, step: float, free_response: Array) -> None:
+    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Do nothing."""
 
     def skip(self) -> None:

@@ -235,6 +235,25 @@ class FractionalIntegral:
         result += self._local_previous * self.last_value
         return result
 
+    def relax(self, steps: tuple[float, ...]) -> Array:
+        """Let f fall to 0 in the first of some steps; return D^-beta f at the end of each.
+
+        Parameters
+        ----------
+        steps : tuple of float
+            [s].
+
+        Returns
+        -------
+        ndarray, shape (steps, orders)
+        """
+        first = self.advance(steps[0], 0.0)
+        elapsed = np.cumsum(steps[1:])
+        decayed = np.exp(-self._rates[:, None] * elapsed) * self._memory[:, None]
+        if elapsed.size:
+            self._memory[:] = decayed[:, -1]
+        return np.vstack([first, (self._weights @ decayed).T])
+
     def add(self, step: float, value: float) -> None:
         """Add a sample as :meth:`advance` does, where only the sum of the integrals is wanted."""
         self._waiting.append((step, value))

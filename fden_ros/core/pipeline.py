@@ -275,8 +275,9 @@ _ORDER_STEP = 0.005
 _EXACT_ORDERS = 3
 #: Samples from before the touch was detected are made up for within about so long [s].
 _CATCH_UP_TIME = 0.06
-#: Steps, ever longer, in which the tissue's relaxation between two contacts is followed.
-_REST_STEPS = 40
+#: The tissue's relaxation between two contacts is followed in steps, the first so long [s], each
+#: longer by this factor. (Eight a decade would bias Gn by a third of its error's bound.)
+_FIRST_REST, _REST_RATIO = 1e-3, 1.04
 #: The surface found at the touch starts the filter; its deviation is widened, since the filter
 #: sees those samples again.
 _ORIGIN_WIDENING = 3.0
@@ -647,11 +648,14 @@ class Pipeline:
         step = (stamp_ns - site.last_ns) / NANOSECONDS
         if step < 4.0 * SHORTEST_STEP:
             return
-        elapsed = np.geomspace(SHORTEST_STEP, step - SHORTEST_STEP, _REST_STEPS)
-        for rest in np.diff(elapsed, prepend=0.0):
-            free = site.integral.advance(float(rest), 0.0)
-            if site.estimator is not None:
-                site.estimator.rest(float(rest), free[_EXACT_ORDERS:])
+        end = step - SHORTEST_STEP
+        first = min(_FIRST_REST, 0.5 * end)
+        count = 2 + math.ceil(math.log(end / first) / math.log(_REST_RATIO))
+        elapsed = np.geomspace(first, end, count if first == _FIRST_REST else 2)
+        steps = tuple(np.diff(elapsed, prepend=0.0).tolist())
+        free = site.integral.relax(steps)
+        if site.estimator is not None:
+            site.estimator.rest(steps, free[:, _EXACT_ORDERS:])
         site.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
     def _press(self, pair: Pair) -> None:
@@ -679,7 +683,7 @@ class Pipeline:
         elif step > 0.0:
             free = site.integral.advance(step, 0.0)
             if estimator is not None:
-                estimator.rest(step, free[_EXACT_ORDERS:])
+                estimator.rest((step,), free[None, _EXACT_ORDERS:])
         site.last_ns = pair.stamp_ns
         if self._meter is not None:
             self._oscillate(pair.stamp_ns, compression, stress, is_free)

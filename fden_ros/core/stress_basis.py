@@ -256,18 +256,25 @@ class StressBasis:
         result: Array = steps ** -self._orders[:, None] * self._local_scale[:, None]
         return result
 
-    def rest(self, step: float, free_response: Array) -> None:
-        """Take a step in the air, where phi is D^-alpha of the stress so far, shape (orders,)."""
+    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
+        """Take steps in the air, where phi is D^-alpha of the stress so far.
+
+        Parameters
+        ----------
+        steps : tuple of float
+            [s].
+        free_responses : ndarray, shape (steps, orders)
+            phi at the end of each step; in between it is taken for linear.
+        """
         self._catch_up()
-        if step <= 0.0:
-            return
         self._compression = None
-        signals = np.zeros_like(self._last)
-        signals[self._free] = free_response
-        decays = Decays((step,), (1.0,))
+        signals = np.zeros((len(steps), self._last.size))
+        signals[:, self._free] = free_responses
+        change = np.diff(signals, axis=0, prepend=self._last[None])
+        decays = Decays(steps, (1.0,) * len(steps))
         self._memory *= decays.whole[:, None]
-        self._memory += decays.mean * (signals - self._last)
-        self._last = signals
+        self._memory += (decays.mean * decays.to_end) @ change
+        self._last = signals[-1]
 
     def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
         """Let all motion so far be remembered as that of a tissue now left behind.

@@ -223,10 +223,10 @@ class StressEstimator:
         self._motion.press(step, compression)
         self._basis.press(step, compression)
 
-    def rest(self, step: float, free_response: Array) -> None:
-        """Take a step in the air."""
+    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
+        """Take steps in the air."""
         self._motion.interrupt()
-        self._basis.rest(step, free_response)
+        self._basis.rest(steps, free_responses)
 
     def skip(self) -> None:
         """Let a block go by."""
