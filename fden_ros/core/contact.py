@@ -211,7 +211,9 @@ class ContactDetector:
 
     def _close_chunk(self, pair: Pair) -> _Chunk | None:
         values = self._open
-        if not values:
+        if not values or pair.stamp_ns < self._open_start_ns:
+            # A clock that jumped back leaves a chunk without an end.
+            values.clear()
             self._open_start_ns = pair.stamp_ns
         values.append(pair.force)
         if len(values) < _CHUNK_SAMPLES or pair.stamp_ns - self._open_start_ns < _CHUNK_NS:
