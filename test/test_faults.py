@@ -442,6 +442,15 @@ def assert_third_site(s: Shift, outcome: Outcome, clean: Outcome) -> None:
     assert abs(difference) < sd
 
 
+@pytest.mark.parametrize("skipped", [2, 4, 6])
+def test_a_clock_that_jumps_back_between_any_two_samples_is_followed(skipped: int) -> None:
+    # The force is looked at in chunks of a few samples: the jump may fall within one.
+    s = shift()
+    (row,) = (row for row in ROWS if row.name == "clock_back_contact")
+    outcome = outcome_of([*row.samples(s)][skipped:], s.parameters)
+    assert outcome.summaries[-1].complete and outcome.summaries[-1].converged
+
+
 def test_a_contact_of_an_hour_is_one_contact_in_constant_memory() -> None:
     """At 10 Hz, pressed and held, a block a second."""
     s = shift()
