@@ -8,6 +8,8 @@ import os
 import domain_coordinator
 import pytest
 
+import fden_ros.one_thread  # noqa: F401 (as in the node: threads change last bits)
+
 _domain = contextlib.ExitStack()
 
 

@@ -566,6 +566,8 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Sign
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
+        # A shell that runs the tests in the background has SIGINT ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while not list(out.parent.rglob("*.mcap")) and process.poll() is None:
         time.sleep(0.01)

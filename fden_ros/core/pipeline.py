@@ -274,7 +274,7 @@ _ORDER_STEP = 0.005
 #: The orders of the integral before the nodes: alpha itself and the two for the derivative.
 _EXACT_ORDERS = 3
 #: Samples from before the touch was detected are made up for within about so long [s].
-_CATCH_UP_TIME = 0.06
+_CATCH_UP_TIME = 0.03
 #: The tissue's relaxation between two contacts is followed in steps, the first so long [s], each
 #: longer by this factor. (Eight a decade would bias Gn by a third of its error's bound.)
 _FIRST_REST, _REST_RATIO = 1e-3, 1.04
