@@ -16,16 +16,20 @@ from typing import Any
 
 import yaml
 
-from fden_ros.core.contact import ContactConfig
-from fden_ros.core.decision import DecisionConfig
-from fden_ros.core.estimator import EstimatorConfig, Observation, Prior
-from fden_ros.core.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.classification.decision import DecisionConfig
+from fden_ros.core.classification.relative import RelativeConfig
+from fden_ros.core.contact.detector import ContactConfig
+from fden_ros.core.estimation.fractional_stress_estimator import (
+    EstimatorConfig,
+    Observation,
+    Prior,
+)
+from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.pipeline import PipelineConfig
-from fden_ros.core.relative import RelativeConfig
-from fden_ros.core.synchronize import SynchronizeConfig
-from fden_ros.core.tool_weight import ToolWeight
+from fden_ros.core.streams.synchronize import SynchronizeConfig
+from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.errors import InputError
-from fden_ros.library import library_for
+from fden_ros.tissues.library import library_for
 
 Value = bool | int | float | str | list[float]
 

@@ -27,11 +27,11 @@ from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPo
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
-from fden_ros.core.geometry import Geometry
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.pipeline import TissueState
 from fden_ros.errors import InputError
-from fden_ros.messages import state_of
 from fden_ros.parameters import pipeline_config, read_parameter_file
+from fden_ros.ros.messages import state_of
 
 #: What the identifier offers; a feed cannot ask for less.
 OFFERED_DEADLINE = 0.05

@@ -21,7 +21,7 @@ from fden_ros.core.pipeline import (
     Status,
     TissueState,
 )
-from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.core.streams.synchronize import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
 from fden_ros.simulation.simulate import Recording, simulate

@@ -32,7 +32,7 @@ from fden_ros.benchmarks.populations import (
 from fden_ros.benchmarks.real import Test as MeasuredTest
 from fden_ros.benchmarks.real_classes import specimen_of
 from fden_ros.cli import main
-from fden_ros.core.classifier import Tissue, TissueLibrary
+from fden_ros.core.classification.classifier import Tissue, TissueLibrary
 
 PRECISION = np.array([np.diag([1e3, 2e3, 5e4]), np.diag([200.0, 500.0, 1.0])])
 

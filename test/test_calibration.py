@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fden_ros.calibration import Samples, find_delay, find_oscillations
 from fden_ros.cli import main
 from fden_ros.errors import InputError
+from fden_ros.offline.calibration import Samples, find_delay, find_oscillations
 from fden_ros.recording.synthetic import write_recording
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import Recording, Stream, simulate

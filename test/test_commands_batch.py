@@ -29,7 +29,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'fd
 import pyarrow.parquet
 from distributed import Client
 
-from fden_ros import batch
+from fden_ros.offline import batch
 
 ROOT = Path(__file__).parent.parent
 POSE = ROOT / "bags" / "golden" / "golden_pose"

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from fden_ros.cli import main
-from fden_ros.library import load_library
+from fden_ros.tissues.library import load_library
 
 CLASSES = {"liver": (6.3, 2.1, 0.13), "muscle": (7.3, 2.3, 0.2)}
 HEADER = ("tissue", "specimen", "g", "g_sd", "g_n", "g_n_sd", "alpha", "alpha_sd")

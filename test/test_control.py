@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fden_ros.benchmarks.closed_loop import Program, Run, run, tissues
+from fden_ros.benchmarks.closed_loop_picture import save_control_figure
 from fden_ros.cli import main
-from fden_ros.control.closed_loop import Program, Run, run, tissues
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import Reading
-from fden_ros.core.estimator import Estimate
+from fden_ros.core.estimation.fractional_stress_estimator import Estimate
 from fden_ros.core.pipeline import ApparentStiffness, Flag, Phase, Status, TissueState
 from fden_ros.errors import InputError
-from fden_ros.report.control import save_control_figure
 
 #: Shorter than that of `fden control`, which runs all ten.
 PROGRAM = Program(rest=2.5, work=1.5, back=1.0)

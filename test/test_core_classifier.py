@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, multivariate_t
 
-from fden_ros.core.classifier import (
+from fden_ros.core.classification.classifier import (
     UNKNOWN,
     ClassProbabilities,
     Likelihood,
@@ -24,9 +24,9 @@ from fden_ros.core.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.decision import Decider, DecisionConfig
-from fden_ros.core.estimator import Prior
-from fden_ros.library import load_library
+from fden_ros.core.classification.decision import Decider, DecisionConfig
+from fden_ros.core.estimation.fractional_stress_estimator import Prior
+from fden_ros.tissues.library import load_library
 
 #: No test depends on the time it takes, nor on chance.
 steady = settings(deadline=None, derandomize=True)

@@ -9,8 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from fden_ros.core import complex_modulus
-from fden_ros.core.complex_modulus import (
+from fden_ros.core.estimation import complex_modulus
+from fden_ros.core.estimation.complex_modulus import (
     ComplexModulusMeter,
     modulus_of_springpot,
 )

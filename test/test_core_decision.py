@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pipeline_helpers import feed, items_of, parameters_of, summaries_of
 
-from fden_ros.core.classifier import TissueLibrary
+from fden_ros.core.classification.classifier import TissueLibrary
 from fden_ros.core.pipeline import (
     Classification,
     Decision,
@@ -19,7 +19,6 @@ from fden_ros.core.pipeline import (
     Status,
     TissueState,
 )
-from fden_ros.library import load_library
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
@@ -33,6 +32,7 @@ from fden_ros.simulation.scenario import (
 )
 from fden_ros.simulation.simulate import simulate
 from fden_ros.simulation.trajectory import Approach
+from fden_ros.tissues.library import load_library
 
 BUILT_IN = load_library()
 LIVER = BUILT_IN.tissues[0]

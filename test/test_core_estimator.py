@@ -12,8 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import gamma
 
-from fden_ros.core.estimator import Block, EstimatorConfig, FractionalStressEstimator, Prior
-from fden_ros.core.geometry import PassThrough, Sphere
+from fden_ros.core.estimation.fractional_stress_estimator import (
+    Block,
+    EstimatorConfig,
+    FractionalStressEstimator,
+    Prior,
+)
+from fden_ros.core.law.geometry import PassThrough, Sphere
 
 #: No test depends on the time it takes, nor on chance.
 steady = settings(deadline=None, derandomize=True, max_examples=30)

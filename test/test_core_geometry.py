@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fden_ros.core.fractional_integral import FractionalIntegral
-from fden_ros.core.geometry import (
+from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.law.geometry import (
     FlatPunch,
     PassThrough,
     Sphere,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fden_ros.core.innovation_monitor import InnovationMonitor
+from fden_ros.core.estimation.innovation_monitor import InnovationMonitor
 
 
 def monitored(innovations):

@@ -9,7 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import gamma
 
-from fden_ros.core.model import apparent_stiffness_factor, elastic_response, exponential_scale
+from fden_ros.core.law.characteristic import (
+    apparent_stiffness_factor,
+    elastic_response,
+    exponential_scale,
+)
 
 #: No test depends on the time it takes, nor on chance.
 steady = settings(deadline=None, derandomize=True)

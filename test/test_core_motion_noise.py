@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fden_ros.core.motion_noise import MotionNoise
+from fden_ros.core.estimation.motion_noise import MotionNoise
 
 SLOPE, ORDER, STEP = 2000.0, 0.131, 0.01
 

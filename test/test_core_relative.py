@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 
-from fden_ros.core.classifier import likelihood_of
-from fden_ros.core.estimator import Prior
-from fden_ros.core.model import elastic_response
-from fden_ros.core.pipeline import Classification as Answer
-from fden_ros.core.pipeline import Decision
-from fden_ros.core.relative import (
+from fden_ros.core.classification.classifier import likelihood_of
+from fden_ros.core.classification.relative import (
     LEAST_SURROUNDINGS,
     LogStiffness,
     compare,
@@ -22,6 +18,10 @@ from fden_ros.core.relative import (
     stack,
     without_prior,
 )
+from fden_ros.core.estimation.fractional_stress_estimator import Prior
+from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.pipeline import Classification as Answer
+from fden_ros.core.pipeline import Decision
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
     ForceSensor,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fden_ros.core.geometry import PassThrough
-from fden_ros.core.stress_basis import (
+from fden_ros.core.law.geometry import PassThrough
+from fden_ros.core.law.stress_response import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
     LogStiffnessGrid,

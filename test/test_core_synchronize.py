@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fden_ros.core.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 #: No test depends on the time it takes, nor on chance.
 steady = settings(deadline=None, derandomize=True, max_examples=200)

@@ -11,11 +11,11 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from scipy.spatial.transform import Rotation
 
 from fden_ros.core.pipeline import ContactSummary, Pipeline
-from fden_ros.core.tool_weight import ToolWeight
-from fden_ros.messages import Inputs, to_stamp
+from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.cdr import serialize
-from fden_ros.recording.fast import fast_handler
+from fden_ros.ros.decoding import fast_handler
+from fden_ros.ros.messages import Inputs, to_stamp
 
 MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
 

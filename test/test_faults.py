@@ -31,7 +31,7 @@ from fault_helpers import (
 from pipeline_helpers import Item, feed
 
 from fden_ros.core.pipeline import Flag, Pipeline, Status
-from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.core.streams.synchronize import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 TABLE = Path(__file__).parent.parent / "docs" / "faults.md"

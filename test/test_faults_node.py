@@ -26,8 +26,8 @@ from ros_helpers import LOSSLESS, RELIABLE, Bench, identifier, wait_for
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fden_ros.messages import to_stamp
 from fden_ros.nodes.identifier import Identifier, make_executor
+from fden_ros.ros.messages import to_stamp
 from fden_ros.simulation.simulate import START_NS
 
 STEP_NS = 4_000_000

@@ -25,13 +25,13 @@ from fden_ros.core.pipeline import (
     Output,
     TissueState,
 )
-from fden_ros.messages import to_message
 from fden_ros.nodes.player import Player
+from fden_ros.offline.replay import replay
 from fden_ros.parameters import PARAMETERS, read_parameter_file
 from fden_ros.recording.cdr import serialize
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.synthetic import PARAMETER_FILE, read_truth, write_recording
-from fden_ros.replay import replay
+from fden_ros.ros.messages import to_message
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import START_NS, simulate
 from fden_ros.simulation.trajectory import Sinusoid

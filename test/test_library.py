@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.library import library_for, load_library, units_of
 from fden_ros.parameters import check, pipeline_config
+from fden_ros.tissues.library import library_for, load_library, units_of
 
 MOMENTS = {
     "linear_stiffness": {"mean": 544.8, "sd": 155.3},

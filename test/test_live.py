@@ -21,7 +21,7 @@ from std_msgs.msg import Float64, String
 from visualization_msgs.msg import MarkerArray
 
 from fden_ros.control.live_tissue import Refusal
-from fden_ros.core.estimator import Estimate
+from fden_ros.core.estimation.fractional_stress_estimator import Estimate
 from fden_ros.core.pipeline import (
     ContactSummary,
     Flag,
@@ -31,8 +31,8 @@ from fden_ros.core.pipeline import (
     Status,
     TissueState,
 )
-from fden_ros.nodes.markers import StiffnessMap, colour_of
 from fden_ros.report.monitor import MonitorView, monitor_view
+from fden_ros.ros.markers import StiffnessMap, colour_of
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.

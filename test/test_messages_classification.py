@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from fden_ros.core.classifier import ClassProbabilities
-from fden_ros.core.estimator import Estimate
+from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.classification.relative import Comparison
+from fden_ros.core.estimation.fractional_stress_estimator import Estimate
 from fden_ros.core.pipeline import (
     Classification,
     ContactSummary,
@@ -17,10 +18,9 @@ from fden_ros.core.pipeline import (
     Flag,
     OrderSource,
 )
-from fden_ros.core.relative import Comparison
-from fden_ros.messages import classification_message, summary_message, summary_of
-from fden_ros.replay import contact_object
-from fden_ros.report.rows import CORRELATIONS, contact_row
+from fden_ros.offline.replay import contact_object
+from fden_ros.offline.rows import CORRELATIONS, contact_row
+from fden_ros.ros.messages import classification_message, summary_message, summary_of
 
 CLASSES = ClassProbabilities("liver", ("liver", "unknown"), (0.9, 0.1), 0.4)
 COMPARISON = Comparison(math.log(2.0), 0.1, 20.0, 0.1, 21.0)

@@ -7,10 +7,9 @@ import re
 
 import pytest
 
-from fden_ros.core.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.errors import InputError
-from fden_ros.library import load_library
 from fden_ros.parameters import (
     PARAMETERS,
     check,
@@ -19,6 +18,7 @@ from fden_ros.parameters import (
     read_parameter_file,
     unit_vector,
 )
+from fden_ros.tissues.library import load_library
 
 
 def refused(values):

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from fden_ros.messages import Inputs
 from fden_ros.parameters import check
 from fden_ros.recording.cdr import serialize
-from fden_ros.recording.fast import UnusualError, fast_handler
+from fden_ros.ros.decoding import UnusualError, fast_handler
+from fden_ros.ros.messages import Inputs
 
 numbers = st.floats(allow_nan=False)
 texts = st.text(st.characters(min_codepoint=1, max_codepoint=0x17F), max_size=9)

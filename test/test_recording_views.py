@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
+from fden_ros.offline.results import _TOPICS
 from fden_ros.recording.definitions import message_class
-from fden_ros.recording.results import _TOPICS
 
 CONFIG = Path(__file__).parent.parent / "config"
 # The node's topics, and those of the bags that `fden bag` makes and of the node's defaults.

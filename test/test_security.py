@@ -11,8 +11,8 @@ import pytest
 from ros_helpers import Bench, identifier
 
 from fden_ros.errors import InputError
-from fden_ros.library import load_library
 from fden_ros.parameters import read_parameter_file
+from fden_ros.tissues.library import load_library
 
 ROOT = Path(__file__).parent.parent
 POLICY = ROOT / "config" / "sros2_policy.xml"

@@ -15,7 +15,7 @@ from pipeline_helpers import Item
 from test_faults import ROWS
 
 from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
-from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.core.streams.synchronize import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 SECONDS = float(os.environ.get("FDEN_SOAK_SECONDS", "240"))

@@ -12,7 +12,7 @@ from live_helpers import Ears, node_process
 from sensor_msgs.msg import JointState
 
 from fden_ros.errors import InputError
-from fden_ros.messages import stamp_ns
+from fden_ros.ros.messages import stamp_ns
 from fden_ros.simulation.closed_form import FdenModel, moves_of_knots
 from fden_ros.simulation.contact import contacts_of_moves
 from fden_ros.simulation.rig import Command, Rig, RigConfig

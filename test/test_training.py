@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from fden_ros.core.classifier import UNKNOWN, Likelihood, log_evidence, posterior
+from fden_ros.core.classification.classifier import UNKNOWN, Likelihood, log_evidence, posterior
 from fden_ros.errors import InputError
-from fden_ros.library import parse_library
-from fden_ros.training import (
+from fden_ros.tissues.library import parse_library
+from fden_ros.tissues.training import (
     Contacts,
     check,
     check_object,

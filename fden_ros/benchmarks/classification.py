@@ -54,11 +54,17 @@ from fden_ros.benchmarks.populations import (
     training_contacts,
 )
 from fden_ros.benchmarks.real_classes import ONLINE, Told, tell
-from fden_ros.core.classifier import Likelihood, Tissue, TissueLibrary, log_evidence, posterior
-from fden_ros.core.decision import DecisionConfig
-from fden_ros.core.relative import Comparison, neighbours
+from fden_ros.core.classification.classifier import (
+    Likelihood,
+    Tissue,
+    TissueLibrary,
+    log_evidence,
+    posterior,
+)
+from fden_ros.core.classification.decision import DecisionConfig
+from fden_ros.core.classification.relative import Comparison, neighbours
 from fden_ros.errors import InputError
-from fden_ros.training import Contacts, learn, library_of
+from fden_ros.tissues.training import Contacts, learn, library_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from scipy.special import gamma
 
 from fden_ros.benchmarks import Goal, Report, progress, within
-from fden_ros.core.contact import ContactConfig, ContactDetector
-from fden_ros.core.fractional_integral import FractionalIntegral
-from fden_ros.core.geometry import FlatPunch
+from fden_ros.core.contact.detector import ContactConfig, ContactDetector
+from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.law.stress_response import StressBasis, order_nodes
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.stress_basis import StressBasis, order_nodes
-from fden_ros.core.synchronize import Pair, SynchronizeConfig, Synchronizer
+from fden_ros.core.streams.synchronize import Pair, SynchronizeConfig, Synchronizer
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 

@@ -16,8 +16,8 @@ from fden_ros.benchmarks.populations import (
     population,
     press,
 )
-from fden_ros.core.classifier import Likelihood, likelihood_of_estimate
-from fden_ros.core.relative import (
+from fden_ros.core.classification.classifier import Likelihood, likelihood_of_estimate
+from fden_ros.core.classification.relative import (
     Comparison,
     LogStiffness,
     compare,

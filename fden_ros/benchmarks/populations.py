@@ -19,7 +19,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from fden_ros.benchmarks.simulated import _feed
-from fden_ros.core.classifier import (
+from fden_ros.core.classification.classifier import (
     UNKNOWN,
     Likelihood,
     Tissue,
@@ -29,7 +29,7 @@ from fden_ros.core.classifier import (
     mean_of,
     posterior,
 )
-from fden_ros.core.estimator import Estimate, Prior
+from fden_ros.core.estimation.fractional_stress_estimator import Estimate, Prior
 from fden_ros.core.pipeline import (
     Classification,
     ContactSummary,
@@ -50,7 +50,7 @@ from fden_ros.simulation.scenario import Ramp as RampPress
 from fden_ros.simulation.scenario import Tissue as SimulatedTissue
 from fden_ros.simulation.simulate import START_NS, simulate
 from fden_ros.simulation.trajectory import Approach
-from fden_ros.training import _UNKNOWN_SPREAD, Contacts
+from fden_ros.tissues.training import _UNKNOWN_SPREAD, Contacts
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

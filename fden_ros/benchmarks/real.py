@@ -36,13 +36,13 @@ from fden_ros.benchmarks.peers import (
     Peer,
 )
 from fden_ros.control.prediction import Predictor, StressMemory
-from fden_ros.core.contact import ContactConfig
-from fden_ros.core.estimator import Estimate, EstimatorConfig, Prior
-from fden_ros.core.geometry import FlatPunch
+from fden_ros.core.contact.detector import ContactConfig
+from fden_ros.core.estimation.fractional_stress_estimator import Estimate, EstimatorConfig, Prior
+from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.pipeline import Flag, Output, Pipeline, PipelineConfig, TissueState
 from fden_ros.errors import InputError
-from fden_ros.library import load_library
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+from fden_ros.tissues.library import load_library
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

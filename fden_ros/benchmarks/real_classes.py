@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks.peers import DiolaitiHuntCrossley, HaddadiHuntCrossley, KelvinVoigt
 from fden_ros.benchmarks.real import _WIDE, Test
-from fden_ros.core.classifier import Likelihood, likelihood_of, mean_of
-from fden_ros.core.contact import ContactConfig
-from fden_ros.core.estimator import EstimatorConfig
-from fden_ros.core.geometry import FlatPunch
+from fden_ros.core.classification.classifier import Likelihood, likelihood_of, mean_of
+from fden_ros.core.contact.detector import ContactConfig
+from fden_ros.core.estimation.fractional_stress_estimator import EstimatorConfig
+from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.pipeline import Flag, Output, Pipeline, PipelineConfig, Status, TissueState
 from fden_ros.experiments.indentation import fit_indentation
-from fden_ros.training import Check, Contacts, check, contacts_of, learn
+from fden_ros.tissues.training import Check, Contacts, check, contacts_of, learn
 
 Array = NDArray[np.float64]
 

@@ -26,11 +26,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.offline.replay import replay
 from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
 from fden_ros.recording.writer import BagWriter
-from fden_ros.replay import replay
 from fden_ros.simulation.scenario import Scenario, load_scenario
 from fden_ros.simulation.simulate import simulate
 

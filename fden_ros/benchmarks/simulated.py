@@ -38,7 +38,8 @@ STRESS, FRACTIONAL_STRESS, APPENDIX_D = "stress", "fractional_stress", "appendix
 _GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
 #: The last of the approach is at the rate of the press, for so long [s].
 _SLOW_TIME = 0.3
-#: Share of the white noise that remains in f'; see :mod:`fden_ros.core.estimator`.
+#: Share of the white noise that remains in f'; see
+#: :mod:`fden_ros.core.estimation.fractional_stress_estimator`.
 _NOISE_SHARE = 0.9
 #: Off by more than this factor an estimate is a failure.
 _FAILURE = math.log(1.5)

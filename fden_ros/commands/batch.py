@@ -14,7 +14,7 @@ from fden_ros.commands.inputs import add_input_options, parameters_of, selection
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from fden_ros.batch import Progress
+    from fden_ros.offline.batch import Progress
 
 DESCRIPTION = """\
 Identify all bags of an archive and write a table (Parquet), a row a contact. The work is done by
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
             f"fden batch needs {error.name}: pip install 'fden_ros[batch]', or pip install "
             "bokeh dask distributed pyarrow"
         ) from None
-    from fden_ros import batch
+    from fden_ros.offline import batch
 
     work = batch.Work(parameters_of(args), selection_of(args))
     if args.columns is not None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 if TYPE_CHECKING:
-    from fden_ros.calibration import DelayResult
+    from fden_ros.offline.calibration import DelayResult
 
 DESCRIPTION = "Measure what has to be known of sensors and robot before tissue is identified."
 
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         args.parser.error(f"argument --alpha: expected 0 to 1, got {args.alpha}")
     if not (math.isfinite(args.alpha_sd) and args.alpha_sd >= 0.0):
         args.parser.error(f"argument --alpha-sd: expected 0 or more, got {args.alpha_sd}")
-    from fden_ros.calibration import find_delay, read_samples
+    from fden_ros.offline.calibration import find_delay, read_samples
 
     force, displacement = read_samples(args.bag, parameters_of(args), selection_of(args))
     result = find_delay(force, displacement, args.alpha, args.alpha_sd)

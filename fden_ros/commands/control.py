@@ -37,9 +37,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import track
 
-    from fden_ros.control import closed_loop
+    from fden_ros.benchmarks import closed_loop
+    from fden_ros.benchmarks.closed_loop_picture import control_table, save_control_figure
     from fden_ros.errors import InputError
-    from fden_ros.report.control import control_table, save_control_figure
 
     if args.tissues < 1:
         raise InputError(f"{args.tissues} tissues; give at least one")

@@ -139,7 +139,7 @@ def _remap(bag: Path) -> dict[str, str]:
 
 
 def _save(session: Any, folder: Path) -> None:
-    from fden_ros.replay import contact_object
+    from fden_ros.offline.replay import contact_object
     from fden_ros.report.figure import save_session_figure
 
     contacts = []

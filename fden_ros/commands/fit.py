@@ -162,7 +162,7 @@ def _options(args: argparse.Namespace) -> Options:
         args.usage_error("--alpha-sd needs --alpha")
     if args.convention == "exact" and args.alpha is None and not args.file.is_dir():
         args.usage_error("--convention exact needs --alpha")
-    from fden_ros.core.geometry import TorsionalRheometer
+    from fden_ros.core.law.geometry import TorsionalRheometer
     from fden_ros.experiments.files import Options
 
     return Options(

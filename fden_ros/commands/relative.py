@@ -63,9 +63,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Compare and print; return the exit code."""
-    from fden_ros.core.relative import RelativeConfig
+    from fden_ros.core.classification.relative import RelativeConfig
+    from fden_ros.offline.relative_map import compare_sites
     from fden_ros.parameters import check, read_parameter_file
-    from fden_ros.relative_map import compare_sites
 
     parameters = read_parameter_file(args.config) if args.config else check({})
     config = RelativeConfig(args.ratio, args.strain, args.time_scale, args.distance)

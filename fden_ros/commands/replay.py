@@ -59,7 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print; return the exit code."""
-    from fden_ros.replay import replay
+    from fden_ros.offline.replay import replay
 
     if args.output is None and (args.with_inputs or args.force):
         args.parser.error("--with-inputs and --force are about OUT: give -o OUT too")
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output is None:
         _show(replay(args.bag, parameters, selection, progress=progress), args.json)
         return 0
-    from fden_ros.recording.results import replay_to_bag
+    from fden_ros.offline.results import replay_to_bag
 
     # As Ctrl-C does: what was written so far is removed on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
@@ -91,7 +91,7 @@ def _show(result: object, as_json: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    from fden_ros.replay import Replay, result_object
+    from fden_ros.offline.replay import Replay, result_object
     from fden_ros.report.table import contact_table
 
     assert isinstance(result, Replay)

@@ -87,8 +87,8 @@ def _save_picture(session: Session, path: Path) -> None:
 
 
 def _save_table(session: Session, path: Path) -> None:
+    from fden_ros.offline.rows import COLUMNS, session_rows
     from fden_ros.report.page import write_text
-    from fden_ros.report.rows import COLUMNS, session_rows
 
     text = io.StringIO()
     writer = csv.DictWriter(text, ("recording", *COLUMNS), lineterminator="\n")

@@ -15,7 +15,7 @@ from fden_ros.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fden_ros.training import Check, Contacts, Spread
+    from fden_ros.tissues.training import Check, Contacts, Spread
 
 DESCRIPTION = """\
 Learn a tissue library from labelled contacts: per tissue the distribution of (ln G, ln Gn, alpha)
@@ -86,9 +86,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Learn, check, write and print; return the exit code."""
     from fden_ros.benchmarks import progress
-    from fden_ros.labelled import Columns, Source, read_source
-    from fden_ros.library import units_of
-    from fden_ros.training import (
+    from fden_ros.offline.labelled import Columns, Source, read_source
+    from fden_ros.tissues.library import units_of
+    from fden_ros.tissues.training import (
         UNKNOWN_PRIOR,
         check,
         check_object,

@@ -1,6 +1,5 @@
-"""The pure core: from samples to classified tissue, one module per step, in data order.
+"""The pure core: from samples to classified tissue, in stages that follow the data.
 
-``synchronize`` → ``contact`` → ``geometry`` → ``fractional_integral`` → ``estimator`` →
-``classifier``, composed by ``pipeline``. ``model`` holds the constitutive law. Nothing here knows
-ROS, a clock or a file.
+``streams`` → ``contact`` → ``law`` → ``estimation`` → ``classification``, composed by
+``pipeline``. Nothing here knows ROS, a clock or a file.
 """

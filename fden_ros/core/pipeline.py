@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma
 
-from fden_ros.core.classifier import (
+from fden_ros.core.classification.classifier import (
     UNKNOWN,
     ClassProbabilities,
     Likelihood,
@@ -26,22 +26,8 @@ from fden_ros.core.classifier import (
     likelihood_of_estimate,
     mean_of,
 )
-from fden_ros.core.complex_modulus import ComplexModulus, ComplexModulusMeter
-from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
-from fden_ros.core.decision import Decider, DecisionConfig
-from fden_ros.core.estimator import (
-    Block,
-    Estimate,
-    Estimator,
-    EstimatorConfig,
-    FractionalStressEstimator,
-    Innovation,
-    Observation,
-)
-from fden_ros.core.fractional_integral import SHORTEST_STEP, FractionalIntegral
-from fden_ros.core.geometry import FlatPunch, Geometry
-from fden_ros.core.model import apparent_stiffness_factor, elastic_response
-from fden_ros.core.relative import (
+from fden_ros.core.classification.decision import Decider, DecisionConfig
+from fden_ros.core.classification.relative import (
     Comparison,
     LogStiffness,
     RelativeConfig,
@@ -50,9 +36,23 @@ from fden_ros.core.relative import (
     stack,
     without_prior,
 )
-from fden_ros.core.stress_basis import order_interpolation, order_nodes
-from fden_ros.core.stress_estimator import StressEstimator
-from fden_ros.core.synchronize import (
+from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
+from fden_ros.core.estimation.fractional_stress_estimator import (
+    Block,
+    Estimate,
+    Estimator,
+    EstimatorConfig,
+    FractionalStressEstimator,
+    Innovation,
+    Observation,
+)
+from fden_ros.core.estimation.stress_estimator import StressEstimator
+from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
+from fden_ros.core.law.fractional_integral import SHORTEST_STEP, FractionalIntegral
+from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.law.stress_response import order_interpolation, order_nodes
+from fden_ros.core.streams.synchronize import (
     NANOSECONDS,
     Pair,
     Position,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fden_ros.core.geometry import TorsionalRheometer
+from fden_ros.core.law.geometry import TorsionalRheometer
 from fden_ros.errors import InputError
 from fden_ros.experiments.result import Array
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fden_ros.core.geometry import TorsionalRheometer
+from fden_ros.core.law.geometry import TorsionalRheometer
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import Table, csv_files, read_table
 from fden_ros.experiments.creep import fit_creep

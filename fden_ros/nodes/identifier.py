@@ -61,7 +61,11 @@ from fden_ros.core.pipeline import (
     stale,
 )
 from fden_ros.errors import InputError
-from fden_ros.messages import (
+from fden_ros.nodes.backlog import Backlog, Input, taker
+from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config
+from fden_ros.ros.decoding import UnusualError, fast_handler
+from fden_ros.ros.markers import StiffnessMap
+from fden_ros.ros.messages import (
     DISPLACEMENT_MESSAGES,
     FORCE_MESSAGES,
     Inputs,
@@ -70,11 +74,7 @@ from fden_ros.messages import (
     modulus_message,
     summary_message,
 )
-from fden_ros.nodes.backlog import Backlog, Input, taker
-from fden_ros.nodes.diagnostics import Diagnostics, type_name
-from fden_ros.nodes.markers import StiffnessMap
-from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config
-from fden_ros.recording.fast import UnusualError, fast_handler
+from fden_ros.ros.status import Diagnostics, type_name
 
 _DAMAGED = "damaged"
 

@@ -14,8 +14,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fden_ros.core.pipeline import ContactSummary, TissueState
-from fden_ros.messages import state_of, summary_of
 from fden_ros.report.figure import Session
+from fden_ros.ros.messages import state_of, summary_of
 
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED = QoSProfile(

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from fden_ros.core.synchronize import Position, Reason
+from fden_ros.core.streams.synchronize import Position, Reason
 from fden_ros.errors import InputError
-from fden_ros.messages import Inputs, stamp_ns
 from fden_ros.parameters import unit_vector
-from fden_ros.recording.fast import UnusualError, fast_handler
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
 from fden_ros.recording.topics import find_topic, named_topic
+from fden_ros.ros.decoding import UnusualError, fast_handler
+from fden_ros.ros.messages import Inputs, stamp_ns
 
 DAMAGED = "damaged"
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fden_ros.core.model import elastic_response
+from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.pipeline import ContactSummary, Status, TissueState
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
-from fden_ros.core.model import exponential_scale
+from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.pipeline import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.report import plots

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fden_ros.core.model import elastic_response
+from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.pipeline import ContactSummary, Status, TissueState
-from fden_ros.core.synchronize import NANOSECONDS
+from fden_ros.core.streams.synchronize import NANOSECONDS
 from fden_ros.parameters import unit_vector
 from fden_ros.report.session import (
     Array,

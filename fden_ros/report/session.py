@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fden_ros.core.estimator import Innovation
-from fden_ros.core.geometry import Geometry
+from fden_ros.core.estimation.fractional_stress_estimator import Innovation
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.pipeline import (
     ContactSummary,
     Flag,
@@ -22,12 +22,12 @@ from fden_ros.core.pipeline import (
     Status,
     TissueState,
 )
-from fden_ros.core.synchronize import NANOSECONDS, Position
+from fden_ros.core.streams.synchronize import NANOSECONDS, Position
+from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, Sink
 from fden_ros.recording.synthetic import read_truth
-from fden_ros.replay import Replay, replay
 
 Array = NDArray[np.float64]
 
@@ -211,12 +211,12 @@ def gather(
     Parameters
     ----------
     bag, parameters, selection, progress
-        As for :func:`fden_ros.replay.replay`.
+        As for :func:`fden_ros.offline.replay.replay`.
 
     Raises
     ------
     InputError
-        As :func:`fden_ros.replay.replay`.
+        As :func:`fden_ros.offline.replay.replay`.
     """
     gatherer = _Gatherer()
     result = replay(

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["fden_ros.recording", "fden_ros.replay", "mcap"]):
+with atheris.instrument_imports(include=["fden_ros.recording", "fden_ros.offline.replay", "mcap"]):
+    from fden_ros.offline.replay import replay
     from fden_ros.recording.reader import BagReader
     from fden_ros.recording.source import Selection
     from fden_ros.recording.table import Columns
-    from fden_ros.replay import replay
 
 from geometry_msgs.msg import WrenchStamped
 from harness import fuzz

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["fden_ros.library", "yaml"]):
-    from fden_ros.library import load_library
+with atheris.instrument_imports(include=["fden_ros.tissues.library", "yaml"]):
+    from fden_ros.tissues.library import load_library
 
 from harness import fuzz
 
@@ -24,5 +24,5 @@ def one_input(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    built_in = Path(fden_ros.__file__).parent / "tissues.yaml"
+    built_in = Path(fden_ros.__file__).parent / "tissues" / "tissues.yaml"
     sys.exit(fuzz(one_input, {"built_in": built_in.read_bytes()}))

@@ -13,14 +13,14 @@ from visualization_msgs.msg import MarkerArray
 
 from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
 from fden_ros.errors import InputError
-from fden_ros.messages import to_message, to_stamp
-from fden_ros.nodes.diagnostics import diagnostic_status
-from fden_ros.nodes.markers import StiffnessMap
+from fden_ros.offline.replay import Replay, replay
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
 from fden_ros.recording.source import Selection, Source
 from fden_ros.recording.writer import BagWriter
-from fden_ros.replay import Replay, replay
+from fden_ros.ros.markers import StiffnessMap
+from fden_ros.ros.messages import to_message, to_stamp
+from fden_ros.ros.status import diagnostic_status
 
 NODE = "/identifier"
 ESTIMATE_TOPIC = f"{NODE}/estimate"
@@ -78,7 +78,7 @@ def replay_to_bag(
     Parameters
     ----------
     bag, parameters, selection, progress
-        As for :func:`fden_ros.replay.replay`.
+        As for :func:`fden_ros.offline.replay.replay`.
     folder : path
         The bag to make.
     with_inputs : bool
@@ -89,7 +89,7 @@ def replay_to_bag(
     Raises
     ------
     InputError
-        As :func:`fden_ros.replay.replay`, or if the bag cannot be written.
+        As :func:`fden_ros.offline.replay.replay`, or if the bag cannot be written.
     """
     if Path(folder).resolve() == Path(bag).resolve():
         raise InputError(f"{folder} is the recording itself: choose another place for the results")

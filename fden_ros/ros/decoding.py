@@ -11,8 +11,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from fden_ros.core.synchronize import NANOSECONDS
-from fden_ros.messages import Inputs
+from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.ros.messages import Inputs
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _HEADER = struct.Struct("<iII")  # seconds, nanoseconds, length of the frame's name with its 0

@@ -21,7 +21,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from fden_ros.core.classifier import (
+from fden_ros.core.classification.classifier import (
     UNKNOWN,
     Likelihood,
     Tissue,
@@ -30,9 +30,9 @@ from fden_ros.core.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.estimator import Prior
+from fden_ros.core.estimation.fractional_stress_estimator import Prior
 from fden_ros.errors import InputError
-from fden_ros.library import FORMAT, parse_library
+from fden_ros.tissues.library import FORMAT, parse_library
 
 Array = NDArray[np.float64]
 
@@ -361,7 +361,7 @@ def library_of(
     spreads : mapping
         As :func:`learn` returns them.
     name, units, geometry
-        As in :class:`~fden_ros.core.classifier.TissueLibrary`.
+        As in :class:`~fden_ros.core.classification.classifier.TissueLibrary`.
     priors : mapping, optional
         Up to a common factor; all alike where not given.
     unknown_prior : float

@@ -6,10 +6,10 @@ The observation is the mean stress of a block,
     f_k = \bigl(D^\alpha \varphi(x(u - o); G, G_n)\bigr)_k + b + c\,(t_k - t_0) + v_k,
 
 with white :math:`v_k`, the strain origin o, and the force's bias b and drift c as nuisances.
-:mod:`fden_ros.core.stress_basis` gives the response at nodes of ln Gn, alpha and o, so the sum of
-squares of any parameters is a quadratic form in what was accumulated at the nodes. From it follows
-the maximum of the posterior by Gauss-Newton steps, started at the last one: an iterated extended
-Kalman filter in information form whose linearisation is never out of date.
+:mod:`fden_ros.core.law.stress_response` gives the response at nodes of ln Gn, alpha and o, so
+the sum of squares of any parameters is a quadratic form in what was accumulated at the nodes.
+From it follows the maximum of the posterior by Gauss-Newton steps, started at the last one: an
+iterated extended Kalman filter in information form whose linearisation is never out of date.
 
 While Gn is not yet observable, its posterior is not normal. Then the other parameters are solved
 for at every node of ln Gn, and the nodes weighed by their evidence (Laplace's approximation at
@@ -25,16 +25,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fden_ros.core.estimator import Block, Estimate, EstimatorConfig, Innovation
-from fden_ros.core.geometry import Geometry
-from fden_ros.core.innovation_monitor import (
+from fden_ros.core.estimation.fractional_stress_estimator import (
+    Block,
+    Estimate,
+    EstimatorConfig,
+    Innovation,
+)
+from fden_ros.core.estimation.innovation_monitor import (
     CHANGE_DEVIATIONS,
     LONGEST_CHANGE_WINDOW,
     InnovationMonitor,
 )
-from fden_ros.core.model import elastic_response
-from fden_ros.core.motion_noise import MotionNoise
-from fden_ros.core.stress_basis import (
+from fden_ros.core.estimation.motion_noise import MotionNoise
+from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.stress_response import (
     HIGHEST_ORDER,
     LOG_SPACING,
     LOWEST_ORDER,

@@ -1,4 +1,4 @@
-"""Tissue libraries: YAML files in, :class:`~fden_ros.core.classifier.TissueLibrary` out.
+"""Tissue libraries, read from and written to YAML files.
 
 ``docs/classification.md`` describes the format. Version 2 added units, geometry and learned
 distributions; files of version 1 are in pascals.
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from fden_ros.core.classifier import UNKNOWN, Tissue, TissueLibrary
+from fden_ros.core.classification.classifier import UNKNOWN, Tissue, TissueLibrary
 from fden_ros.errors import InputError
 
 FORMAT = 2
@@ -33,7 +33,7 @@ def load_library(path: str | Path | None = None) -> TissueLibrary:
         If the file cannot be read, or something in it is missing or not allowed.
     """
     if path is None:
-        source = resources.files("fden_ros") / "tissues.yaml"
+        source = resources.files("fden_ros.tissues") / "tissues.yaml"
         return parse_library(source.read_text(encoding="utf-8"), "built-in library")
     try:
         text = Path(path).read_text(encoding="utf-8")

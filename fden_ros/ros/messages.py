@@ -15,9 +15,9 @@ from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
-from fden_ros.core.classifier import ClassProbabilities
-from fden_ros.core.estimator import Estimate, Innovation
-from fden_ros.core.model import exponential_scale
+from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.estimation.fractional_stress_estimator import Estimate, Innovation
+from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.pipeline import (
     ApparentStiffness,
     Classification,
@@ -33,8 +33,8 @@ from fden_ros.core.pipeline import (
     Status,
     TissueState,
 )
-from fden_ros.core.synchronize import NANOSECONDS, Position, Reason
-from fden_ros.core.tool_weight import Quaternion
+from fden_ros.core.streams.synchronize import NANOSECONDS, Position, Reason
+from fden_ros.core.streams.tool_weight import Quaternion
 from fden_ros.parameters import tool_weight, unit_vector
 
 FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}

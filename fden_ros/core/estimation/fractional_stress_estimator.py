@@ -39,8 +39,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fden_ros.core.geometry import Geometry
-from fden_ros.core.model import elastic_response
+from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.geometry import Geometry
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.core.classifier import Likelihood
-from fden_ros.core.relative import (
+from fden_ros.core.classification.classifier import Likelihood
+from fden_ros.core.classification.relative import (
     LogStiffness,
     RelativeConfig,
     compare,
@@ -19,7 +19,7 @@ from fden_ros.core.relative import (
     without_prior,
 )
 from fden_ros.errors import InputError
-from fden_ros.labelled import Columns, Source, read_rows, read_source
+from fden_ros.offline.labelled import Columns, Source, read_rows, read_source
 
 #: Rows need a label to be read as contacts: any.
 _ANY = "site"

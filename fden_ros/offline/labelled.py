@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.core.classifier import UNKNOWN, mean_of
-from fden_ros.core.estimator import Prior
+from fden_ros.core.classification.classifier import UNKNOWN, mean_of
+from fden_ros.core.estimation.fractional_stress_estimator import Prior
 from fden_ros.core.pipeline import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import read_table
+from fden_ros.offline.rows import CORRELATIONS
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import TABLE_SUFFIXES
-from fden_ros.report.rows import CORRELATIONS
-from fden_ros.training import Contacts, contacts_of
+from fden_ros.tissues.training import Contacts, contacts_of
 
 _LABEL = re.compile(r"(?P<tissue>[^=/]+)(?:/(?P<specimen>[^=]+))?=(?P<path>.+)", re.DOTALL)
 _VALUES = ("g", "g_n", "alpha")
@@ -164,7 +164,7 @@ def _require_tissue(source: Source, columns: Columns) -> None:
 
 
 def _bags(path: Path) -> list[Path]:
-    from fden_ros.batch import find_bags
+    from fden_ros.offline.batch import find_bags
 
     return find_bags([str(path)])
 
@@ -176,7 +176,7 @@ def _from_bags(
     name: str,
     advance: Callable[[], None],
 ) -> Contacts:
-    from fden_ros.replay import replay
+    from fden_ros.offline.replay import replay
 
     # What the present library makes of them does not matter, nor whether it fits.
     own = {**parameters, "classifier.library": ""}

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, gammaln, stdtr, stdtrit
 
-from fden_ros.core.classifier import ClassProbabilities, Likelihood
+from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
 
 Array = NDArray[np.float64]
 

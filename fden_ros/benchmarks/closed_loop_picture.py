@@ -10,7 +10,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from fden_ros.control.closed_loop import Program, Run
+from fden_ros.benchmarks.closed_loop import Program, Run
 
 _FIXED, _LIVE, _TARGET, _LIMIT = "#c44e52", "#2a78b5", "#555555", "#222222"
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fden_ros.core.model import exponential_scale
+from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.pipeline import ContactSummary
-from fden_ros.replay import contact_object
+from fden_ros.offline.replay import contact_object
 from fden_ros.report.session import Session
 
 #: The columns, in their order. x, y, z: place of the touch [m]; mean_nis: mean of the normalised

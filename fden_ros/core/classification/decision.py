@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fden_ros.core.classifier import UNKNOWN, ClassProbabilities
+from fden_ros.core.classification.classifier import UNKNOWN, ClassProbabilities
 
 _NANOSECONDS = 1_000_000_000
 #: What was called unknown by the test must fit so many times better to become known.

@@ -26,14 +26,14 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.special import gamma
 
-from fden_ros.core.fractional_integral import (
+from fden_ros.core.law.fractional_integral import (
     MOST_WAITING,
     Decays,
     decays_of,
     kernel_weights,
     relaxation_rates,
 )
-from fden_ros.core.geometry import Geometry
+from fden_ros.core.law.geometry import Geometry
 
 Array = NDArray[np.float64]
 

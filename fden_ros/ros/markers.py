@@ -14,7 +14,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fden_ros.core.pipeline import ContactSummary
-from fden_ros.messages import to_stamp
+from fden_ros.ros.messages import to_stamp
 
 #: Linear stiffness [Pa s^alpha] at the ends of the colours.
 _SOFTEST, _STIFFEST = 200.0, 5000.0

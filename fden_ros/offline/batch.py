@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 from fden_ros import __version__
 from fden_ros.core.pipeline import Output, TissueState
 from fden_ros.errors import InputError
-from fden_ros.library import load_library
+from fden_ros.offline.replay import replay
+from fden_ros.offline.rows import COLUMNS, contact_row
 from fden_ros.recording.source import Selection
-from fden_ros.replay import replay
-from fden_ros.report.rows import COLUMNS, contact_row
+from fden_ros.tissues.library import load_library
 
 if TYPE_CHECKING:
     from distributed import Client

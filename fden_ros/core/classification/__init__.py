@@ -1,0 +1,1 @@
+"""From parameters with their covariance to a tissue."""

@@ -1,0 +1,1 @@
+"""From blocks of stress and compression to parameters with their covariance."""

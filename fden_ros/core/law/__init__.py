@@ -1,0 +1,1 @@
+"""The FDEN law: geometry, characteristic, fractional memory, response at nodes."""

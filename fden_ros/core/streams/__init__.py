@@ -1,0 +1,1 @@
+"""Samples of two streams in, pairs out: checked, synchronised, the tool's weight taken off."""

@@ -1,0 +1,1 @@
+"""Libraries of tissues: read, written, trained."""
