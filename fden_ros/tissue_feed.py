@@ -28,7 +28,7 @@ from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPo
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.pipeline import TissueState
+from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
 from fden_ros.parameters import pipeline_config, read_parameter_file
 from fden_ros.ros.messages import state_of

@@ -12,16 +12,9 @@ import numpy as np
 from pipeline_helpers import Item, items_of, parameters_of, summaries_of
 from scipy.spatial.transform import Rotation
 
-from fden_ros.core.pipeline import (
-    Classification,
-    ContactSummary,
-    Flag,
-    Output,
-    Pipeline,
-    Status,
-    TissueState,
-)
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, Status, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
 from fden_ros.simulation.simulate import Recording, simulate

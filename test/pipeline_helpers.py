@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
+from fden_ros.core.outputs import ContactSummary, Output
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.simulate import Recording, simulate
 

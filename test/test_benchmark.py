@@ -13,7 +13,7 @@ from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, bounds, contact_bounds, slope
 from fden_ros.benchmarks.simulated import STRESS, Outcome, Trial, run_trial
 from fden_ros.cli import main
-from fden_ros.core.estimation.fractional_stress_estimator import Prior
+from fden_ros.core.estimation.estimate import Prior
 from fden_ros.simulation.closed_form import FdenModel, LinearMove
 
 # The framework

@@ -14,8 +14,8 @@ from fden_ros.benchmarks.closed_loop_picture import save_control_figure
 from fden_ros.cli import main
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import Reading
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate
-from fden_ros.core.pipeline import ApparentStiffness, Flag, Phase, Status, TissueState
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
 from fden_ros.errors import InputError
 
 #: Shorter than that of `fden control`, which runs all ten.

@@ -25,7 +25,7 @@ from fden_ros.core.classification.classifier import (
     posterior,
 )
 from fden_ros.core.classification.decision import Decider, DecisionConfig
-from fden_ros.core.estimation.fractional_stress_estimator import Prior
+from fden_ros.core.estimation.estimate import Prior
 from fden_ros.tissues.library import load_library
 
 #: No test depends on the time it takes, nor on chance.

@@ -10,7 +10,8 @@ import pytest
 from pipeline_helpers import items_of
 
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
-from fden_ros.core.streams.synchronize import Pair, SynchronizeConfig, Synchronizer
+from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.simulation.scenario import Tissue, load_scenario, ramp_scenario
 from fden_ros.simulation.simulate import START_NS, simulate
 

@@ -10,15 +10,8 @@ import pytest
 from pipeline_helpers import feed, items_of, parameters_of, summaries_of
 
 from fden_ros.core.classification.classifier import TissueLibrary
-from fden_ros.core.pipeline import (
-    Classification,
-    Decision,
-    Flag,
-    Output,
-    Pipeline,
-    Status,
-    TissueState,
-)
+from fden_ros.core.outputs import Classification, Decision, Flag, Output, Status, TissueState
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import (
     DisplacementSensor,

@@ -12,12 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import gamma
 
-from fden_ros.core.estimation.fractional_stress_estimator import (
-    Block,
-    EstimatorConfig,
-    FractionalStressEstimator,
-    Prior,
-)
+from fden_ros.core.estimation.estimate import Block, EstimatorConfig, Prior
+from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.law.geometry import PassThrough, Sphere
 
 #: No test depends on the time it takes, nor on chance.

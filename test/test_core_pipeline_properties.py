@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pipeline_helpers import Item
 
-from fden_ros.core.pipeline import TissueState
+from fden_ros.core.outputs import TissueState
 
 START_NS = 1_700_000_000_000_000_000
 #: FDEN_EXAMPLES times as many, by hand.

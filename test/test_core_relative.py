@@ -18,10 +18,10 @@ from fden_ros.core.classification.relative import (
     stack,
     without_prior,
 )
-from fden_ros.core.estimation.fractional_stress_estimator import Prior
+from fden_ros.core.estimation.estimate import Prior
 from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.pipeline import Classification as Answer
-from fden_ros.core.pipeline import Decision
+from fden_ros.core.outputs import Classification as Answer
+from fden_ros.core.outputs import Decision
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
     ForceSensor,

@@ -12,10 +12,10 @@ from scipy.special import gamma
 from scipy.stats import chi2
 
 from fden_ros.benchmarks.simulated import STRESS, Case, run_trial
-from fden_ros.core.estimation.fractional_stress_estimator import Block, EstimatorConfig, Prior
+from fden_ros.core.estimation.estimate import Block, EstimatorConfig, Prior
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.geometry import PassThrough
-from fden_ros.core.pipeline import Flag, TissueState
+from fden_ros.core.outputs import Flag, TissueState
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate

@@ -10,7 +10,8 @@ from fault_helpers import shift, turn_of
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from scipy.spatial.transform import Rotation
 
-from fden_ros.core.pipeline import ContactSummary, Pipeline
+from fden_ros.core.outputs import ContactSummary
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.cdr import serialize

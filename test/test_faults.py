@@ -30,8 +30,9 @@ from fault_helpers import (
 )
 from pipeline_helpers import Item, feed
 
-from fden_ros.core.pipeline import Flag, Pipeline, Status
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import Flag, Status
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 TABLE = Path(__file__).parent.parent / "docs" / "faults.md"

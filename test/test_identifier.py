@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import LOSSLESS, Bench, identifier
 from std_srvs.srv import Trigger
 
-from fden_ros.core.pipeline import (
+from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     DynamicModulus,

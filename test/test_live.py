@@ -21,8 +21,8 @@ from std_msgs.msg import Float64, String
 from visualization_msgs.msg import MarkerArray
 
 from fden_ros.control.live_tissue import Refusal
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate
-from fden_ros.core.pipeline import (
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.outputs import (
     ContactSummary,
     Flag,
     OrderSource,

@@ -9,8 +9,8 @@ import pytest
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.relative import Comparison
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate
-from fden_ros.core.pipeline import (
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     Decided,

@@ -14,8 +14,9 @@ from fault_helpers import WARNING_FLAGS, outcome_of, shift
 from pipeline_helpers import Item
 from test_faults import ROWS
 
-from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import ContactSummary, Output
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 SECONDS = float(os.environ.get("FDEN_SOAK_SECONDS", "240"))

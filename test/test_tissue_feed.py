@@ -22,8 +22,9 @@ from sensor_msgs.msg import JointState
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
 from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.pipeline import Flag, Pipeline, Status, TissueState
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.errors import InputError
 from fden_ros.parameters import defaults, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel

@@ -32,7 +32,7 @@ from fden_ros.benchmarks.simulated import (
     Trial,
     run_trial,
 )
-from fden_ros.core.estimation.fractional_stress_estimator import EstimatorConfig
+from fden_ros.core.estimation.estimate import EstimatorConfig
 from fden_ros.errors import InputError
 from fden_ros.simulation.trajectory import Palpation, Ramp, RampHold, Sinusoid
 

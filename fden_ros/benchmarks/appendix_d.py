@@ -22,7 +22,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
-from fden_ros.core.estimation.fractional_stress_estimator import Prior
+from fden_ros.core.estimation.estimate import Prior
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 
 Array = NDArray[np.float64]

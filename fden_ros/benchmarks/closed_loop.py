@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import LiveTissue
 from fden_ros.core.law.characteristic import apparent_stiffness_factor
-from fden_ros.core.pipeline import Output, Pipeline, TissueState
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import Output, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import defaults, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig

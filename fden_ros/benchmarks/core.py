@@ -32,7 +32,8 @@ from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.law.stress_response import StressBasis, order_nodes
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.synchronize import Pair, SynchronizeConfig, Synchronizer
+from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 

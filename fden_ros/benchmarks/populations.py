@@ -29,13 +29,9 @@ from fden_ros.core.classification.classifier import (
     mean_of,
     posterior,
 )
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate, Prior
-from fden_ros.core.pipeline import (
-    Classification,
-    ContactSummary,
-    Output,
-    Pipeline,
-)
+from fden_ros.core.estimation.estimate import Estimate, Prior
+from fden_ros.core.outputs import Classification, ContactSummary, Output
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import (
     DisplacementSensor,

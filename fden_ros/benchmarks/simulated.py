@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks.appendix_d import fractional_stress, identify
 from fden_ros.benchmarks.bound import PriorDeviations, contact_bounds
-from fden_ros.core.pipeline import ContactSummary, OrderSource, Output, Pipeline, Status
-from fden_ros.core.pipeline import TissueState as State
+from fden_ros.core.outputs import ContactSummary, OrderSource, Output, Status
+from fden_ros.core.outputs import TissueState as State
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.scenario import (

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from fden_ros.control.prediction import Prediction, Predictor, StressMemory
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.fractional_integral import SHORTEST_STEP
 from fden_ros.core.law.geometry import FlatPunch, Geometry
-from fden_ros.core.pipeline import Flag, Status, TissueState
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.streams.samples import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
 REFUSED_FLAGS = (

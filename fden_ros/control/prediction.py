@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.fractional_integral import FractionalIntegral, kernel_weights
 from fden_ros.core.law.geometry import Geometry, Sphere
 from fden_ros.core.law.stress_response import order_interpolation, order_nodes

@@ -7,11 +7,10 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 
 from __future__ import annotations
 
-import enum
 import math
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,81 +36,50 @@ from fden_ros.core.classification.relative import (
     without_prior,
 )
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
-from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
-from fden_ros.core.estimation.fractional_stress_estimator import (
+from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
+from fden_ros.core.estimation.estimate import (
     Block,
     Estimate,
     Estimator,
     EstimatorConfig,
-    FractionalStressEstimator,
     Innovation,
     Observation,
 )
+from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
 from fden_ros.core.law.fractional_integral import SHORTEST_STEP, FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.stress_response import order_interpolation, order_nodes
-from fden_ros.core.streams.synchronize import (
-    NANOSECONDS,
-    Pair,
-    Position,
-    Reason,
-    SynchronizeConfig,
-    Synchronizer,
+from fden_ros.core.outputs import (
+    ApparentStiffness,
+    Classification,
+    ContactSummary,
+    Decided,
+    Decision,
+    DynamicModulus,
+    Flag,
+    OrderSource,
+    Output,
+    Phase,
+    Signals,
+    Status,
+    TissueState,
 )
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 Array = NDArray[np.float64]
 
 
-class Status(enum.IntEnum):
-    """What a consumer may make of a :class:`TissueState`."""
-
-    UNKNOWN = 0
-    NO_CONTACT = 1
-    CONVERGING = 2
-    CONVERGED = 3
-    STALE = 4
 
 
-class Phase(enum.IntEnum):
-    """What the probe is doing."""
-
-    NONE = 0
-    APPROACH = 1
-    LOADING = 2
-    HOLDING = 3
-    UNLOADING = 4
 
 
-class Flag(enum.IntFlag):
-    """What to know beside the status."""
-
-    NONE = 0
-    INPUT_REJECTED = 1
-    GAP = 2
-    MODEL_MISMATCH = 4
-    ORIGIN_UNCERTAIN = 8
-    TISSUE_CHANGED = 16
-    SATURATED = 32
 
 
-class OrderSource(enum.IntEnum):
-    """Where alpha comes from."""
-
-    NONE = 0
-    GIVEN = 1
-    PRIOR = 2
-    LEARNED = 3
 
 
-class Decision(enum.IntEnum):
-    """What a :class:`Classification` has decided."""
-
-    NONE = 0
-    UNDETERMINED = 1
-    CLASS = 2
-    UNKNOWN = 3
 
 
 @dataclass(frozen=True)
@@ -159,101 +127,20 @@ class PipelineConfig:
     dither_periods: int = 4
 
 
-@dataclass(frozen=True)
-class Signals:
-    """Means over a block."""
-
-    strain: float  #: x from the strain origin [1]
-    stress: float  #: f [Pa]
-    fractional_stress: float  #: f' [Pa s^alpha]
 
 
-@dataclass(frozen=True)
-class ApparentStiffness:
-    """dF/dd for a small motion that lasts `time_scale`."""
-
-    value: float  #: [N/m]
-    sd: float  #: [N/m]
-    time_scale: float  #: tau [s]
 
 
-@dataclass(frozen=True)
-class TissueState:
-    """What is known after a block of samples."""
-
-    stamp_ns: int
-    status: Status
-    flags: Flag
-    site_id: int
-    contact_id: int
-    phase: Phase
-    order_source: OrderSource = OrderSource.NONE
-    estimate: Estimate | None = None
-    signals: Signals | None = None
-    innovation: Innovation | None = None
-    apparent_stiffness: ApparentStiffness | None = None
 
 
-@dataclass(frozen=True)
-class Decided:
-    """What it took to name the tissue, since the touch."""
-
-    time: float  #: [s]
-    strain: float  #: largest so far [1]
 
 
-@dataclass(frozen=True)
-class Classification:
-    """Which tissue it is, as far as can be said."""
-
-    stamp_ns: int
-    decision: Decision
-    site_id: int
-    contact_id: int
-    flags: Flag
-    classes: ClassProbabilities | None
-    library_name: str
-    decided: Decided | None = None
-    comparison: Comparison | None = None
 
 
-@dataclass(frozen=True)
-class ContactSummary:
-    """One contact, from onset to release."""
-
-    stamp_ns: int
-    start_ns: int
-    end_ns: int
-    site_id: int
-    contact_id: int
-    flags: Flag
-    converged: bool
-    complete: bool
-    position: Position | None
-    order_source: OrderSource
-    estimate: Estimate | None
-    max_strain: float
-    max_stress: float
-    max_force: float
-    sample_count: int
-    rejected_count: int
-    classes: ClassProbabilities | None
-    decided: Decided | None = None
-    comparison: Comparison | None = None
 
 
-@dataclass(frozen=True)
-class DynamicModulus:
-    """The complex modulus at one frequency of the probe's oscillation."""
-
-    stamp_ns: int
-    start_ns: int
-    site_id: int
-    contact_id: int
-    modulus: ComplexModulus
 
 
-Output = TissueState | Classification | ContactSummary | DynamicModulus
 
 #: A hold is a compression that changes by less than this per second [1/s].
 _HOLDING_RATE = 0.005
@@ -1120,17 +1007,3 @@ class Pipeline:
             self._emit_output(output)
 
 
-def stale(state: TissueState) -> TissueState:
-    """Return `state` as no longer current, with nothing in it to act on."""
-    return replace(
-        state,
-        # A stamp of its own, and before that of any sample to come.
-        stamp_ns=state.stamp_ns + 1,
-        status=Status.STALE,
-        phase=Phase.NONE,
-        estimate=None,
-        signals=None,
-        innovation=None,
-        apparent_stiffness=None,
-        order_source=OrderSource.NONE,
-    )

@@ -51,15 +51,15 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from fden_ros.core.pipeline import (
+from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     DynamicModulus,
     Output,
-    Pipeline,
     TissueState,
     stale,
 )
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config

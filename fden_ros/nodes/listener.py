@@ -13,7 +13,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from fden_ros.core.pipeline import ContactSummary, TissueState
+from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.report.figure import Session
 from fden_ros.ros.messages import state_of, summary_of
 

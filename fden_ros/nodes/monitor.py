@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
-from fden_ros.core.pipeline import ContactSummary, TissueState
+from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.report.monitor import MonitorView
 from fden_ros.ros.messages import summary_of
 from fden_ros.tissue_feed import TissueFeed

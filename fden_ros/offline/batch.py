@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fden_ros import __version__
-from fden_ros.core.pipeline import Output, TissueState
+from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row

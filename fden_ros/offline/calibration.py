@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import find_peaks
 
-from fden_ros.core.streams.synchronize import Position
+from fden_ros.core.streams.samples import Position
 from fden_ros.errors import InputError
 from fden_ros.recording.source import Selection, open_source
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fden_ros.core.classification.classifier import UNKNOWN, mean_of
-from fden_ros.core.estimation.fractional_stress_estimator import Prior
-from fden_ros.core.pipeline import ContactSummary, Flag, OrderSource
+from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import read_table
 from fden_ros.offline.rows import CORRELATIONS

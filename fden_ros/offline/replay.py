@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.pipeline import ContactSummary, Flag, Output, Pipeline
+from fden_ros.core.outputs import ContactSummary, Flag, Output
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection, Sink, Source, open_source

@@ -11,7 +11,8 @@ from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from fden_ros.core.pipeline import ContactSummary, Output, Pipeline
+from fden_ros.core.outputs import ContactSummary, Output
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.recording.qos import Qos

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fden_ros.core.law.characteristic import exponential_scale
-from fden_ros.core.pipeline import ContactSummary
+from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import contact_object
 from fden_ros.report.session import Session
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from fden_ros.core.streams.synchronize import Position, Reason
+from fden_ros.core.streams.samples import Position, Reason
 from fden_ros.errors import InputError
 from fden_ros.parameters import unit_vector
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.pipeline import ContactSummary, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Status, TissueState
 
 Array = NDArray[np.float64]
 

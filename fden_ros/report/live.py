@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
-from fden_ros.core.pipeline import ContactSummary, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.report.table import contact_table
 
 _COLOURS = {

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fden_ros.control.live_tissue import Refusal
-from fden_ros.core.pipeline import ContactSummary, Flag, OrderSource, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.report.table import DASH, contact_table
 
 _COLOURS = {

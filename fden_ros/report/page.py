@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
 from fden_ros.core.law.characteristic import exponential_scale
-from fden_ros.core.pipeline import ContactSummary, OrderSource
+from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.report import plots
 from fden_ros.report.session import DETAILED_CONTACTS, Contact, Session, remarks

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.pipeline import ContactSummary, Status, TissueState
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.outputs import ContactSummary, Status, TissueState
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import unit_vector
 from fden_ros.report.session import (
     Array,

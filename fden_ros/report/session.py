@@ -12,17 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fden_ros.core.estimation.fractional_stress_estimator import Innovation
+from fden_ros.core.estimation.estimate import Innovation
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.pipeline import (
-    ContactSummary,
-    Flag,
-    OrderSource,
-    Output,
-    Status,
-    TissueState,
-)
-from fden_ros.core.streams.synchronize import NANOSECONDS, Position
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
+from fden_ros.core.streams.samples import NANOSECONDS, Position
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import BagReader

@@ -9,7 +9,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from fden_ros.core.pipeline import ContactSummary
+from fden_ros.core.outputs import ContactSummary
 
 DASH = "–"
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from fden_ros.core.streams.synchronize import NANOSECONDS
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.ros.messages import Inputs
 
 _LITTLE_ENDIAN = b"\x00\x01"

@@ -13,7 +13,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from fden_ros.core.pipeline import ContactSummary
+from fden_ros.core.outputs import ContactSummary
 from fden_ros.ros.messages import to_stamp
 
 #: Linear stiffness [Pa s^alpha] at the ends of the colours.

@@ -16,9 +16,9 @@ from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, Wrenc
 from sensor_msgs.msg import JointState
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate, Innovation
+from fden_ros.core.estimation.estimate import Estimate, Innovation
 from fden_ros.core.law.characteristic import exponential_scale
-from fden_ros.core.pipeline import (
+from fden_ros.core.outputs import (
     ApparentStiffness,
     Classification,
     ContactSummary,
@@ -28,12 +28,12 @@ from fden_ros.core.pipeline import (
     OrderSource,
     Output,
     Phase,
-    Pipeline,
     Signals,
     Status,
     TissueState,
 )
-from fden_ros.core.streams.synchronize import NANOSECONDS, Position, Reason
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason
 from fden_ros.core.streams.tool_weight import Quaternion
 from fden_ros.parameters import tool_weight, unit_vector
 

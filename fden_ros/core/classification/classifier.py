@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
-from fden_ros.core.estimation.fractional_stress_estimator import Estimate, Prior
+from fden_ros.core.estimation.estimate import Estimate, Prior
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gamma
 
-from fden_ros.core.streams.synchronize import NANOSECONDS, Pair, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 Array = NDArray[np.float64]
 

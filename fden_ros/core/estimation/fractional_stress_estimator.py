@@ -29,150 +29,37 @@ Determination, 2004, ch. 6).
 
 from __future__ import annotations
 
-import enum
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from fden_ros.core.estimation.estimate import (
+    Block,
+    Estimate,
+    EstimatorConfig,
+    Innovation,
+)
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is known of the tissue before it is touched; by default the paper's liver.
-
-    Parameters
-    ----------
-    linear_stiffness, nonlinear_stiffness : float
-        Medians of G [Pa s^alpha] and Gn [1], both log-normal.
-    linear_stiffness_log_sd, nonlinear_stiffness_log_sd : float
-        Standard deviations of ln G and ln Gn [1].
-    fractional_order, fractional_order_sd : float
-        alpha [1] and its standard deviation [1].
-    """
-
-    linear_stiffness: float = 520.0
-    linear_stiffness_log_sd: float = 0.3
-    nonlinear_stiffness: float = 8.4
-    nonlinear_stiffness_log_sd: float = 0.2
-    fractional_order: float = 0.131
-    fractional_order_sd: float = 0.011
 
 
-class Observation(enum.Enum):
-    """What an estimator looks at."""
-
-    STRESS = "stress"
-    FRACTIONAL_STRESS = "fractional_stress"
 
 
-@dataclass(frozen=True)
-class EstimatorConfig:
-    """Prior, observation, and what counts as converged.
-
-    Parameters
-    ----------
-    prior : Prior
-    observation : Observation
-        STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
-    order_given : bool
-        alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
-    converged_log_sd : float
-        Converged only while the standard deviation of ln Gn is below this [1].
-    converged_probability : float
-        Converged only while P(largest strain > 1/Gn) is at least this [1].
-    """
-
-    prior: Prior = Prior()
-    observation: Observation = Observation.STRESS
-    order_given: bool = False
-    converged_log_sd: float = 0.05
-    converged_probability: float = 0.99
 
 
-class Block(NamedTuple):
-    """Means over a block of samples: what an estimator is given."""
-
-    compression: float  #: u, from the nominal strain origin [1]
-    stress: float  #: f [Pa]
-    fractional_stress: float  #: f' [Pa s^alpha]
-    fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
-    memory_time: float  #: t since the memory began [s]
-    size: int  #: samples in the block
-    duration: float = 0.0  #: from the first sample to the last and one step more [s]
 
 
-class Innovation(NamedTuple):
-    """How one block compared with its prediction."""
-
-    predicted_fractional_stress: float  #: [Pa s^alpha]
-    predicted_stress: float | None  #: [Pa]; None where the fractional stress is observed
-    innovation: float  #: observed less predicted [Pa, or Pa s^alpha]
-    variance: float  #: of the innovation, in its unit squared
-
-    @property
-    def normalized_squared(self) -> float:
-        """Normalised innovation squared (NIS) [1]."""
-        return self.innovation**2 / self.variance
 
 
-class Estimate(NamedTuple):
-    """The parameters and how well they are known."""
-
-    log_linear_stiffness: float  #: ln G, G in Pa s^alpha
-    log_nonlinear_stiffness: float  #: ln Gn
-    fractional_order: float  #: alpha [1]
-    covariance: Array  #: of (ln G, ln Gn, alpha) [1], shape (3, 3)
-    strain_origin: float  #: o [1]
-    strain_origin_sd: float  #: [1]
-    probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
-    converged: bool
-    sample_count: int
 
 
-class Estimator(Protocol):
-    """An observation model with its filter; the pipeline asks for nothing else."""
-
-    @property
-    def is_mismatch(self) -> bool:
-        """Whether the innovations are larger or slower than model and noise explain."""
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether something came of late that is not explained yet."""
-
-    @property
-    def change_count(self) -> int:
-        """How often the tissue was found to have changed under the probe."""
-
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
-        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
-
-    def press(self, step: float, compression: float) -> None:
-        """Take the motion of a sample in contact, `step` seconds after the last."""
-
-    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
-        """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""
-
-    def skip(self) -> None:
-        """Let the samples since the last block go by."""
-
-    def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction."""
-
-    def estimate(self) -> Estimate:
-        """Return the present estimate."""
-
-    def settle(self, *, fully: bool = False) -> None:
-        """Do what takes long while nobody waits for an estimate; `fully`: all, at the end."""
 
 
 class _Member:

@@ -25,12 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from fden_ros.core.estimation.fractional_stress_estimator import (
-    Block,
-    Estimate,
-    EstimatorConfig,
-    Innovation,
-)
+from fden_ros.core.estimation.estimate import Block, Estimate, EstimatorConfig, Innovation
 from fden_ros.core.estimation.innovation_monitor import (
     CHANGE_DEVIATIONS,
     LONGEST_CHANGE_WINDOW,

@@ -11,34 +11,16 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-NANOSECONDS = 1_000_000_000
-
-Position = tuple[float, float, float]
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 
 #: The displacement's noise is measured over so many samples, robustly: median |normal| is 0.6745.
 _NOISE_SAMPLES = 256
 _MEDIAN_OF_NORMAL = 0.6745
 
 
-class Reason:
-    """Why a sample was rejected: the keys of the counts, one per reason and stream."""
-
-    NON_FINITE = "non_finite"
-    OUT_OF_RANGE = "out_of_range"
-    ZERO_STAMP = "zero_stamp"
-    DUPLICATE_STAMP = "duplicate_stamp"
-    LATE_STAMP = "late_stamp"
-    FUTURE_STAMP = "future_stamp"
-    UNPAIRED = "unpaired"
-    DISPLACEMENT_GAP = "displacement_gap"
-    WRONG_FRAME = "wrong_frame"
-    MISSING_FIELD = "missing_field"
-    SPIKE = "spike"
-    STUCK = "stuck"
 
 
 @dataclass(frozen=True)
@@ -89,24 +71,8 @@ _STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
 
 
-class Sample(NamedTuple):
-    """One accepted sample. `epoch` counts the backward jumps of the stream's clock."""
-
-    epoch: int
-    stamp_ns: int
-    value: float
-    position: Position | None = None
-    load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
 
 
-class Pair(NamedTuple):
-    """Force and displacement at one instant."""
-
-    epoch: int
-    stamp_ns: int
-    force: float  #: [N]
-    displacement: float  #: [m]
-    position: Position | None  #: of the probe [m]
 
 
 class StreamGuard:

@@ -1,0 +1,175 @@
+"""What leaves the core: states, classifications, summaries and complex moduli."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, replace
+
+from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.classification.relative import Comparison
+from fden_ros.core.estimation.complex_modulus import ComplexModulus
+from fden_ros.core.estimation.estimate import Estimate, Innovation
+from fden_ros.core.streams.samples import Position
+
+
+class Status(enum.IntEnum):
+    """What a consumer may make of a :class:`TissueState`."""
+
+    UNKNOWN = 0
+    NO_CONTACT = 1
+    CONVERGING = 2
+    CONVERGED = 3
+    STALE = 4
+
+
+class Phase(enum.IntEnum):
+    """What the probe is doing."""
+
+    NONE = 0
+    APPROACH = 1
+    LOADING = 2
+    HOLDING = 3
+    UNLOADING = 4
+
+
+class Flag(enum.IntFlag):
+    """What to know beside the status."""
+
+    NONE = 0
+    INPUT_REJECTED = 1
+    GAP = 2
+    MODEL_MISMATCH = 4
+    ORIGIN_UNCERTAIN = 8
+    TISSUE_CHANGED = 16
+    SATURATED = 32
+
+
+class OrderSource(enum.IntEnum):
+    """Where alpha comes from."""
+
+    NONE = 0
+    GIVEN = 1
+    PRIOR = 2
+    LEARNED = 3
+
+
+class Decision(enum.IntEnum):
+    """What a :class:`Classification` has decided."""
+
+    NONE = 0
+    UNDETERMINED = 1
+    CLASS = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Means over a block."""
+
+    strain: float  #: x from the strain origin [1]
+    stress: float  #: f [Pa]
+    fractional_stress: float  #: f' [Pa s^alpha]
+
+
+@dataclass(frozen=True)
+class ApparentStiffness:
+    """dF/dd for a small motion that lasts `time_scale`."""
+
+    value: float  #: [N/m]
+    sd: float  #: [N/m]
+    time_scale: float  #: tau [s]
+
+
+@dataclass(frozen=True)
+class TissueState:
+    """What is known after a block of samples."""
+
+    stamp_ns: int
+    status: Status
+    flags: Flag
+    site_id: int
+    contact_id: int
+    phase: Phase
+    order_source: OrderSource = OrderSource.NONE
+    estimate: Estimate | None = None
+    signals: Signals | None = None
+    innovation: Innovation | None = None
+    apparent_stiffness: ApparentStiffness | None = None
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What it took to name the tissue, since the touch."""
+
+    time: float  #: [s]
+    strain: float  #: largest so far [1]
+
+
+@dataclass(frozen=True)
+class Classification:
+    """Which tissue it is, as far as can be said."""
+
+    stamp_ns: int
+    decision: Decision
+    site_id: int
+    contact_id: int
+    flags: Flag
+    classes: ClassProbabilities | None
+    library_name: str
+    decided: Decided | None = None
+    comparison: Comparison | None = None
+
+
+@dataclass(frozen=True)
+class ContactSummary:
+    """One contact, from onset to release."""
+
+    stamp_ns: int
+    start_ns: int
+    end_ns: int
+    site_id: int
+    contact_id: int
+    flags: Flag
+    converged: bool
+    complete: bool
+    position: Position | None
+    order_source: OrderSource
+    estimate: Estimate | None
+    max_strain: float
+    max_stress: float
+    max_force: float
+    sample_count: int
+    rejected_count: int
+    classes: ClassProbabilities | None
+    decided: Decided | None = None
+    comparison: Comparison | None = None
+
+
+@dataclass(frozen=True)
+class DynamicModulus:
+    """The complex modulus at one frequency of the probe's oscillation."""
+
+    stamp_ns: int
+    start_ns: int
+    site_id: int
+    contact_id: int
+    modulus: ComplexModulus
+
+
+Output = TissueState | Classification | ContactSummary | DynamicModulus
+
+
+def stale(state: TissueState) -> TissueState:
+    """Return `state` as no longer current, with nothing in it to act on."""
+    return replace(
+        state,
+        # A stamp of its own, and before that of any sample to come.
+        stamp_ns=state.stamp_ns + 1,
+        status=Status.STALE,
+        phase=Phase.NONE,
+        estimate=None,
+        signals=None,
+        innovation=None,
+        apparent_stiffness=None,
+        order_source=OrderSource.NONE,
+    )

@@ -1,0 +1,47 @@
+"""Samples of one stream, and pairs of force and displacement at one instant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+NANOSECONDS = 1_000_000_000
+
+
+Position = tuple[float, float, float]
+
+
+class Reason:
+    """Why a sample was rejected: the keys of the counts, one per reason and stream."""
+
+    NON_FINITE = "non_finite"
+    OUT_OF_RANGE = "out_of_range"
+    ZERO_STAMP = "zero_stamp"
+    DUPLICATE_STAMP = "duplicate_stamp"
+    LATE_STAMP = "late_stamp"
+    FUTURE_STAMP = "future_stamp"
+    UNPAIRED = "unpaired"
+    DISPLACEMENT_GAP = "displacement_gap"
+    WRONG_FRAME = "wrong_frame"
+    MISSING_FIELD = "missing_field"
+    SPIKE = "spike"
+    STUCK = "stuck"
+
+
+class Sample(NamedTuple):
+    """One accepted sample. `epoch` counts the backward jumps of the stream's clock."""
+
+    epoch: int
+    stamp_ns: int
+    value: float
+    position: Position | None = None
+    load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
+
+
+class Pair(NamedTuple):
+    """Force and displacement at one instant."""
+
+    epoch: int
+    stamp_ns: int
+    force: float  #: [N]
+    displacement: float  #: [m]
+    position: Position | None  #: of the probe [m]
