@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from fden_ros.control.prediction import Prediction, Predictor, StressMemory
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.fractional_integral import SHORTEST_STEP
 from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.outputs import Flag, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 

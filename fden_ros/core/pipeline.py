@@ -48,9 +48,9 @@ from fden_ros.core.estimation.estimate import (
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
-from fden_ros.core.law.fractional_integral import SHORTEST_STEP, FractionalIntegral
+from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch, Geometry
-from fden_ros.core.law.stress_response import order_interpolation, order_nodes
+from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
 from fden_ros.core.outputs import (
     ApparentStiffness,
     Classification,
@@ -561,7 +561,7 @@ class Pipeline:
         estimator = site.estimator if not contact.ended else None
         if estimator is not None and sums.count == 0 and not self._muted:
             # Only now: whoever waits for the last block's estimate has it already.
-            estimator.settle()
+            estimator.relinearise()
         if not is_free:
             if step > 0.0:
                 site.integral.add(step, stress)
@@ -813,7 +813,7 @@ class Pipeline:
     def _order_source(self, estimate: Estimate | None) -> OrderSource:
         if estimate is None:
             return OrderSource.NONE
-        if self.config.estimator.order_given:
+        if self.config.estimator.fractional_order_given:
             return OrderSource.GIVEN
         return OrderSource.LEARNED if self._is_order_learned(estimate) else OrderSource.PRIOR
 
@@ -821,7 +821,7 @@ class Pipeline:
         config = self.config.estimator
         variance = float(estimate.covariance[2, 2])
         known = (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
-        return not config.order_given and variance < known
+        return not config.fractional_order_given and variance < known
 
     # Classification and summary
 
@@ -872,7 +872,7 @@ class Pipeline:
         """Return the probabilities by now, with the label that stands; None: nothing to tell."""
         config = self.config
         likelihood = likelihood_of_estimate(
-            estimate, config.estimator.prior, config.estimator.order_given
+            estimate, config.estimator.prior, config.estimator.fractional_order_given
         )
         if config.relative is not None:
             contact.comparison = self._compare(site, estimate, likelihood)
@@ -950,7 +950,7 @@ class Pipeline:
         if not contact.ended:
             contact.ended = True
             if site.estimator is not None and site.usable and site.estimate is not None:
-                site.estimator.settle(fully=True)
+                site.estimator.relinearise(fully=True)
                 site.estimate = site.estimator.estimate()
             if not complete:
                 contact.flags |= self._saturation(contact)

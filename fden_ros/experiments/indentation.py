@@ -21,11 +21,11 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import gamma
 
+from fden_ros.core.law.characteristic import log_phi
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.errors import InputError
 from fden_ros.experiments.characteristic import (
     LOG_NONLINEAR_RANGE,
-    log_phi,
     stiffness_parameters,
     undetermined_nonlinearity,
 )

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gamma
 
-from fden_ros.experiments.characteristic import log_phi
+from fden_ros.core.law.characteristic import log_phi
 from fden_ros.experiments.creep import fit_creep
 from fden_ros.experiments.dynamic import fit_complex_modulus
 from fden_ros.experiments.indentation import fractional_stress

@@ -48,20 +48,6 @@ from fden_ros.core.law.geometry import Geometry
 Array = NDArray[np.float64]
 
 
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 class _Member:
     """One extended Kalman filter with its weight and its sensitivity to alpha."""
 
@@ -231,7 +217,7 @@ class FractionalStressEstimator:
         weights /= weights.sum()
         return weights
 
-    def settle(self, *, fully: bool = False) -> None:
+    def relinearise(self, *, fully: bool = False) -> None:
         """Do nothing: an update leaves nothing to do."""
 
     def estimate(self) -> Estimate:
