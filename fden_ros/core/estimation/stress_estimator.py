@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,21 +68,30 @@ _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
 #: that it does not go to and fro.
 _UNIMODAL, _MULTIMODAL = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 #: Longest change of (ln G, ln Gn, alpha, o) in a step [1]: the range over which the response is
-#: nearly linear in each.
+#: nearly linear in each. A linear parameter changes by no more than its reach. (A step solved for
+#: all together, of which only some are cut short, is too long for the others: without a bound of
+#: their own they run away.)
 _LONGEST_STEP = (1.0, 0.3, 0.05, 0.02)
-#: Steps of a solution at most [1]: of one state, and of the nodes, which go on at the next one.
+#: Prior deviations [1] within which the origin and the linear parameters stay: in the golden bags
+#: no node of ln Gn, however unlikely, asks for more than 25.
+_REACH_DEVIATIONS = 100.0
+#: Steps of a solution at most [1]: of one state, and of the nodes.
 _MOST_STEPS, _MOST_NODE_STEPS = 10, 3
+#: Times [1] that the nodes are given these steps while they have not converged.
+_MOST_ROUNDS = 4
 #: Blocks [1] after which the posterior is solved for anew while it is not normal, and while it is:
 #: then an extended Kalman filter goes on from the last solution in between.
 _MULTIMODAL_BLOCKS, _UNIMODAL_BLOCKS = 4, 10
 #: Steps end when the last one lowered minus twice the log-posterior by less than this [1]: a tenth
 #: of a standard deviation.
 _CLOSE = 0.01
+#: A solution whose last step lowered it by more than this [1] has not converged, and is not
+#: believed. (Good data end below 0.01.)
+_FAR = 1.0
 #: Weight [1] below which a node does not count.
 _LEAST_WEIGHT = 1e-6
-#: Added to a standard deviation of ln Gn [1] that may be 0, before it divides; and the least
-#: diagonal element of a Hessian [1] that is scaled to 1.
-_TINY = 1e-12
+#: Added to a standard deviation of ln Gn [1] that may be 0, before it divides.
+_TINY_DEVIATION = 1e-12
 #: Eigenvalues of a scaled Hessian [1] below this are rounding.
 _SINGULAR = 1e-11
 #: Distance from the prior [1] at which ln G stops: a factor of 160,000 either way is no tissue.
@@ -93,6 +103,15 @@ _CHANGE_OF_LOG_G = 1.0
 _SHORTEST_PULSE = 0.002
 #: Deviation of the pulse of phi at a change [1], as a share of the fractional stress.
 _PULSE_SHARE = 2.0
+
+
+class _Steps(NamedTuple):
+    """Gauss-Newton steps from m states."""
+
+    steps: Array  #: shape (m, n); 0 where there is no solution
+    inverses: Array  #: of the Hessians, shape (m, free, free)
+    log_determinants: Array  #: of the Hessians, shape (m,)
+    decrements: Array  #: of minus twice the log-posterior, shape (m,); infinite without a solution
 
 
 class StressEstimator:
@@ -137,13 +156,13 @@ class StressEstimator:
             np.concatenate([prior.mean, np.zeros(1 + linear)]),
             np.concatenate([prior.deviations, [origin_sd], np.zeros(linear)]),
         )
-        self._longest_step = np.concatenate([_LONGEST_STEP, np.full(linear, np.inf)])
         self._state = self._prior.mean.copy()
         self._covariance = self._prior.covariance
         self._prior_covariance = self._covariance.copy()
         self._node_states = np.empty((nodes, self._state.size))
         self._begin_nodes()
         self._is_unimodal = False
+        self._is_solved = True
         self._blocks_since_solved = 0
         deviation = prior.nonlinear_stiffness_log_sd or 1.0
         self._node_weights = np.exp(
@@ -162,8 +181,8 @@ class StressEstimator:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether a surprise or a mismatch of late is not explained yet."""
-        return self._change.is_doubtful
+        """Whether a surprise or a mismatch of late is not explained, or a solution not found."""
+        return self._change.is_doubtful or not self._is_solved
 
     @property
     def is_mismatch(self) -> bool:
@@ -208,10 +227,21 @@ class StressEstimator:
         self._basis.discard_block()
 
     def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction."""
+        """Take one block; return how it compared with the prediction.
+
+        Raises
+        ------
+        FloatingPointError
+            If the block's response is beyond floating-point numbers.
+        """
         response = self._respond(block)
         noise = self._noise_variance / block.size + self._noise_of_motion(block)
         innovation, jacobian = self._innovation(response, block, noise)
+        if not (noise > 0.0 and np.all(np.isfinite((noise, *innovation, *jacobian)))):
+            raise FloatingPointError(
+                f"the response to a compression of {block.compression:g} and a stress of "
+                f"{block.stress:g} Pa is not finite"
+            )
         change = self._change.watch(
             block,
             innovation,
@@ -281,11 +311,14 @@ class StressEstimator:
         if self._config.fractional_order_given:
             # Schmidt's filter: alpha keeps its deviation and is not learned.
             gain[_ORDER] = 0.0
-        step = np.clip(gain * innovation.innovation, -self._longest_step, self._longest_step)
-        self._state = self._bounded(self._state + step)
+        longest = self._longest_step
+        step = np.clip(gain * innovation.innovation, -longest, longest)
         # Joseph's form: positive whatever the rounding.
         kept = np.eye(gain.size) - np.outer(gain, jacobian)
-        self._covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
+        covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
+        if np.all(np.isfinite(step)) and np.all(np.isfinite(covariance)):
+            self._state = self._bounded(self._state + step)
+            self._covariance = covariance
 
     # Change of the tissue
 
@@ -343,22 +376,25 @@ class StressEstimator:
     def _solve_state(self) -> None:
         """Solve for the maximum of a posterior that is normal."""
         free = self._free
-        state, least = self._state, math.inf
+        state, least, remaining = self._state, math.inf, math.inf
         for _ in range(_MOST_STEPS):
             quadratic = self._equations.at_state(state)
-            step, hessian = self._step(state[None], quadratic[None], free)
-            decrement = float(_decrement(step, hessian, free)[0])
+            solved = self._step(state[None], quadratic[None], free)
+            decrement = float(solved.decrements[0])
+            if not math.isfinite(decrement):
+                break
             misfit = float(quadratic[0, 0] + self._prior.distance(state, free))
             # Where the model is wrong the steps may run in circles: the best of them counts.
             if misfit < least:
                 least, remaining = misfit, decrement
                 self._state = state
-                self._covariance = self._covariances(hessian, quadratic[None], free)[0]
-            state = self._bounded(state + step[0])
+                self._covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
+            state = self._bounded(state + solved.steps[0])
             if decrement <= _CLOSE:
                 self._state = state
                 break
-        if remaining > 1.0 or self._covariance[_LOG_GN, _LOG_GN] > _MULTIMODAL**2:
+        self._is_solved = remaining <= _FAR
+        if not self._is_solved or self._covariance[_LOG_GN, _LOG_GN] > _MULTIMODAL**2:
             self._is_unimodal = False
             self._begin_nodes()
 
@@ -366,64 +402,99 @@ class StressEstimator:
         """Solve at every node of ln Gn, and take the moments of all."""
         free = self._free
         free = free[free != _LOG_GN]
-        states = self._node_states
-        quadratics = self._equations.at_nodes(states)
-        for _ in range(_MOST_NODE_STEPS):
-            steps, hessians = self._step(states, quadratics, free)
-            states = self._node_states = self._bounded_nodes(states + steps)
-            quadratics = self._equations.at_nodes(states)
-            close = _decrement(steps, hessians, free) <= _CLOSE
-            if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
+        for _ in range(_MOST_ROUNDS):
+            solved, quadratics = self._approach(free)
+            weights = self._weights(solved, quadratics, free)
+            likely = weights > _LEAST_WEIGHT
+            remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
+            self._is_solved = bool(remaining <= _FAR)
+            if self._is_solved:
                 break
-        prior = self._prior
-        log_evidence = -0.5 * (
-            quadratics[:, 0, 0]
-            + prior.distance(states, free)
-            + np.linalg.slogdet(hessians)[1]
-            + ((self._grid.nodes - prior.mean[_LOG_GN]) / prior.deviations[_LOG_GN]) ** 2
-        )
-        weights = np.exp(log_evidence - log_evidence.max())
-        weights /= weights.sum()
+        if not self._is_solved:
+            # The nodes go on from where they are at the next solution.
+            return
+        states, prior = self._node_states, self._prior
         self._node_weights = weights
         self._state = np.where(prior.deviations > 0.0, weights @ states, prior.mean)
         if self._config.fractional_order_given:
             self._state[_ORDER] = prior.mean[_ORDER]
         centred = states - self._state
         covariance = (weights[:, None] * centred).T @ centred
-        likely = weights > _LEAST_WEIGHT
-        own = self._covariances(hessians[likely], quadratics[likely], free)
+        own = self._covariances(solved.inverses[likely], quadratics[likely], free)
         covariance += np.tensordot(weights[likely], own, 1)
         self._covariance = covariance
         self._is_unimodal = bool(covariance[_LOG_GN, _LOG_GN] < _UNIMODAL**2)
 
-    def _step(self, states: Array, quadratics: Array, free: Indices) -> tuple[Array, Array]:
-        """Return Gauss-Newton steps.
+    def _approach(self, free: Indices) -> tuple[_Steps, Array]:
+        """Take steps at every node; return the last ones and the products where they led."""
+        states = self._node_states
+        quadratics = self._equations.at_nodes(states)
+        for _ in range(_MOST_NODE_STEPS):
+            solved = self._step(states, quadratics, free)
+            states = self._node_states = self._bounded_nodes(states + solved.steps)
+            quadratics = self._equations.at_nodes(states)
+            close = solved.decrements <= _CLOSE
+            if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
+                break
+        return solved, quadratics
+
+    def _weights(self, solved: _Steps, quadratics: Array, free: Indices) -> Array:
+        """Return the nodes' weights by their evidence, shape (nodes,); 0 without a solution."""
+        prior = self._prior
+        log_evidence = -0.5 * (
+            quadratics[:, 0, 0]
+            + prior.distance(self._node_states, free)
+            + solved.log_determinants
+            + ((self._grid.nodes - prior.mean[_LOG_GN]) / prior.deviations[_LOG_GN]) ** 2
+        )
+        is_solved = np.isfinite(log_evidence) & np.isfinite(solved.decrements)
+        weights: Array = np.zeros_like(log_evidence)
+        if np.any(is_solved):
+            weights[is_solved] = np.exp(log_evidence[is_solved] - log_evidence[is_solved].max())
+            weights /= weights.sum()
+        return weights
+
+    def _step(self, states: Array, quadratics: Array, free: Indices) -> _Steps:
+        """Return Gauss-Newton steps; none where the Hessian is not finite.
 
         Parameters
         ----------
         states : ndarray, shape (m, n)
         quadratics : ndarray, shape (m, n + 1, n + 1)
         free : ndarray, shape (free,)
-
-        Returns
-        -------
-        steps : ndarray, shape (m, n)
-        hessians : ndarray, shape (m, free, free)
         """
         precision = self._prior.precision(free)
         hessians = quadratics[:, 1 + free[:, None], 1 + free] + precision
         gradients = quadratics[:, 0, 1 + free] + (states - self._prior.mean)[:, free] @ precision
+        inverses, log_determinants = _inverse(hessians, precision.diagonal())
+        longest = self._longest_step[free]
+        wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
+        is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
+        moved = np.where(is_solved[:, None], np.clip(wanted, -longest, longest), 0.0)
         steps = np.zeros_like(states)
-        steps[:, free] = -(_inverse(hessians) @ gradients[:, :, None])[:, :, 0]
-        return np.clip(steps, -self._longest_step, self._longest_step), hessians
+        steps[:, free] = moved
+        decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
+        decrements[~is_solved] = math.inf
+        return _Steps(steps, inverses, log_determinants, decrements)
+
+    @property
+    def _reach(self) -> Array:
+        """Distance from their prior at which origin and linear parameters stop, shape (n - 3,)."""
+        return _REACH_DEVIATIONS * self._prior.deviations[_ORIGIN:]
+
+    @property
+    def _longest_step(self) -> Array:
+        """Longest change of each parameter in a step, shape (n,)."""
+        return np.concatenate([_LONGEST_STEP, self._reach[1:]])
 
     def _bounded(self, states: Array) -> Array:
         """Keep states, shape (..., n), where the response is known, in place."""
-        around = self._prior.mean[_LOG_G]
+        around, reach = self._prior.mean, self._reach
         for index, lowest, highest in (
-            (_LOG_G, around - _LOG_REACH, around + _LOG_REACH),
+            (_LOG_G, around[_LOG_G] - _LOG_REACH, around[_LOG_G] + _LOG_REACH),
             (_ORDER, LOWEST_ORDER, HIGHEST_ORDER),
             (_LOG_GN, self._grid.lowest, self._grid.highest),
+            (slice(_ORIGIN, None), around[_ORIGIN:] - reach, around[_ORIGIN:] + reach),
         ):
             states[..., index] = np.clip(states[..., index], lowest, highest)
         return states
@@ -433,12 +504,13 @@ class StressEstimator:
         states[:, _LOG_GN] = self._grid.nodes
         return states
 
-    def _covariances(self, hessians: Array, quadratics: Array, free: Indices) -> Array:
+    def _covariances(self, inverses: Array, quadratics: Array, free: Indices) -> Array:
         """Return the covariances of all parameters.
 
         Parameters
         ----------
-        hessians : ndarray, shape (m, free, free)
+        inverses : ndarray, shape (m, free, free)
+            Of the Hessians.
         quadratics : ndarray, shape (m, n + 1, n + 1)
         free : ndarray, shape (free,)
 
@@ -446,14 +518,13 @@ class StressEstimator:
         -------
         ndarray, shape (m, n, n)
         """
-        inverses = _inverse(hessians)
         size = self._state.size
-        covariances = np.zeros((hessians.shape[0], size, size))
+        covariances = np.zeros((inverses.shape[0], size, size))
         covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
         if self._config.fractional_order_given:
             # The uncertainty of an alpha that is not learned counts too (consider analysis).
             deviation = self._prior.deviations[_ORDER]
-            sensitivity = np.zeros((hessians.shape[0], size))
+            sensitivity = np.zeros((inverses.shape[0], size))
             coupling = quadratics[:, 1 + free, 1 + _ORDER]
             sensitivity[:, free] = -(inverses @ coupling[:, :, None])[:, :, 0]
             sensitivity[:, _ORDER] = deviation
@@ -480,7 +551,8 @@ class StressEstimator:
             strain_origin=float(self._state[_ORIGIN]),
             strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            converged=beyond >= config.converged_probability
+            converged=self._is_solved
+            and beyond >= config.converged_probability
             and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
             sample_count=self._sample_count,
         )
@@ -491,35 +563,41 @@ class StressEstimator:
             return 0.0
         strain = self._geometry.strain(compression)
         if self._is_unimodal:
-            deviation = math.sqrt(self._covariance[_LOG_GN, _LOG_GN]) + _TINY
+            deviation = math.sqrt(self._covariance[_LOG_GN, _LOG_GN]) + _TINY_DEVIATION
             return float(ndtr((math.log(strain) + self._state[_LOG_GN]) / deviation))
         beyond = ndtr((math.log(strain) + self._grid.nodes) / (0.5 * LOG_SPACING))
         return float(min(self._node_weights @ beyond, 1.0))
 
 
-def _inverse(matrices: Array) -> Array:
-    """Return inverses of matrices that rounding may have robbed of being positive definite.
+def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
+    """Return inverses and logarithms of determinants of positive definite matrices.
+
+    Rounding may have robbed the matrices of being so.
 
     Parameters
     ----------
-    matrices : ndarray, shape (m, k, k)
+    matrices : ndarray, shape (m, free, free)
+    least : ndarray, shape (free,)
+        Lower bound of each diagonal element, but for rounding: its scale.
 
     Returns
     -------
-    ndarray, shape (m, k, k)
+    inverses : ndarray, shape (m, free, free)
+        NaN where the matrix is not finite.
+    log_determinants : ndarray, shape (m,)
+        NaN there too.
     """
-    scale = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), _TINY) ** -0.5
+    diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
+    scale = diagonal**-0.5
     scaled = matrices * scale[:, :, None] * scale[:, None, :]
+    is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
+    if not np.all(is_finite):
+        scaled[~is_finite] = np.eye(least.size)
     values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, _SINGULAR)
     vectors *= scale[:, :, None]
-    result: Array = (vectors / np.maximum(values, _SINGULAR)[:, None, :]) @ vectors.transpose(
-        0, 2, 1
-    )
-    return result
-
-
-def _decrement(steps: Array, hessians: Array, free: Indices) -> Array:
-    """Return by how much each step lowers minus twice the log-posterior, shape (m,)."""
-    moved = steps[:, free]
-    decrement: Array = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
-    return decrement
+    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+    log_determinants: Array = np.sum(np.log(values) + np.log(diagonal), axis=1)
+    inverses[~is_finite] = math.nan
+    log_determinants[~is_finite] = math.nan
+    return inverses, log_determinants

@@ -24,7 +24,6 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,7 +33,6 @@ from scipy.special import gamma
 from fden_ros.core.law.kernel import (
     MOST_WAITING,
     SERIES_LIMIT,
-    SHORTEST_STEP,
     decays_of,
     kernel_weights,
     relaxation_rates,
@@ -42,12 +40,16 @@ from fden_ros.core.law.kernel import (
 
 Array = NDArray[np.float64]
 
+#: In place of the rate 0, by whose product with a step is divided [1/s]: e^-x is 1 to the last bit
+#: for steps up to 1e13 s, and x far from where numbers are flushed to zero.
+_STANDING_RATE = 1e-30
+
 
 @functools.cache
 def _falling_rates() -> Array:
     """Return -s_j; for the first one, whose exponential stands still, a number near 0."""
     rates = -relaxation_rates()
-    rates[0] = -sys.float_info.min / SHORTEST_STEP
+    rates[0] = -_STANDING_RATE
     return rates
 
 
