@@ -23,6 +23,7 @@ from fden_ros.simulation.trajectory import Palpation, Ramp
 
 RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
 ORDER, ORDER_SD = 0.2, 0.05
+NO_INTEGRALS = np.zeros(0)
 
 
 def drawn(rng):
@@ -56,11 +57,10 @@ def fed(estimator, motion, stress):
             Block(
                 float(motion[block].mean()),
                 float(stress[block].mean()),
-                0.0,
-                0.0,
                 time,
                 PER_BLOCK,
                 PER_BLOCK * step,
+                NO_INTEGRALS,
             )
         )
         estimator.relinearise()

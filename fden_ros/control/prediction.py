@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Estimate, StateIndex
 from fden_ros.core.law.characteristic import phi, strain_of_phi
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import Geometry, Sphere
@@ -178,7 +178,7 @@ class Predictor:
         self, times: Array, function: Callable[[Array, float, float], Array]
     ) -> Prediction:
         estimate = self.estimate
-        logs = np.array([estimate.log_linear_stiffness, estimate.log_nonlinear_stiffness])
+        logs = estimate.mean[: StateIndex.FRACTIONAL_ORDER]
         order = estimate.fractional_order
         value = function(logs, order, 0.0)
         step = _DERIVATIVE_STEP

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import digamma
 
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
@@ -24,15 +23,12 @@ from fden_ros.core.classification.classifier import (
     TissueLibrary,
     classify,
     likelihood_of_estimate,
-    mean_of,
 )
 from fden_ros.core.classification.decision import Decider, DecisionConfig
 from fden_ros.core.classification.relative import (
     Comparison,
-    LogStiffness,
     RelativeConfig,
     compare,
-    log_stiffness,
     stack,
     without_prior,
 )
@@ -45,10 +41,12 @@ from fden_ros.core.estimation.estimate import (
     EstimatorConfig,
     Innovation,
     Observation,
+    StateIndex,
 )
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.stress_estimator import StressEstimator
-from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
+from fden_ros.core.law.apparent_stiffness import LogStiffness, apparent_stiffness, log_stiffness
+from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
@@ -764,8 +762,8 @@ class Pipeline:
         free = float(weights @ site.integral.ahead(step)[_EXACT_ORDERS:])
         response = elastic_response(
             self.config.geometry.strain(compression - estimate.strain_origin),
-            math.exp(estimate.log_linear_stiffness),
-            math.exp(estimate.log_nonlinear_stiffness),
+            estimate.linear_stiffness,
+            estimate.nonlinear_stiffness,
         )
         return response.value <= free
 
@@ -797,17 +795,15 @@ class Pipeline:
         count = sums.count
         compression = sums.compression / count
         stress, force = sums.stress / count, sums.force / count
-        fractional = site.integral.take_sum() / count
         block = Block(
             compression=compression,
             stress=stress,
-            fractional_stress=self._fractional_stress(site, fractional),
-            fractional_stress_by_order=float(fractional[1] - fractional[2])
-            / (self._orders[1] - self._orders[2]),
             memory_time=0.5 * (sums.start_ns + stamp_ns - 2 * site.start_ns) / NANOSECONDS,
             size=count,
             duration=(stamp_ns - sums.start_ns) / NANOSECONDS + sums.first_step,
+            fractional_integrals=site.integral.take_sum() / count,
         )
+        fractional_stress = self._fractional_stress(site, block.fractional_integrals)
         has_free = sums.has_free
         sums.clear()
         self._block_end_ns = stamp_ns
@@ -824,7 +820,7 @@ class Pipeline:
                 site.estimator.skip()
             if not self._muted:
                 site.estimate = _checked(site.estimator.estimate())
-        self._report(stamp_ns, contact, site, block, innovation)
+        self._report(stamp_ns, contact, site, block, fractional_stress, innovation)
 
     @staticmethod
     def _watch(estimator: Estimator, contact: _Contact) -> None:
@@ -856,6 +852,7 @@ class Pipeline:
         contact: _Contact,
         site: _Site,
         block: Block,
+        fractional_stress: float,
         innovation: Innovation | None,
     ) -> None:
         estimate = site.estimate if site.usable and not contact.ended else None
@@ -881,7 +878,7 @@ class Pipeline:
                 phase=phase,
                 order_source=self._order_source(estimate),
                 estimate=estimate,
-                signals=Signals(strain, block.stress, block.fractional_stress),
+                signals=Signals(strain, block.stress, fractional_stress),
                 innovation=innovation,
                 apparent_stiffness=(
                     self._apparent_stiffness(estimate, compression)
@@ -904,26 +901,11 @@ class Pipeline:
         return Phase.LOADING if rate > 0.0 else Phase.UNLOADING
 
     def _apparent_stiffness(self, estimate: Estimate, compression: float) -> ApparentStiffness:
-        geometry = self.config.geometry
-        order = estimate.fractional_order
         tau = self.config.apparent_stiffness_time_scale
-        nonlinear_stiffness = math.exp(estimate.log_nonlinear_stiffness)
-        strain = geometry.strain(compression)
-        response = elastic_response(
-            strain, math.exp(estimate.log_linear_stiffness), nonlinear_stiffness
+        stiffness = apparent_stiffness(
+            estimate.mean, estimate.covariance, self.config.geometry, compression, tau
         )
-        value = (
-            response.by_strain
-            * geometry.strain_slope(compression)
-            * apparent_stiffness_factor(order, tau)
-            / (geometry.stress_per_force * geometry.length)
-        )
-        beyond = max(nonlinear_stiffness * abs(strain), 1.0)
-        gradient = np.array(
-            [1.0, beyond if beyond > 1.0 else 0.0, -math.log(tau) + float(digamma(1.0 - order))]
-        )
-        sd = value * math.sqrt(max(float(gradient @ estimate.covariance @ gradient), 0.0))
-        return ApparentStiffness(value, sd, tau)
+        return ApparentStiffness(stiffness.value, stiffness.sd, tau)
 
     def _order_source(self, estimate: Estimate | None) -> OrderSource:
         if estimate is None:
@@ -934,7 +916,8 @@ class Pipeline:
 
     def _is_order_learned(self, estimate: Estimate) -> bool:
         config = self.config.estimator
-        variance = float(estimate.covariance[2, 2])
+        index = StateIndex.FRACTIONAL_ORDER
+        variance = float(estimate.covariance[index, index])
         known = (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
         return not config.fractional_order_given and variance < known
 
@@ -1013,7 +996,7 @@ class Pipeline:
         """Compare a site with those around it, and keep it for those to come."""
         relative = self.config.relative
         assert relative is not None
-        own = without_prior(likelihood) or (mean_of(estimate), estimate.covariance)
+        own = without_prior(likelihood) or (estimate.mean, estimate.covariance)
         place = log_stiffness(*own, relative.strain, relative.time_scale)
         around = [
             other

@@ -105,11 +105,10 @@ class Block(NamedTuple):
 
     compression: float  #: u, from the nominal strain origin [1]
     stress: float  #: f [Pa]
-    fractional_stress: float  #: f' [Pa s^alpha]
-    fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
     memory_time: float  #: t since the memory began [s]
     size: int  #: samples in the block
-    duration: float = 0.0  #: from the first sample to the last and one step more [s]
+    duration: float  #: from the first sample to the last and one step more [s]
+    fractional_integrals: Array  #: D^-beta f [Pa s^beta], shape (orders,)
 
 
 class Innovation(NamedTuple):

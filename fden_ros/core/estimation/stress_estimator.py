@@ -212,7 +212,7 @@ class StressEstimator:
         self._basis.discard_block()
 
     def press(self, step: float, compression: float) -> None:
-        """Take a sample in contact."""
+        """Take the motion of a sample in contact."""
         self._motion.press(step, compression)
         self._basis.press(step, compression)
 

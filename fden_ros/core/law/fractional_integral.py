@@ -66,6 +66,28 @@ def _gain_series() -> Array:
     return series
 
 
+def fractional_stress(times: Array, stress: Array, fractional_order: float) -> Array:
+    """Return f' = D^-alpha f [Pa s^alpha] at every sample, with f linear in between.
+
+    Parameters
+    ----------
+    times, stress : ndarray, shape (n,)
+        [s], increasing by at least :data:`~fden_ros.core.law.kernel.SHORTEST_STEP`; f [Pa].
+    fractional_order : float
+        alpha [1].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    integral = FractionalIntegral([fractional_order])
+    integral.start(float(stress[0]))
+    values = np.zeros(stress.size)
+    for index, step in enumerate(np.diff(times), start=1):
+        values[index] = integral.advance(float(step), float(stress[index]))[0]
+    return values
+
+
 class FractionalIntegral:
     """D^-beta f of one sampled signal for several orders beta at once.
 

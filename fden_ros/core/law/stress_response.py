@@ -38,7 +38,7 @@ from fden_ros.core.law.kernel import (
 Array = NDArray[np.float64]
 
 #: Between two samples the compression is linear in time, and phi in parts no longer than this [1]:
-#: at a fiftieth of 1/Gn of the stiffest tissue the response errs by less than 1e-3
+#: steps ten times as long, in up to eight parts, then err by less than 1e-3
 #: (test_core_stress_basis).
 _LONGEST_PART = 0.002
 #: Parts of one step at most [1], so that a jump of the motion costs no more than this.
@@ -182,7 +182,8 @@ class StressBasis:
     def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
         """Let all motion so far be remembered as that of a tissue now left behind.
 
-        When it was left is known to a pulse of phi only, which ends now.
+        The time of the change is uncertain by up to `pulse_duration`: a pulse of phi, which lasts
+        that long and ends now, is kept in a column of its own.
 
         Parameters
         ----------
@@ -191,7 +192,7 @@ class StressBasis:
         law : ndarray, shape (k, m)
             Weights of the nodes of ln Gn from `first` on and of the origin, G included.
         pulse_duration : float
-            How long the new tissue may have been there already [s].
+            Time for which the new tissue may have been there already [s].
         """
         self._catch_up()
         count = self._signal_count
