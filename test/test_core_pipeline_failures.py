@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import Outcome, assert_sound, outcome_of, shift, shift_recording
-from fden_ros.replay import replay, result_object
 
 from fden_ros.core.contact.detector import ContactDetector
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.synthetic import write_recording
 
