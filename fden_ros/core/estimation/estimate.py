@@ -23,6 +23,11 @@ class StateIndex(enum.IntEnum):
     BIAS = 4  #: of the stress in this contact [Pa]
     DRIFT = 5  #: of the stress in this contact [Pa/s]
     PULSE = 6  #: of phi, at a change of the tissue [Pa s^alpha]
+    COMPLIANCE = 7  #: of the rig, in its standard deviations [1]
+    DELAY = 8  #: between the streams, in its standard deviations [1]
+    FRICTION = 9  #: against the motion, in its standard deviations [1]
+    WALK = 10  #: stress left out by law and rig at the last knot, in the walk's unit [1]
+    WALK_NEXT = 11  #: at the next knot [1]
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,45 @@ class Observation(enum.Enum):
 
 
 @dataclass(frozen=True)
+class Uncertainty:
+    """What is not known of model and rig, as standard deviations; 0: nothing.
+
+    Parameters
+    ----------
+    kernel_sd, characteristic_sd : float
+        Relative deviations of relaxation kernel and characteristic from the law [1].
+    surface_motion_sd : float
+        Way of the tissue's surface in one second [m].
+    force_drift_sd : float
+        Change of the force's zero in one second of contact [N].
+    friction_sd : float
+        Friction against the motion of the probe [N].
+    compliance_sd : float
+        Compliance of tool and robot that `displacement` does not allow for [m/N].
+    delay_sd : float
+        Delay between force and displacement [s].
+    thickness_sd : float
+        Relative deviation of the geometry's length [1].
+    """
+
+    kernel_sd: float = 0.0
+    characteristic_sd: float = 0.0
+    surface_motion_sd: float = 0.0
+    force_drift_sd: float = 0.0
+    friction_sd: float = 0.0
+    compliance_sd: float = 0.0
+    delay_sd: float = 0.0
+    thickness_sd: float = 0.0
+
+    @property
+    def walks(self) -> bool:
+        """Whether there is anything that changes with time."""
+        return any(
+            (self.kernel_sd, self.characteristic_sd, self.surface_motion_sd, self.force_drift_sd)
+        )
+
+
+@dataclass(frozen=True)
 class EstimatorConfig:
     """Prior, observation, and thresholds of convergence.
 
@@ -91,6 +135,9 @@ class EstimatorConfig:
         Converged only while the standard deviation of ln Gn is below this [1].
     converged_probability : float
         Converged only while P(largest strain > 1/Gn) is at least this [1].
+    uncertainty : Uncertainty
+        What is not known of model and rig. Whether the model's error is there at all, the evidence
+        of the data decides.
     """
 
     prior: Prior = Prior()
@@ -98,6 +145,7 @@ class EstimatorConfig:
     fractional_order_given: bool = False
     converged_log_sd: float = 0.05
     converged_probability: float = 0.99
+    uncertainty: Uncertainty = Uncertainty()
 
 
 class Block(NamedTuple):

@@ -72,10 +72,19 @@ class NormalEquations:
         Nodes of the strain origin [1].
     linear : sequence of str
         Names of the linear columns.
+    scaled : sequence of str
+        Those of them that are given at G = 1 and multiplied by G.
     """
 
-    def __init__(self, grid: LogStiffnessGrid, origins: Array, linear: Sequence[str]) -> None:
+    def __init__(
+        self,
+        grid: LogStiffnessGrid,
+        origins: Array,
+        linear: Sequence[str],
+        scaled: Sequence[str] = (),
+    ) -> None:
         self.linear = tuple(linear)
+        self._scaled = np.array([name in scaled for name in linear])
         #: Length n of the state.
         self.size = _NONLINEAR + len(self.linear)
         self._grid = grid
@@ -83,7 +92,6 @@ class NormalEquations:
         self._in_order = order_interpolation()
         nodes, inner = grid.nodes.size, origins.size * _ORDERS
         self._column_count = _ORDERS + len(self.linear) + 1
-        self._linear_columns = slice(_ORDERS, self._column_count - 1)
         # Sums of products of responses: of neighbouring nodes, with the columns, of the columns.
         self._law = np.zeros((STENCIL, nodes, inner, inner))
         self._cross = np.zeros((nodes, inner, self._column_count))
@@ -97,7 +105,7 @@ class NormalEquations:
     # Sums
 
     def respond(
-        self, law: Array, free: Array, linear: Sequence[float], stress: float
+        self, law: Array, free: Array, linear: Sequence[float] | Array, stress: float
     ) -> BlockResponse:
         """Return the responses of a block.
 
@@ -165,12 +173,12 @@ class NormalEquations:
         index : int
             Place of the parameter in the state.
         precision : float
-            1 over its prior variance; 0: it was known, and explains nothing.
+            1 over its prior variance; 0 where its prior is in the sums (:meth:`bind`).
         """
         self._add_up()
-        column = index - _NONLINEAR + _ORDERS
+        column = self._column(index)
         own = self._columns[column, column] + precision
-        if precision > 0.0 and own > 0.0:
+        if own > 0.0:
             by_law = self._cross[:, :, column].copy()
             by_column = self._columns[column].copy()
             for distance in range(STENCIL):
@@ -180,8 +188,56 @@ class NormalEquations:
                 )
             self._cross -= by_law[:, :, None] * by_column / own
             self._columns -= np.outer(by_column, by_column) / own
+        self.forget(index)
+
+    def forget(self, index: int) -> None:
+        """Let the column of a parameter that is known to be 0 begin anew."""
+        self._add_up()
+        column = self._column(index)
         self._cross[:, :, column] = 0.0
         self._columns[column, :] = self._columns[:, column] = 0.0
+
+    def bind(self, index: int, other: int | None, precision: float) -> None:
+        """Add to the sums that two linear parameters, or one and 0, differ little.
+
+        Parameters
+        ----------
+        index : int
+        other : int or None
+            None: 0.
+        precision : float
+            1 over the variance of the difference.
+        """
+        self._add_up()
+        column = self._column(index)
+        self._columns[column, column] += precision
+        if other is None:
+            return
+        partner = self._column(other)
+        self._columns[partner, partner] += precision
+        self._columns[column, partner] -= precision
+        self._columns[partner, column] -= precision
+
+    def move(self, index: int, target: int) -> None:
+        """Let a linear parameter take the place of another, whose column was forgotten."""
+        self._add_up()
+        column, place = self._column(index), self._column(target)
+        self._cross[:, :, place] = self._cross[:, :, column]
+        own = self._columns[column, column]
+        self._columns[place, :] = self._columns[column, :]
+        self._columns[:, place] = self._columns[:, column]
+        self._columns[place, place] = own
+        self.forget(index)
+
+    def own(self, index: int) -> float:
+        """Return the summed square of a linear column, over the variances of the blocks."""
+        self._add_up()
+        column = self._column(index)
+        return float(self._columns[column, column])
+
+    @staticmethod
+    def _column(index: int) -> int:
+        return index - _NONLINEAR + _ORDERS
 
     # One block
 
@@ -307,9 +363,13 @@ class NormalEquations:
         columns[0, :_ORDERS] = in_order
         columns[0, -1] = -1.0
         columns[1 + _ORDER, :_ORDERS] = by_order
-        columns[0, self._linear_columns] = state[_NONLINEAR:]
-        for index, column in enumerate(range(_ORDERS, self._column_count - 1), start=_NONLINEAR):
-            columns[1 + index, column] = 1.0
+        g = np.exp(state[_LOG_G])
+        for index, is_scaled in enumerate(self._scaled, start=_NONLINEAR):
+            column, factor = self._column(index), g if is_scaled else 1.0
+            columns[0, column] = factor * state[index]
+            columns[1 + index, column] = factor
+            if is_scaled:
+                columns[1 + _LOG_G, column] = columns[0, column]
 
     def _stencil_products(self, first: int) -> Array:
         """Return the products of the stencil that begins at a node, and of the columns."""

@@ -1,4 +1,4 @@
-"""Whether the tissue under the probe has changed, or was never what the model says."""
+"""Whether the tissue under the probe has changed within a contact."""
 
 from __future__ import annotations
 
@@ -22,9 +22,6 @@ Array = NDArray[np.float64]
 #: An innovation whose variance is below this many times the noise's [1] is the noise's, not the
 #: state's: only such are tested.
 _MOST_NOISE_SHARE = 2.0
-#: Innovations [1] after which a mismatch is reported, unless a change of the tissue explains it: a
-#: change shows within the longest window of change.
-_MISMATCH_DELAY = LONGEST_CHANGE_WINDOW
 #: An innovation beyond this many standard deviations [1] makes the estimate doubtful for this many
 #: blocks [1]: by then the tests have decided what it was.
 _SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
@@ -50,7 +47,6 @@ class TissueChange:
         #: Changes found so far.
         self.count = 0
         self._monitor = InnovationMonitor()
-        self._was_mismatch = False
         self._surprises = 0
         self._first_surprise = 0.0
         self._blind_until = -math.inf
@@ -59,27 +55,13 @@ class TissueChange:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether a surprise or a mismatch of late is not explained yet."""
-        return self._doubtful_blocks > 0 or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
-
-    @property
-    def is_mismatch(self) -> bool:
-        """Whether the innovations are larger or slower than model and noise explain."""
-        return self._was_mismatch or self._monitor.mismatch_count > _MISMATCH_DELAY
+        """Whether a surprise of late is not explained yet."""
+        return self._doubtful_blocks > 0
 
     @property
     def is_suspected(self) -> bool:
         """Whether the newest block was a surprise: perhaps the first of a change."""
         return self._surprises > 0
-
-    @property
-    def inflation(self) -> float:
-        """Factor by which the variance of the estimate is too small, at least 1."""
-        return self._monitor.inflation
-
-    def begin_contact(self) -> None:
-        """Let a new contact begin: the mismatch before an earlier change is forgotten."""
-        self._was_mismatch = False
 
     def is_blind(self, time: float) -> bool:
         """Whether a block at `time` [s] is too soon after a change to be used."""
@@ -95,6 +77,8 @@ class TissueChange:
         is_unimodal: bool,
         is_fresh: bool,
         is_beyond_all_nodes: Callable[[], bool],
+        is_beyond_model_error: bool,
+        is_exact: bool,
     ) -> Change | None:
         """Test the innovation of a block; return the change that it proves.
 
@@ -113,6 +97,11 @@ class TissueChange:
         is_beyond_all_nodes : callable
             Whether the innovation is a surprise for every likely ln Gn; asked where the posterior
             is not normal.
+        is_beyond_model_error : bool
+            Whether it is a surprise at every scale of the model's error that is not excluded.
+        is_exact : bool
+            Whether the law holds without a model's error: only then is a deviation that came
+            slowly a change too.
         """
         self._doubtful_blocks = max(self._doubtful_blocks - 1, 0)
         if innovation.normalized_squared > _SURPRISING**2:
@@ -126,6 +115,7 @@ class TissueChange:
             # A first surprise needs a state that is known better than the noise; one that follows
             # a surprise does not, because the surprise has widened the state.
             and (is_known or not is_unimodal or self._surprises > 0)
+            and is_beyond_model_error
             and (is_unimodal or is_beyond_all_nodes())
         )
         self._surprises = self._surprises + 1 if is_surprising and may_change else 0
@@ -133,7 +123,10 @@ class TissueChange:
             self._first_surprise = block.memory_time
         if self._surprises >= _SURPRISES:
             return self._begin_anew(block, Change(self._first_surprise, None))
-        if not is_known or not is_fresh:
+        if not is_exact:
+            self._monitor = InnovationMonitor()
+            self._recent_states.clear()
+        if not (is_known and is_fresh and is_exact):
             # Two innovations by one state are not independent.
             return None
         self._monitor.add(innovation.innovation / math.sqrt(innovation.variance))
@@ -148,8 +141,6 @@ class TissueChange:
 
     def _begin_anew(self, block: Block, change: Change) -> Change:
         self._blind_until = block.memory_time + _BLIND_TIME
-        # A mismatch before the change is not explained by it.
-        self._was_mismatch = self.is_mismatch
         self._surprises = 0
         self._monitor = InnovationMonitor()
         self._recent_states.clear()

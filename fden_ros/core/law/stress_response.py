@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gamma
 
-from fden_ros.core.law.characteristic import phi
+from fden_ros.core.law.characteristic import MAX_EXPONENT, phi
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.kernel import (
     MOST_WAITING,
@@ -70,7 +70,12 @@ class StressBasis:
         # After the law's signals, one for each order: what phi was while nobody touched; then a
         # pulse of phi in the past.
         self._free = slice(self._signal_count, self._signal_count + self._orders.size)
-        columns = self._signal_count + self._orders.size + 1
+        # Last, phi' times the force at the running linearisation, which a compliance multiplies.
+        self._pulse, self._yielding = self._free.stop, self._free.stop + 1
+        self._running_gn = float(np.exp(np.mean(log_gn_nodes)))
+        self._running_origin = np.full(origin_nodes.size, 1.0 / origin_nodes.size)
+        self._force = self._last_force = 0.0
+        columns = self._yielding + 1
         self._memory = np.zeros((self._rates.size, columns))
         self._memory_sum = np.zeros_like(self._memory)
         self._local_sum = np.zeros((self._orders.size, columns))
@@ -81,6 +86,28 @@ class StressBasis:
         #: None: in the air.
         self._compression: float | None = None
         self._strains = np.zeros(len(self._origins))
+
+    def linearise(self, gn: float, in_origin: Array, force: float) -> None:
+        """Set where the response to a compliance is linearised from here on.
+
+        Parameters
+        ----------
+        gn : float
+            Gn [1].
+        in_origin : ndarray, shape (m,)
+            Weights of the origin's nodes.
+        force : float
+            Force that bends the tool [N].
+        """
+        self._catch_up()
+        self._running_gn, self._running_origin, self._force = gn, in_origin, force
+
+    def _slopes(self, strains: Array) -> Array:
+        """Return dphi/dx at G = 1 for strains (n, origins), at the linearisation, shape (n,)."""
+        strain = strains @ self._running_origin
+        excess = np.clip(self._running_gn * strain - 1.0, 0.0, MAX_EXPONENT)
+        slopes: Array = np.where(strain > 0.0, np.exp(excess), 0.0)
+        return slopes
 
     def press(self, step: float, compression: float) -> None:
         """Take a sample in contact `step` seconds after the last."""
@@ -113,7 +140,12 @@ class StressBasis:
         signals = np.zeros((len(steps), self._last.size))
         signals[:, : self._signal_count] = self._law(strains)
         change = np.diff(signals, axis=0, prepend=self._last[None])
-        self._last = signals[-1]
+        bent = self._slopes(before) * self._force
+        bent[0] = self._slopes(before[:1])[0] * self._last_force
+        change[:, self._yielding] = self._slopes(strains) * self._force - bent
+        kept = self._last[self._yielding] + change[:, self._yielding].sum()
+        self._last, self._last_force = signals[-1], self._force
+        self._last[self._yielding] = kept
         if (steps, counts) != self._prepared_steps:
             self._prepare(steps, counts)
             self._prepared_steps = (steps, counts)
@@ -177,7 +209,7 @@ class StressBasis:
         decays = Decays(steps, (1.0,) * len(steps))
         self._memory *= decays.whole[:, None]
         self._memory += (decays.mean * decays.to_end) @ change
-        self._last = signals[-1]
+        self._last, self._last_force = signals[-1], 0.0
 
     def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
         """Let all motion so far be remembered as that of a tissue now left behind.
@@ -200,11 +232,12 @@ class StressBasis:
         used = slice(start, start + law.size)
         self._memory[:, self._free] += (self._memory[:, used] @ law.ravel())[:, None]
         self._last[self._free] += self._last[used] @ law.ravel()
-        self._memory[:, -1] = np.expm1(-self._rates * pulse_duration)
-        self._memory[:, :count] = 0.0
-        self._last[:count] = 0.0
+        self._memory[:, self._pulse] = np.expm1(-self._rates * pulse_duration)
+        for columns in (slice(0, count), self._yielding):
+            self._memory[:, columns] = 0.0
+            self._last[columns] = 0.0
 
-    def take_block(self) -> tuple[Array, Array, Array]:
+    def take_block(self) -> tuple[Array, Array, Array, Array]:
         """Return the mean responses since the last call.
 
         Returns
@@ -215,6 +248,8 @@ class StressBasis:
             D^alpha of what phi was in the air before.
         pulse : ndarray, shape (orders,)
             D^alpha of the pulse.
+        yielding : ndarray, shape (orders,)
+            D^alpha of dphi/dx times the force, at G = 1 [N].
         """
         self._catch_up()
         total = self._weights @ self._memory_sum
@@ -224,7 +259,8 @@ class StressBasis:
         self._local_sum.fill(0.0)
         self._count = 0
         law = total[:, : self._signal_count].T.reshape(self._shape[0], -1)
-        return law, np.diagonal(total[:, self._free]).copy(), total[:, -1].copy()
+        free = np.diagonal(total[:, self._free]).copy()
+        return law, free, total[:, self._pulse].copy(), total[:, self._yielding].copy()
 
     def discard_block(self) -> None:
         """Forget the samples since the last block, not their memory."""
