@@ -233,11 +233,11 @@ def test_a_first_contact_fainter_than_four_release_thresholds_makes_no_site(
 
 
 def test_a_faint_contact_of_a_known_site_leaves_the_site() -> None:
-    data = presses((FIRM, RampHold(0.3, 0.05, 0.2), FIRM))
+    data = presses((FIRM, RampHold(0.3, 0.044, 0.2), FIRM))
     result = outcome(data)
     assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
     forces = [summary.max_force for summary in result.summaries]
-    assert forces[1] < 0.1 * forces[0]
+    assert forces[1] < 0.08 * forces[0]  # four release thresholds are 0.094
     assert sd_of(result.summaries[2]) < sd_of(result.summaries[0])
     assert not is_wrong(result.summaries[2], data.site)
 
