@@ -72,16 +72,6 @@ from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 Array = NDArray[np.float64]
 
 
-
-
-
-
-
-
-
-
-
-
 @dataclass(frozen=True)
 class PipelineConfig:
     """Everything the pipeline can be told; times in seconds, SI units throughout.
@@ -125,21 +115,6 @@ class PipelineConfig:
     relative: RelativeConfig | None = None
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 
 
 #: A hold is a compression that changes by less than this per second [1/s].
@@ -1005,5 +980,3 @@ class Pipeline:
     def _emit(self, output: Output) -> None:
         if not self._muted:
             self._emit_output(output)
-
-
