@@ -42,6 +42,7 @@ class Flag(enum.IntFlag):
     ORIGIN_UNCERTAIN = 8
     TISSUE_CHANGED = 16
     SATURATED = 32
+    ESTIMATION_FAILED = 64
 
 
 class OrderSource(enum.IntEnum):
@@ -154,6 +155,24 @@ class DynamicModulus:
     site_id: int
     contact_id: int
     modulus: ComplexModulus
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An exception that ended a contact and its site."""
+
+    stamp_ns: int  #: of the newest sample
+    site_id: int  #: 0: there was none yet
+    contact_id: int  #: 0: in the air
+    reason: str  #: one line: kind and message
+    traceback: str
+
+    def __str__(self) -> str:
+        place = f"contact {self.contact_id} of site {self.site_id}" if self.contact_id else "air"
+        return (
+            f"the estimation failed in {place} ({self.reason}): what comes from this site is "
+            "not used"
+        )
 
 
 Output = TissueState | Classification | ContactSummary | DynamicModulus

@@ -8,6 +8,7 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 from __future__ import annotations
 
 import math
+import traceback
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -58,6 +59,7 @@ from fden_ros.core.outputs import (
     Decided,
     Decision,
     DynamicModulus,
+    Failure,
     Flag,
     OrderSource,
     Output,
@@ -143,6 +145,8 @@ _FIRST_REST, _REST_RATIO = 1e-3, 1.04
 #: The surface found at the touch starts the filter; its deviation is widened, since the filter
 #: sees those samples again.
 _ORIGIN_WIDENING = 3.0
+#: Failures are kept up to this number, the newest.
+_FAILURES_KEPT = 20
 
 
 @dataclass
@@ -218,7 +222,15 @@ class Pipeline:
     ----------
     config : PipelineConfig
     emit : callable
-        Called with every output, in order of stamps.
+        Called with every output, in order of stamps. What it raises is not caught.
+
+    Attributes
+    ----------
+    failures : deque of Failure
+        The newest exceptions of the computation. Each ended one contact and its site, both
+        flagged :attr:`Flag.ESTIMATION_FAILED`; the next site begins afresh.
+    failure_count : int
+        How many there were.
     """
 
     def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
@@ -231,6 +243,9 @@ class Pipeline:
         self.newest_ns = 0
         self._emit_output = emit
         self._muted = False
+        self._listener_error: Exception | None = None
+        self.failures: deque[Failure] = deque(maxlen=_FAILURES_KEPT)
+        self.failure_count = 0
         self._tare_offset = 0.0
         self._block_ns = round(_BLOCK_SHARE * config.block_duration * NANOSECONDS)
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
@@ -275,7 +290,10 @@ class Pipeline:
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Take a force sample [N], positive when pressing; with torsion a torque [N m]."""
-        self._synchronizer.add_force(stamp_ns, force - self._tare_offset)
+        try:
+            self._synchronizer.add_force(stamp_ns, force - self._tare_offset)
+        except Exception as error:
+            self._synchronizer_failed(stamp_ns, error)
 
     def add_displacement(
         self,
@@ -288,7 +306,10 @@ class Pipeline:
 
         `load` is the part of the tool's weight in the force at this orientation [N].
         """
-        self._synchronizer.add_displacement(stamp_ns, displacement, position, load)
+        try:
+            self._synchronizer.add_displacement(stamp_ns, displacement, position, load)
+        except Exception as error:
+            self._synchronizer_failed(stamp_ns, error)
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not even be read."""
@@ -307,13 +328,24 @@ class Pipeline:
 
     def reset(self) -> None:
         """End the contact, if any, as incomplete, and forget everything that was learned."""
-        self._end_contact(self._previous_ns, complete=False)
+        self.finish()
         self._detector.reset()
         self._clear()
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""
-        self._end_contact(self._previous_ns, complete=False)
+        try:
+            self._end_contact(self._previous_ns, complete=False)
+        except Exception as error:
+            self._failed(self.newest_ns, error)
+
+    @property
+    def is_failed(self) -> bool:
+        """Whether the newest failure is that of the present site, or came without one."""
+        if not self.failures:
+            return False
+        site_id = self._site.site_id if self._site is not None else 0
+        return self.failures[-1].site_id == site_id
 
     @property
     def warnings(self) -> dict[str, int]:
@@ -333,14 +365,64 @@ class Pipeline:
     # Pairs
 
     def _on_pair(self, pair: Pair) -> None:
+        try:
+            self._take(pair)
+        except Exception as error:
+            self._failed(pair.stamp_ns, error)
+
+    def _synchronizer_failed(self, stamp_ns: int, error: Exception) -> None:
+        self._failed(stamp_ns, error)
+        self._synchronizer = Synchronizer(self.config.synchronize, self._on_pair, self.rejected)
+        self._epoch = 0
+
+    def _failed(self, stamp_ns: int, error: Exception) -> None:
+        """Take note of an exception, and end the contact and the site it came from.
+
+        What the listener to the outputs raised is raised again.
+        """
+        if error is self._listener_error:
+            raise error
+        contact, site = self._contact, self._site
+        lines = "".join(traceback.format_exception(error)).strip()
+        self.failure_count += 1
+        self.failures.append(
+            Failure(
+                stamp_ns=stamp_ns,
+                site_id=site.site_id if site is not None else 0,
+                contact_id=contact.contact_id if contact is not None else 0,
+                reason=" ".join("".join(traceback.format_exception_only(error)).split()),
+                traceback=lines,
+            )
+        )
+        self._muted = False
+        self._behind.clear()
+        self._sums.clear()
+        if self._meter is not None:
+            self._meter.reset()
+        if site is None:
+            return
+        site.usable = False
+        site.flags |= Flag.ESTIMATION_FAILED
+        site.estimator = site.estimate = None
+        self._stiffnesses.pop(site.site_id, None)
+        if contact is None:
+            return
+        contact.flags |= Flag.ESTIMATION_FAILED
+        if not contact.ended:
+            contact.ended = True
+            self._emit(self._summary(contact, site, stamp_ns, complete=False))
+
+    def _take(self, pair: Pair) -> None:
         if pair.epoch != self._epoch:
             self._clock_jumped(pair.epoch)
         self._check_gap(pair.stamp_ns)
         self.pair_count += 1
         self.newest_ns = pair.stamp_ns
-        event = self._detector.add(pair)
+        event = self._detect(pair)
         if isinstance(event, Onset):
             self._touch(event)
+        elif self._contact is not None and self._contact.flags & Flag.ESTIMATION_FAILED:
+            self._pass(pair, self._contact)
         elif self._contact is not None:
             self._behind.append(pair)
             self._catch_up(self._pace)
@@ -348,6 +430,35 @@ class Pipeline:
             self._hover(pair)
         if isinstance(event, Release):
             self._end_contact(event.stamp_ns, complete=True)
+
+    def _detect(self, pair: Pair) -> Onset | Release | None:
+        try:
+            return self._detector.add(pair)
+        except Exception:
+            self._detector.reset()
+            raise
+
+    def _pass(self, pair: Pair, contact: _Contact) -> None:
+        """Let a sample of a contact go by in which the estimation failed."""
+        contact.sample_count += 1
+        force = pair.force - contact.bias
+        if force > contact.max_force:
+            contact.max_force = force
+            contact.max_stress = force * self.config.geometry.stress_per_force
+        if pair.stamp_ns - self._block_end_ns < self._block_ns:
+            return
+        self._block_end_ns = pair.stamp_ns
+        assert self._site is not None
+        self._emit(
+            TissueState(
+                stamp_ns=pair.stamp_ns,
+                status=Status.UNKNOWN,
+                flags=contact.flags | self._input_flags(),
+                site_id=self._site.site_id,
+                contact_id=contact.contact_id,
+                phase=Phase.NONE,
+            )
+        )
 
     def _clock_jumped(self, epoch: int) -> None:
         self._clock_jumps += 1
@@ -415,6 +526,9 @@ class Pipeline:
             site.usable = False
             site.flags |= Flag.ORIGIN_UNCERTAIN
             contact.flags |= Flag.ORIGIN_UNCERTAIN
+        if site.flags & Flag.ESTIMATION_FAILED:
+            self._block_end_ns = first.stamp_ns
+            return
         scale = self.config.geometry.stress_per_force
         if site.usable and site.estimator is None:
             site.estimator = self._new_estimator(onset.noise_sd * scale, site.origin_sd)
@@ -679,11 +793,12 @@ class Pipeline:
             # small.
             if self._is_informative(block, force, has_free, contact, site):
                 innovation = site.estimator.update(block)
+                _check_finite(innovation.innovation, innovation.variance)
                 self._watch(site.estimator, contact)
             else:
                 site.estimator.skip()
             if not self._muted:
-                site.estimate = site.estimator.estimate()
+                site.estimate = _checked(site.estimator.estimate())
         self._report(stamp_ns, contact, site, block, innovation)
 
     @staticmethod
@@ -926,7 +1041,7 @@ class Pipeline:
             contact.ended = True
             if site.estimator is not None and site.usable and site.estimate is not None:
                 site.estimator.settle(fully=True)
-                site.estimate = site.estimator.estimate()
+                site.estimate = _checked(site.estimator.estimate())
             if not complete:
                 contact.flags |= self._saturation(contact)
             self._emit(self._summary(contact, site, end_ns, complete))
@@ -935,7 +1050,8 @@ class Pipeline:
             self._contact = None
             self._sums.clear()
             is_first = contact.start_ns == site.start_ns
-            if is_first and contact.max_force < _FAINT * contact.release_force:
+            is_faint = contact.max_force < _FAINT * contact.release_force
+            if is_first and is_faint and not site.flags & Flag.ESTIMATION_FAILED:
                 # Perhaps noise: what comes next must not inherit its origin.
                 self._site = None
 
@@ -978,5 +1094,34 @@ class Pipeline:
         return Flag.INPUT_REJECTED
 
     def _emit(self, output: Output) -> None:
-        if not self._muted:
+        if self._muted:
+            return
+        try:
             self._emit_output(output)
+        except Exception as error:
+            self._listener_error = error
+            raise
+
+
+def _checked(estimate: Estimate) -> Estimate:
+    """Return an estimate that is finite throughout.
+
+    Raises
+    ------
+    FloatingPointError
+        If it is not.
+    """
+    _check_finite(
+        estimate.log_linear_stiffness,
+        estimate.log_nonlinear_stiffness,
+        estimate.fractional_order,
+        estimate.strain_origin,
+        estimate.strain_origin_sd,
+        float(estimate.covariance.sum()),
+    )
+    return estimate
+
+
+def _check_finite(*numbers: float) -> None:
+    if not math.isfinite(sum(numbers)):
+        raise FloatingPointError(f"the estimate is not finite: {numbers}")

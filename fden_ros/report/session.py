@@ -384,6 +384,8 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         yield "The tissue changed within the contact, and was learned anew."
     if summary.flags & Flag.SATURATED:
         yield "A sensor was at its limit."
+    if summary.flags & Flag.ESTIMATION_FAILED:
+        yield "The computation failed at this site: there is no estimate until the next one."
     if summary.rejected_count:
         yield f"{summary.rejected_count} samples were rejected during the contact."
     if estimate is None:
