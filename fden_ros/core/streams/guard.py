@@ -30,6 +30,16 @@ _USUAL_SAMPLES = 32
 #: a row and 5 times longer than its longest run before.
 _STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
+#: A step between pairs is a gap when it is longer than 10 mean steps and than 20 ms [ns]; the mean
+#: step follows with this gain.
+_GAP_STEPS = 10.0
+_GAP_NS = 20_000_000
+_GAP_GAIN = 0.05
+
+
+def force_at_limit(rejected: Counter[str]) -> int:
+    """Return how many forces were rejected because the sensor was stuck or at its end."""
+    return rejected[f"force.{Reason.STUCK}"] + rejected[f"force.{Reason.OUT_OF_RANGE}"]
 
 
 class StreamGuard:
@@ -222,3 +232,25 @@ class ValueGuard:
         # Only of changes: a coarse signal stands still most of the time.
         usual = self._usual_change or change
         self._usual_change = usual + _GAIN * (min(change, _MOST_GROWTH * usual) - usual)
+
+
+class GapGuard:
+    """Find gaps in a stream that has passed the other guards."""
+
+    def __init__(self) -> None:
+        self.newest_ns: int | None = None
+        self._usual_step_ns = 0.0
+
+    def step(self, stamp_ns: int) -> int:
+        """Take a stamp; return how long the gap before it lasted [ns], 0 without one."""
+        previous_ns, self.newest_ns = self.newest_ns, stamp_ns
+        if previous_ns is None:
+            return 0
+        step_ns = stamp_ns - previous_ns
+        usual_ns = self._usual_step_ns
+        if usual_ns and step_ns > max(_GAP_STEPS * usual_ns, _GAP_NS):
+            return step_ns
+        self._usual_step_ns = (
+            usual_ns + _GAP_GAIN * (step_ns - usual_ns) if usual_ns else 1.0 * step_ns
+        )
+        return 0

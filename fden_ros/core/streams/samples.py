@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 NANOSECONDS = 1_000_000_000
@@ -45,3 +46,10 @@ class Pair(NamedTuple):
     force: float  #: [N]
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
+
+
+def lateral_distance(axis: Position, a: Position, b: Position) -> float:
+    """Return the distance of two positions perpendicular to the unit vector `axis` [m]."""
+    offset = [q - p for p, q in zip(a, b, strict=True)]
+    along = sum(o * n for o, n in zip(offset, axis, strict=True))
+    return math.dist(offset, [along * n for n in axis])
