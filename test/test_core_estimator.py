@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.special import gamma
 
 from fden_ros.core.estimator import Block, EstimatorConfig, FractionalStressEstimator, Prior
 from fden_ros.core.geometry import PassThrough, Sphere
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True, max_examples=30)
+steady = examples(30)
 
 PRIOR = Prior(fractional_order_sd=0.0)
 ORDER = PRIOR.fractional_order

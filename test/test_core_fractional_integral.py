@@ -11,8 +11,9 @@ import tracemalloc
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.special import gamma
 
 from fden_ros.core.fractional_integral import (
@@ -78,7 +79,7 @@ def test_reference_itself_agrees_with_adaptive_quadrature():
     assert product_integral(order, times, values) == pytest.approx(float(exact), rel=1e-9)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@examples(200)
 @given(data=st.data(), order=orders, step_list=steps)
 def test_any_data_on_any_steps_equals_the_full_memory(data, order, step_list):
     times = np.concatenate([[0.0], np.cumsum(step_list)])
@@ -90,7 +91,7 @@ def test_any_data_on_any_steps_equals_the_full_memory(data, order, step_list):
     )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@examples(60)
 @given(exponent=st.floats(1.0, 4.0), order=orders, seed=st.integers(0, 2**32 - 1))
 def test_powers_follow_the_power_rule_within_the_interpolation_of_the_data(exponent, order, seed):
     # D^-b t^p = Gamma(p+1)/Gamma(p+1+b) t^(p+b).
@@ -159,7 +160,7 @@ def test_start_forgets_the_past():
         assert np.array_equal(integral.advance(step, value), fresh.advance(step, value))
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@examples(50)
 @given(data=st.data(), step_list=steps)
 def test_several_orders_at_once_are_what_each_is_alone(data, step_list):
     times = np.concatenate([[0.0], np.cumsum(step_list)])
@@ -172,7 +173,7 @@ def test_several_orders_at_once_are_what_each_is_alone(data, step_list):
         assert np.max(np.abs(together[:, column] - alone)) <= 1e-11 * scale
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@examples(50)
 @given(data=st.data(), step_list=steps, repeats=st.integers(1, 4))
 def test_samples_added_together_are_what_they_are_one_by_one(data, step_list, repeats):
     step_list = step_list * repeats
@@ -190,7 +191,7 @@ def test_samples_added_together_are_what_they_are_one_by_one(data, step_list, re
     assert not np.any(nothing)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@examples(50)
 @given(data=st.data(), step_list=steps, order=orders, gain=st.floats(-5.0, 5.0))
 def test_integral_is_linear(data, step_list, order, gain):
     times = np.concatenate([[0.0], np.cumsum(step_list)])
@@ -201,7 +202,7 @@ def test_integral_is_linear(data, step_list, order, gain):
     assert np.max(np.abs(combined - separate)) <= 1e-11 * scale
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@examples(100)
 @given(
     data=st.data(),
     step_list=steps,

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.special import gamma
 
 from fden_ros.core.model import apparent_stiffness_factor, elastic_response, exponential_scale
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True)
+steady = examples(100)
 
 stiffnesses = st.floats(1.0, 1e5)
 nonlinear_stiffnesses = st.floats(0.5, 50.0)
