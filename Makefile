@@ -31,7 +31,7 @@ test: lint
 	@$(ENV) python -m pytest $(PYTEST_ARGS)
 
 search: setup
-	@$(ENV) python scripts/search.py $(SEARCH_TIME)
+	@$(ENV) python test/search.py $(SEARCH_TIME)
 
 clean:
 	rm -rf .venv .venv-jazzy build install log demo *.egg-info
