@@ -20,6 +20,7 @@ from fden_ros.core.fractional_integral import (
     LONGEST_MEMORY,
     SHORTEST_STEP,
     FractionalIntegral,
+    _falling_rates,
     kernel_weights,
 )
 
@@ -314,3 +315,10 @@ def test_work_and_memory_per_sample_do_not_grow_with_the_history():
     assert max(sizes) - min(sizes) <= 32  # a float may pickle into a few bytes more
     # What one sample needs beside the state: far below 8 bytes a sample of history (16 kB).
     assert max(peaks) < 8_000
+
+
+def test_no_factor_of_the_recursion_is_near_where_numbers_are_flushed_to_zero() -> None:
+    # A library built with -ffast-math lets the whole process flush subnormal numbers to zero.
+    standing = -float(_falling_rates()[0]) * SHORTEST_STEP
+    assert standing > 1e200 * sys.float_info.min
+    assert math.exp(-standing * 1e18) == 1.0
