@@ -11,9 +11,10 @@ from typing import Any
 
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import RawMessage
-from fden_ros.recording.source import Selection, Sink, Source, open_source
+from fden_ros.recording.source import Selection, Source, open_source
 
 _LOGGER = logging.getLogger(__name__)
 

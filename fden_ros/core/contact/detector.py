@@ -66,7 +66,7 @@ class Onset(NamedTuple):
     samples: tuple[Pair, ...]  #: from just before the onset to the detection
     bias: float  #: of the force, already subtracted from the samples [N]
     bias_sd: float  #: its standard deviation [N]
-    drift: float  #: of the force in the air, where it can be told from none [N/s]
+    drift: float  #: of the force in the air, where it is significant [N/s]
     drift_sd: float  #: its standard deviation; 0 where there is no drift [N/s]
     noise_sd: float  #: of the force, per sample [N]
     displacement: float  #: at the onset, compliance removed [m]
@@ -126,7 +126,7 @@ class ContactDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything but what the configuration says."""
+        """Forget all samples, the baseline and the contact."""
         self.in_contact = False
         self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
         config = self._config

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 NANOSECONDS = 1_000_000_000
 
@@ -53,3 +53,22 @@ def lateral_distance(axis: Position, a: Position, b: Position) -> float:
     offset = [q - p for p, q in zip(a, b, strict=True)]
     along = sum(o * n for o, n in zip(offset, axis, strict=True))
     return math.dist(offset, [along * n for n in axis])
+
+
+class Sink(Protocol):
+    """Takes samples: a pipeline, or what stands before it."""
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        """Take a force sample [N]."""
+
+    def add_displacement(
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
+    ) -> None:
+        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
+
+    def reject(self, stream: str, reason: str) -> None:
+        """Count a sample that could not be read."""
