@@ -8,9 +8,8 @@ The names below are those to use from outside; each is imported when it is first
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
+#: As that of typing, without importing it: importing this package costs nothing.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from fden_ros.core.config import PipelineConfig
     from fden_ros.core.outputs import Classification, ContactSummary, Flag, Status, TissueState
@@ -29,9 +28,11 @@ __all__ = [
 _MODULES = {"Pipeline": "pipeline", "PipelineConfig": "config"}
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
     return getattr(importlib.import_module(f"{__name__}.{_MODULES.get(name, 'outputs')}"), name)
 
 
