@@ -18,10 +18,10 @@ import yaml
 
 from fden_ros.core.classification.decision import DecisionConfig
 from fden_ros.core.classification.relative import RelativeConfig
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import EstimatorConfig, Observation, Prior
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
-from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.errors import InputError

@@ -23,7 +23,12 @@ from fden_ros.simulation.trajectory import Palpation, RampHold
 RATE = 200.0
 #: What a number must come with so that no controller relies on it.
 WARNING_FLAGS = (
-    Flag.GAP | Flag.MODEL_MISMATCH | Flag.ORIGIN_UNCERTAIN | Flag.TISSUE_CHANGED | Flag.SATURATED
+    Flag.GAP
+    | Flag.MODEL_MISMATCH
+    | Flag.ORIGIN_UNCERTAIN
+    | Flag.TISSUE_CHANGED
+    | Flag.SATURATED
+    | Flag.ESTIMATION_FAILED
 )
 #: A number under a good status is wrong beyond so many standard deviations and so much of ln G.
 _DEVIATIONS, _SLACK = 5.0, 0.02
@@ -57,10 +62,16 @@ TISSUE = Tissue(640.0, 7.4, 0.131)
 
 
 @functools.cache
-def shift(seed: int = 3) -> Shift:
+def shift_recording(seed: int = 3) -> Recording:
     """Three sites, each pressed and held once."""
     press = RampHold(0.2, 0.26, 0.6)
-    recording = _recorded(seed, tuple(Site(TISSUE, (press,), (0.02 * k, 0.0)) for k in range(3)))
+    return _recorded(seed, tuple(Site(TISSUE, (press,), (0.02 * k, 0.0)) for k in range(3)))
+
+
+@functools.cache
+def shift(seed: int = 3) -> Shift:
+    """Return the samples of :func:`shift_recording`."""
+    recording = shift_recording(seed)
     return Shift(
         tuple(items_of(recording)),
         parameters_of(recording),

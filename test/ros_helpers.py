@@ -156,6 +156,11 @@ class Bench:
         status = self.diagnostics[-1].status[0]
         return {"message": status.message, **{v.key: v.value for v in status.values}}
 
+    def diagnostic_level(self) -> bytes:
+        """Return the level of the newest diagnostics."""
+        level: bytes = self.diagnostics[-1].status[0].level
+        return level
+
 
 @contextlib.contextmanager
 def identifier(
@@ -163,9 +168,13 @@ def identifier(
     *,
     file: Path | None = None,
     remap: Mapping[str, str] | None = None,
+    first: str = "",
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run the identifier in a process of its own; stop it at the end."""
+    """Run the identifier in a process of its own, `first` before it; stop it at the end."""
     command = [sys.executable, "-m", "fden_ros.nodes.identifier", "--ros-args"]
+    if first:
+        program = f"{first}\nfrom fden_ros.nodes.identifier import main\nraise SystemExit(main())"
+        command[1:3] = ["-c", program]
     if file is not None:
         command += ["--params-file", str(file)]
     for name, value in (parameters or {}).items():

@@ -74,6 +74,8 @@ class Row:
         What else the status may be in contact, until the probe is lifted.
     lies : int
         For so many blocks of 10 ms a number may be wrong before it is noticed: the table says it.
+    fails : int
+        How many exceptions the pipeline contained.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Row:
     also: Status = Status.CONVERGED
     lies: int = 0
     parameters: dict[str, object] = field(default_factory=dict)
+    fails: int = 0
 
 
 def within(shift_: Shift, item: Item, begin: float, end: float, streams: tuple[int, ...]) -> bool:
@@ -240,7 +243,18 @@ def clipped(limit: float) -> Callable[[Shift], list[Step]]:
     return each(lambda i: i._replace(value=min(i.value, limit)), 0.0, 12.0, (FORCE,))
 
 
-GAP, SATURATED = Flag.GAP, Flag.SATURATED
+def break_estimator(pipeline: Pipeline) -> None:
+    """Let the estimator of the site under the probe raise at its next block."""
+
+    def update(block: object) -> None:
+        raise ZeroDivisionError("on purpose")
+
+    assert pipeline._site is not None and pipeline._site._estimator is not None
+    pipeline._site._estimator.update = update  # type: ignore[method-assign, assignment]
+
+
+GAP, SATURATED, FAILED = Flag.GAP, Flag.SATURATED, Flag.ESTIMATION_FAILED
+UNKNOWN = Status.UNKNOWN
 BELOW, DRIFTS, JUMPED = "fell below", "drifts", "clock jumped back"
 
 ROWS = [
@@ -379,6 +393,8 @@ ROWS = [
         good_from=11.5,
     ),
     Row("contact_chatter", chatter(6.0), ("displacement.spike",), good_from=8.0),
+    # the computation
+    Row("estimator_raises", called(break_estimator, 9.8), flags=FAILED, fails=1, also=UNKNOWN),
     Row("reset_always", called(lambda p: p.reset(), *[0.1 * k for k in range(130)]), good_from=13),
 ]
 
@@ -394,6 +410,7 @@ def test_fault(row: Row, clean: Outcome) -> None:
     s = shift()
     outcome = outcome_of(row.samples(s), s.parameters | row.parameters)
     assert_sound(outcome.outputs)
+    assert outcome.pipeline.failure_count == row.fails, outcome.pipeline.failures
     assert len(lies_of(outcome.outputs, s.sites[0])) <= row.lies
     assert_counted(row, outcome)
     assert_true_status(row, s, outcome)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
@@ -160,6 +161,59 @@ def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on() -> None:
         one = Live(bench, process)
         one.wait_for_words("nothing publishes /clock")
         one.recovers()
+
+
+BROKEN = """
+from fden_ros.core.estimation.stress_estimator import StressEstimator as Estimator
+real, seen = Estimator.update, []
+
+def update(self, block):
+    seen.append(self)
+    if self is seen[0] and len(seen) > 20:
+        raise ZeroDivisionError("on purpose")
+    return real(self, block)
+
+Estimator.update = update
+"""
+
+
+@row("estimator_raises_live")
+def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_on() -> None:
+    parameters = {"autostart": True, "site.timeout": 1.0, **LOSSLESS}
+    with Bench() as bench, identifier(parameters, first=BROKEN) as process:
+        bench.wait_until_heard()
+        one = Live(bench, process)
+
+        def press() -> None:
+            one.stream(1.5)
+            one.stream(1.0, lambda t: 5e-3 * t)
+            one.stream(0.5)
+
+        press()
+        bench.wait_for(lambda: bench.summaries, "the summary of the failed contact")
+        failed = bench.summaries[0]
+        assert failed.flags & TissueEstimate.FLAG_ESTIMATION_FAILED
+        assert not failed.complete and not failed.converged
+        bench.wait_for(
+            lambda: "the estimation failed in contact 1" in bench.diagnostic().get("message", ""),
+            "the words in the diagnostics",
+        )
+        assert bench.diagnostic()["failures"] == "1"
+        assert bench.diagnostic_level() == DiagnosticStatus.ERROR
+        press()
+        bench.wait_for(lambda: len(bench.summaries) > 1, "the next site's summary")
+        after = bench.summaries[-1]
+        assert after.site_id == failed.site_id + 1 and after.complete
+        assert not after.flags & TissueEstimate.FLAG_ESTIMATION_FAILED
+        assert after.linear_stiffness > 0.0
+        bench.wait_for(
+            lambda: bench.diagnostic_level() != DiagnosticStatus.ERROR, "no error any more"
+        )
+        one.recovers()
+    assert process.returncode == 0
+    output = process.output  # type: ignore[attr-defined]
+    assert output.count("Traceback (most recent call last)") == 1
+    assert output.count("ZeroDivisionError: on purpose): what comes from this site") == 1
 
 
 @row("transitions_in_any_order")

@@ -7,8 +7,8 @@ import re
 
 import pytest
 
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
-from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.errors import InputError
 from fden_ros.parameters import (
     PARAMETERS,

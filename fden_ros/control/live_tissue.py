@@ -22,7 +22,12 @@ from fden_ros.core.streams.samples import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
 REFUSED_FLAGS = (
-    Flag.GAP | Flag.MODEL_MISMATCH | Flag.ORIGIN_UNCERTAIN | Flag.TISSUE_CHANGED | Flag.SATURATED
+    Flag.GAP
+    | Flag.MODEL_MISMATCH
+    | Flag.ORIGIN_UNCERTAIN
+    | Flag.TISSUE_CHANGED
+    | Flag.SATURATED
+    | Flag.ESTIMATION_FAILED
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import enum
+import math
+import traceback
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.special import digamma
+
 from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.complex_modulus import ComplexModulus
-from fden_ros.core.estimation.estimate import Estimate, Innovation
+from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Innovation
+from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
+
+#: alpha is learned when its standard deviation is below this share of its prior's.
+_LEARNED_SHARE = 0.5
 
 
 class Status(enum.IntEnum):
@@ -42,6 +53,7 @@ class Flag(enum.IntFlag):
     ORIGIN_UNCERTAIN = 8
     TISSUE_CHANGED = 16
     SATURATED = 32
+    ESTIMATION_FAILED = 64
 
 
 class OrderSource(enum.IntEnum):
@@ -51,15 +63,6 @@ class OrderSource(enum.IntEnum):
     GIVEN = 1
     PRIOR = 2
     LEARNED = 3
-
-
-class Decision(enum.IntEnum):
-    """What a :class:`Classification` has decided."""
-
-    NONE = 0
-    UNDETERMINED = 1
-    CLASS = 2
-    UNKNOWN = 3
 
 
 @dataclass(frozen=True)
@@ -95,14 +98,6 @@ class TissueState:
     signals: Signals | None = None
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
-
-
-@dataclass(frozen=True)
-class Decided:
-    """What it took to name the tissue, since the touch."""
-
-    time: float  #: [s]
-    strain: float  #: largest so far [1]
 
 
 @dataclass(frozen=True)
@@ -156,6 +151,24 @@ class DynamicModulus:
     modulus: ComplexModulus
 
 
+@dataclass(frozen=True)
+class Failure:
+    """An exception that ended a contact and its site."""
+
+    stamp_ns: int  #: of the newest sample
+    site_id: int  #: 0: there was none yet
+    contact_id: int  #: 0: in the air
+    reason: str  #: one line: kind and message
+    traceback: str
+
+    def __str__(self) -> str:
+        place = f"contact {self.contact_id} of site {self.site_id}" if self.contact_id else "air"
+        return (
+            f"the estimation failed in {place} ({self.reason}): what comes from this site is "
+            "not used"
+        )
+
+
 Output = TissueState | Classification | ContactSummary | DynamicModulus
 
 
@@ -172,4 +185,57 @@ def stale(state: TissueState) -> TissueState:
         innovation=None,
         apparent_stiffness=None,
         order_source=OrderSource.NONE,
+    )
+
+
+def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSource:
+    """Return where the alpha of an estimate comes from."""
+    if estimate is None:
+        return OrderSource.NONE
+    if config.order_given:
+        return OrderSource.GIVEN
+    variance = float(estimate.covariance[2, 2])
+    is_learned = variance < (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
+    return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
+
+
+def apparent_stiffness(
+    estimate: Estimate, geometry: Geometry, compression: float, time_scale: float
+) -> ApparentStiffness:
+    """Return the stiffness for a small motion about `compression` [1] that lasts `time_scale` [s].
+
+    `compression` counts from the estimate's strain origin.
+    """
+    order = estimate.fractional_order
+    nonlinear_stiffness = math.exp(estimate.log_nonlinear_stiffness)
+    strain = geometry.strain(compression)
+    response = elastic_response(
+        strain, math.exp(estimate.log_linear_stiffness), nonlinear_stiffness
+    )
+    value = (
+        response.by_strain
+        * geometry.strain_slope(compression)
+        * apparent_stiffness_factor(order, time_scale)
+        / (geometry.stress_per_force * geometry.length)
+    )
+    beyond = max(nonlinear_stiffness * abs(strain), 1.0)
+    gradient = np.array(
+        [
+            1.0,
+            beyond if beyond > 1.0 else 0.0,
+            -math.log(time_scale) + float(digamma(1.0 - order)),
+        ]
+    )
+    sd = value * math.sqrt(max(float(gradient @ estimate.covariance @ gradient), 0.0))
+    return ApparentStiffness(value, sd, time_scale)
+
+
+def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:
+    """Return an exception as a :class:`Failure`."""
+    return Failure(
+        stamp_ns=stamp_ns,
+        site_id=site_id,
+        contact_id=contact_id,
+        reason=" ".join("".join(traceback.format_exception_only(error)).split()),
+        traceback="".join(traceback.format_exception(error)).strip(),
     )

@@ -138,6 +138,7 @@ class Identifier(LifecycleNode):
         self._last_state: TissueState | None = None
         self._last_input = self._steady.now()
         self._seen_pairs = 0
+        self._seen_failures = 0
         self._is_stale = False
         self._made: list[Callable[[], object]] = []
         self._subscriptions_made: list[Subscription] = []
@@ -281,6 +282,7 @@ class Identifier(LifecycleNode):
         self._last_state = None
         self._is_stale = False
         self._seen_pairs = 0
+        self._seen_failures = 0
         self._last_input = self._steady.now()
         self._active = True
         self._backlog = Backlog()
@@ -360,6 +362,7 @@ class Identifier(LifecycleNode):
             return
         assert self._pipeline is not None
         self._pipeline.finish()
+        self._log_failures()
         self._stop_listening()
 
     def _release(self) -> None:
@@ -402,7 +405,17 @@ class Identifier(LifecycleNode):
         with self._lock:
             if self._active and self._backlog.waiting:
                 self._backlog.work()
+            self._log_failures()
             self._tell_stale()
+
+    def _log_failures(self) -> None:
+        pipeline = self._pipeline
+        if pipeline is None or pipeline.failure_count == self._seen_failures:
+            return
+        new = pipeline.failure_count - self._seen_failures
+        self._seen_failures = pipeline.failure_count
+        for failure in list(pipeline.failures)[-new:]:
+            self.get_logger().error(f"{failure}\n{failure.traceback}")
 
     def _tell_stale(self) -> None:
         pipeline = self._pipeline

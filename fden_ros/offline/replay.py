@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.outputs import ContactSummary, Flag, Output
+from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import RawMessage
-from fden_ros.recording.source import Selection, Sink, Source, open_source
+from fden_ros.recording.source import Selection, Source, open_source
+
+_LOGGER = logging.getLogger(__name__)
 
 #: A progress bar is told of this many messages at once.
 _PROGRESS_STEP = 500
@@ -27,6 +31,7 @@ class Replay:
     warnings: tuple[str, ...]
     summaries: tuple[ContactSummary, ...]
     inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
+    failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
 
 
 def replay(
@@ -89,12 +94,15 @@ def replay(
             if done % _PROGRESS_STEP == 0:
                 show(done)
     pipeline.finish()
+    for failure in pipeline.failures:
+        _LOGGER.error("%s\n%s", failure, failure.traceback)
     return Replay(
         samples=pipeline.pair_count,
         rejected=dict(sorted(pipeline.rejected.items())),
         warnings=(*source.warnings, *_warnings(pipeline, summaries)),
         summaries=tuple(summaries),
         inputs=source.inputs,
+        failures=tuple(pipeline.failures),
     )
 
 
@@ -122,6 +130,7 @@ class _progress_bar:  # noqa: N801 - used as a function
 
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in pipeline.warnings.items()]
+    warnings += map(str, pipeline.failures)
     rejected = pipeline.rejected.total()
     if rejected:
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from fden_ros.core.streams.samples import Position, Reason
+from fden_ros.core.streams.samples import Position, Reason, Sink
 from fden_ros.errors import InputError
 from fden_ros.parameters import unit_vector
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
@@ -19,25 +19,6 @@ from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.messages import Inputs, stamp_ns
 
 DAMAGED = "damaged"
-
-
-class Sink(Protocol):
-    """Where samples go: a pipeline, or something that stands before it."""
-
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        """Take a force sample [N]."""
-
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-    ) -> None:
-        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
-
-    def reject(self, stream: str, reason: str) -> None:
-        """Count a sample that could not be read."""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from scipy.stats import chi2
 from fden_ros.core.estimation.estimate import Innovation
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
-from fden_ros.core.streams.samples import NANOSECONDS, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import pipeline_config
 from fden_ros.recording.reader import BagReader
-from fden_ros.recording.source import Selection, Sink
+from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import read_truth
 
 Array = NDArray[np.float64]
@@ -384,6 +384,8 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         yield "The tissue changed within the contact, and was learned anew."
     if summary.flags & Flag.SATURATED:
         yield "A sensor was at its limit."
+    if summary.flags & Flag.ESTIMATION_FAILED:
+        yield "The computation failed at this site: there is no estimate until the next one."
     if summary.rejected_count:
         yield f"{summary.rejected_count} samples were rejected during the contact."
     if estimate is None:

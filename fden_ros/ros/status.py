@@ -113,6 +113,8 @@ class Diagnostics:
 
     def _problems(self, pipeline: Pipeline) -> list[str]:
         problems = list(self._incompatible.values())
+        if pipeline.is_failed:
+            problems.append(str(pipeline.failures[-1]))
         for subscription in self._subscriptions:
             problems += self._publisher_problems(subscription)
         if pipeline.pair_count == self._pairs_before:
@@ -167,6 +169,8 @@ def diagnostic_status(
     status.name = f"{node_name.lstrip('/')}: tissue identification"
     status.hardware_id = ""
     status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
+    if pipeline.is_failed:
+        status.level = DiagnosticStatus.ERROR
     status.message = "; ".join(problems) or "identifying"
     for key, value in {**_values(pipeline, pairs_before), **(more or {})}.items():
         status.values.append(KeyValue(key=key, value=str(value)))
@@ -180,6 +184,7 @@ def _values(pipeline: Pipeline, pairs_before: int) -> dict[str, Any]:
         "contacts": pipeline.contact_count,
         "sites": pipeline.site_count,
         "rejected": pipeline.rejected.total(),
+        "failures": pipeline.failure_count,
     }
     values.update({f"rejected.{k}": n for k, n in sorted(pipeline.rejected.items())})
     values.update(sorted(pipeline.warnings.items()))

@@ -252,6 +252,7 @@ class FractionalStressEstimator:
         joint[:2, :2] = covariance[:2, :2]
         joint[:2, 2] = joint[2, :2] = sensitivity[:2] * order_variance
         joint[2, 2] = order_variance
+        joint = _positive(joint)
         beyond = self._probability_beyond_boundary(weights, means, covariances)
         config = self._config
         return Estimate(
@@ -260,7 +261,7 @@ class FractionalStressEstimator:
             fractional_order=prior.fractional_order,
             covariance=joint,
             strain_origin=float(mean[_ORIGIN]),
-            strain_origin_sd=math.sqrt(covariance[_ORIGIN, _ORIGIN]),
+            strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
             converged=beyond >= config.converged_probability
             and math.sqrt(joint[1, 1]) <= config.converged_log_sd,
@@ -284,6 +285,16 @@ class FractionalStressEstimator:
                 deviation = math.sqrt(covariance[_LOG_GN, _LOG_GN]) + _TINY_DEVIATION
                 total += weight * float(ndtr((math.log(strain) + mean[_LOG_GN]) / deviation))
         return float(min(total, 1.0))
+
+
+def _positive(covariance: Array) -> Array:
+    """Return the nearest positive semidefinite matrix: rounding may have made it indefinite."""
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] >= 0.0:
+        return covariance
+    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    result: Array = 0.5 * (nearest + nearest.T)
+    return result
 
 
 def _keep_positive(kalman: ExtendedKalmanFilter, jacobian: Array) -> None:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,9 +69,16 @@ _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
 #: Below this standard deviation of ln Gn the posterior is normal and narrower than the nodes'
 #: distance; above the other one it is not.
 _NARROW, _WIDE = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
-#: A step changes no parameter by more than this.
+#: A step changes ln G, ln Gn, alpha and origin by no more than this, and a nuisance by no more
+#: than its reach. (A step solved for all together, of which only some are cut short, is too long
+#: for the others: without a bound of their own they run away.)
 _LONGEST_STEP = np.array([1.0, 0.3, 0.05, 0.02, np.inf, np.inf, np.inf])
+#: Origin and nuisances stay within this many prior deviations: in the golden bags no node of ln
+#: Gn, however unlikely, asks for more than 25.
+_REACH_DEVIATIONS = 100.0
 _MOST_STEPS, _MOST_NODE_STEPS = 10, 3
+#: The nodes are given that many steps again where they have not converged.
+_MOST_ROUNDS = 4
 #: The posterior is solved for anew after so many blocks; when it is narrow, a plain extended
 #: Kalman filter goes on from there in between.
 _WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
@@ -78,9 +86,12 @@ _WIDE_BLOCKS, _NARROW_BLOCKS = 4, 10
 _MOST_PENDING = 32
 #: Steps end when the last one lowered minus twice the log-posterior by less than this.
 _CLOSE = 0.01
+#: A solution whose last step lowered it by more than this has not converged: it is not believed.
+#: (Good data end below 0.01.)
+_FAR = 1.0
 #: A node of less weight does not count there.
 _LEAST_WEIGHT = 1e-6
-_TINY = 1e-12
+_TINY_DEVIATION = 1e-12
 #: Eigenvalues of a scaled Hessian below this are rounding.
 _SINGULAR = 1e-11
 #: ln G of a state that runs away stops so far from its prior.
@@ -102,6 +113,15 @@ _SHORTEST_PULSE, _PULSE_SHARE = 0.002, 2.0
 _BLIND_TIME = 0.1
 #: A tissue that changes oftener is none that the model describes.
 _MOST_CHANGES = 2
+
+
+class _Steps(NamedTuple):
+    """Gauss-Newton steps from n states."""
+
+    steps: Array  #: shape (n, 7); 0 where there is no solution
+    inverses: Array  #: of the Hessians, shape (n, free, free)
+    log_determinants: Array  #: of the Hessians, shape (n,)
+    decrements: Array  #: of minus twice the log-posterior, shape (n,); infinite without a solution
 
 
 class StressEstimator:
@@ -174,6 +194,7 @@ class StressEstimator:
         self._node_states = np.tile(self._mean, (nodes, 1))
         self._node_states[:, _LOG_GN] = self._grid.nodes
         self._is_narrow = False
+        self._is_settled = True
         self._blocks_since_solved = 0
         self._node_weights = np.exp(
             -0.5 * ((self._grid.nodes - self._mean[_LOG_GN]) / (deviations[_LOG_GN] or 1.0)) ** 2
@@ -194,7 +215,11 @@ class StressEstimator:
     @property
     def is_doubtful(self) -> bool:
         """Whether something came of late that is not explained yet."""
-        return self._doubtful_blocks > 0 or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
+        return (
+            self._doubtful_blocks > 0
+            or not self._is_settled
+            or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
+        )
 
     @property
     def is_mismatch(self) -> bool:
@@ -234,7 +259,13 @@ class StressEstimator:
         self._basis.discard_block()
 
     def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction."""
+        """Take one block; return how it compared with the prediction.
+
+        Raises
+        ------
+        FloatingPointError
+            If the block's response is beyond floating-point numbers.
+        """
         law, free, pulse = self._basis.take_block()
         if self._contact_start is None:
             self._contact_start = block.memory_time
@@ -243,6 +274,11 @@ class StressEstimator:
         columns = np.concatenate([free, [1.0, elapsed, float(in_order @ pulse), block.stress]])
         noise = self._noise_variance / block.size + self._noise_of_motion(block)
         innovation, jacobian = self._innovation(law, columns, block, noise)
+        if not (noise > 0.0 and np.all(np.isfinite((noise, *innovation, *jacobian)))):
+            raise FloatingPointError(
+                f"the response to a compression of {block.compression:g} and a stress of "
+                f"{block.stress:g} Pa is not finite"
+            )
         self._doubtful_blocks = max(self._doubtful_blocks - 1, 0)
         if innovation.normalized_squared > _SURPRISING**2:
             self._doubtful_blocks = _DOUBTFUL_BLOCKS
@@ -267,11 +303,14 @@ class StressEstimator:
         if self._config.order_given:
             # Schmidt's filter: what is not learned keeps its deviation.
             gain[_ORDER] = 0.0
-        step = np.clip(gain * innovation.innovation, -_LONGEST_STEP, _LONGEST_STEP)
-        self._state = self._bounded(self._state + step)
+        longest = self._longest_step
+        step = np.clip(gain * innovation.innovation, -longest, longest)
         # Joseph's form: positive whatever the rounding.
         kept = np.eye(_SIZE) - np.outer(gain, jacobian)
-        self._covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
+        covariance = kept @ self._covariance @ kept.T + noise * np.outer(gain, gain)
+        if np.all(np.isfinite(step)) and np.all(np.isfinite(covariance)):
+            self._state = self._bounded(self._state + step)
+            self._covariance = covariance
 
     def _noise_of_motion(self, block: Block) -> float:
         """Variance that the motion gives to a block's mean stress [Pa^2]."""
@@ -471,23 +510,26 @@ class StressEstimator:
 
     def _solve_narrow(self) -> None:
         free = self._free
-        state, least = self._state, math.inf
+        state, least, remaining = self._state, math.inf, math.inf
         for _ in range(_MOST_STEPS):
             first, directions = self._directions(state)
             quadratic = directions @ self._stencil_products(first) @ directions.T
-            step, hessian = self._step(state[None], quadratic[None], free)
-            decrement = float(_decrement(step, hessian, free)[0])
+            solved = self._step(state[None], quadratic[None], free)
+            decrement = float(solved.decrements[0])
+            if not math.isfinite(decrement):
+                break
             misfit = float(quadratic[0, 0] + self._distance_to_prior(state, free))
             # Where the model is wrong the steps may run in circles: the best of them counts.
             if misfit < least:
                 least, remaining = misfit, decrement
                 self._state = state
-                self._covariance = self._covariances(hessian, quadratic[None], free)[0]
-            state = self._bounded(state + step[0])
+                self._covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
+            state = self._bounded(state + solved.steps[0])
             if decrement <= _CLOSE:
                 self._state = state
                 break
-        if remaining > 1.0 or self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
+        self._is_settled = remaining <= _FAR
+        if not self._is_settled or self._covariance[_LOG_GN, _LOG_GN] > _WIDE**2:
             self._is_narrow = False
             nodes = self._grid.nodes
             self._node_states[:] = self._state
@@ -499,30 +541,49 @@ class StressEstimator:
         distance: Array = np.sum(deviation**2, axis=-1)
         return distance
 
-    def _step(self, states: Array, quadratics: Array, free: Indices) -> tuple[Array, Array]:
-        """Return Gauss-Newton steps, shape (n, 6), and Hessians, shape (n, free, free)."""
+    def _step(self, states: Array, quadratics: Array, free: Indices) -> _Steps:
+        """Return Gauss-Newton steps; none where the Hessian is not finite."""
         precision = self._prior_deviations[free] ** -2.0
-        hessian = quadratics[:, 1 + free[:, None], 1 + free] + np.diag(precision)
-        gradient = quadratics[:, 0, 1 + free] + precision * (states - self._mean)[:, free]
+        hessians = quadratics[:, 1 + free[:, None], 1 + free] + np.diag(precision)
+        gradients = quadratics[:, 0, 1 + free] + precision * (states - self._mean)[:, free]
+        inverses, log_determinants = _inverse(hessians, precision)
+        longest = self._longest_step[free]
+        wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
+        is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
+        moved = np.where(is_solved[:, None], np.clip(wanted, -longest, longest), 0.0)
         steps = np.zeros_like(states)
-        steps[:, free] = -(_inverse(hessian) @ gradient[:, :, None])[:, :, 0]
-        return np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP), hessian
+        steps[:, free] = moved
+        decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
+        decrements[~is_solved] = math.inf
+        return _Steps(steps, inverses, log_determinants, decrements)
+
+    @property
+    def _reach(self) -> Array:
+        """How far origin and nuisances may be from their prior, shape (4,)."""
+        return _REACH_DEVIATIONS * self._prior_deviations[_ORIGIN:]
+
+    @property
+    def _longest_step(self) -> Array:
+        longest = _LONGEST_STEP.copy()
+        longest[_BIAS:] = self._reach[_BIAS - _ORIGIN :]
+        return longest
 
     def _bounded(self, state: Array) -> Array:
         around = self._mean[_LOG_G]
         state[..., _LOG_G] = np.clip(state[..., _LOG_G], around - _LOG_REACH, around + _LOG_REACH)
         state[..., _ORDER] = np.clip(state[..., _ORDER], LOWEST_ORDER, HIGHEST_ORDER)
         state[..., _LOG_GN] = np.clip(state[..., _LOG_GN], self._grid.lowest, self._grid.highest)
+        others, reach = self._mean[_ORIGIN:], self._reach
+        state[..., _ORIGIN:] = np.clip(state[..., _ORIGIN:], others - reach, others + reach)
         return state
 
-    def _covariances(self, hessians: Array, quadratics: Array, free: Indices) -> Array:
-        """Return the covariances of all parameters, shape (n, 6, 6)."""
-        inverses = _inverse(hessians)
-        covariances = np.zeros((hessians.shape[0], _SIZE, _SIZE))
+    def _covariances(self, inverses: Array, quadratics: Array, free: Indices) -> Array:
+        """Return the covariances of all parameters, shape (n, 7, 7)."""
+        covariances = np.zeros((inverses.shape[0], _SIZE, _SIZE))
         covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
         if self._config.order_given:
             # What the given order's own uncertainty does (consider analysis).
-            sensitivity = np.zeros((hessians.shape[0], _SIZE))
+            sensitivity = np.zeros((inverses.shape[0], _SIZE))
             coupling = quadratics[:, 1 + free, 1 + _ORDER]
             sensitivity[:, free] = -(inverses @ coupling[:, :, None])[:, :, 0]
             sensitivity[:, _ORDER] = self._prior_deviations[_ORDER]
@@ -534,34 +595,57 @@ class StressEstimator:
         """Solve at every node of ln Gn, and take the moments of all."""
         free = self._free
         free = free[free != _LOG_GN]
-        states = self._node_states
-        quadratics = self._node_quadratics(states)
-        for _ in range(_MOST_NODE_STEPS):
-            steps, hessians = self._step(states, quadratics, free)
-            states = self._node_states = self._bounded_nodes(states + steps)
-            quadratics = self._node_quadratics(states)
-            close = _decrement(steps, hessians, free) <= _CLOSE
-            if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
+        for _ in range(_MOST_ROUNDS):
+            solved, quadratics = self._approach(free)
+            weights = self._weights(solved, quadratics, free)
+            likely = weights > _LEAST_WEIGHT
+            remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
+            self._is_settled = bool(remaining <= _FAR)
+            if self._is_settled:
                 break
-        log_evidence = -0.5 * (
-            quadratics[:, 0, 0]
-            + self._distance_to_prior(states, free)
-            + np.linalg.slogdet(hessians)[1]
-            + ((self._grid.nodes - self._mean[_LOG_GN]) / self._prior_deviations[_LOG_GN]) ** 2
-        )
-        weights = np.exp(log_evidence - log_evidence.max())
-        weights /= weights.sum()
+        if not self._is_settled:
+            # The nodes go on from where they are at the next solution.
+            return
+        states = self._node_states
         self._node_weights = weights
         self._state = np.where(self._prior_deviations > 0.0, weights @ states, self._mean)
         if self._config.order_given:
             self._state[_ORDER] = self._mean[_ORDER]
         centred = states - self._state
         covariance = (weights[:, None] * centred).T @ centred
-        likely = weights > _LEAST_WEIGHT
-        own = self._covariances(hessians[likely], quadratics[likely], free)
+        own = self._covariances(solved.inverses[likely], quadratics[likely], free)
         covariance += np.tensordot(weights[likely], own, 1)
         self._covariance = covariance
         self._is_narrow = bool(covariance[_LOG_GN, _LOG_GN] < _NARROW**2)
+
+    def _approach(self, free: Indices) -> tuple[_Steps, Array]:
+        """Take a few steps at every node; return the last ones and the products where they led."""
+        states = self._node_states
+        quadratics = self._node_quadratics(states)
+        for _ in range(_MOST_NODE_STEPS):
+            solved = self._step(states, quadratics, free)
+            states = self._node_states = self._bounded_nodes(states + solved.steps)
+            quadratics = self._node_quadratics(states)
+            close = solved.decrements <= _CLOSE
+            if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
+                break
+        return solved, quadratics
+
+    def _weights(self, solved: _Steps, quadratics: Array, free: Indices) -> Array:
+        """Return the nodes' weights by their evidence; 0 for one without a solution."""
+        log_evidence = -0.5 * (
+            quadratics[:, 0, 0]
+            + self._distance_to_prior(self._node_states, free)
+            + solved.log_determinants
+            + ((self._grid.nodes - self._mean[_LOG_GN]) / self._prior_deviations[_LOG_GN]) ** 2
+        )
+        is_solved = np.isfinite(log_evidence) & np.isfinite(solved.decrements)
+        if not np.any(is_solved):
+            return np.zeros_like(log_evidence)
+        weights: Array = np.zeros_like(log_evidence)
+        weights[is_solved] = np.exp(log_evidence[is_solved] - log_evidence[is_solved].max())
+        weights /= weights.sum()
+        return weights
 
     def _bounded_nodes(self, states: Array) -> Array:
         states = self._bounded(states)
@@ -636,7 +720,8 @@ class StressEstimator:
             strain_origin=float(self._state[_ORIGIN]),
             strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            converged=beyond >= config.converged_probability
+            converged=self._is_settled
+            and beyond >= config.converged_probability
             and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
             sample_count=self._sample_count,
         )
@@ -647,29 +732,44 @@ class StressEstimator:
             return 0.0
         strain = self._geometry.strain(compression)
         if self._is_narrow:
-            deviation = math.sqrt(self._covariance[_LOG_GN, _LOG_GN]) + _TINY
+            deviation = math.sqrt(self._covariance[_LOG_GN, _LOG_GN]) + _TINY_DEVIATION
             return float(ndtr((math.log(strain) + self._state[_LOG_GN]) / deviation))
         beyond = ndtr((math.log(strain) + self._grid.nodes) / (0.5 * LOG_SPACING))
         return float(min(self._node_weights @ beyond, 1.0))
 
 
-def _inverse(matrices: Array) -> Array:
-    """Return the inverses of matrices that rounding may have robbed of being positive definite."""
-    scale = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), _TINY) ** -0.5
+def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
+    """Return inverses and logarithms of determinants of positive definite matrices.
+
+    Of matrices, that is, which rounding may have robbed of being so.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (n, k, k)
+    least : ndarray, shape (k,)
+        What each diagonal element is at least, but for rounding: its scale.
+
+    Returns
+    -------
+    ndarray, shape (n, k, k)
+        NaN where the matrix is not finite.
+    ndarray, shape (n,)
+        NaN there too.
+    """
+    diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
+    scale = diagonal**-0.5
     scaled = matrices * scale[:, :, None] * scale[:, None, :]
+    is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
+    if not np.all(is_finite):
+        scaled[~is_finite] = np.eye(least.size)
     values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, _SINGULAR)
     vectors *= scale[:, :, None]
-    result: Array = (vectors / np.maximum(values, _SINGULAR)[:, None, :]) @ vectors.transpose(
-        0, 2, 1
-    )
-    return result
-
-
-def _decrement(steps: Array, hessians: Array, free: Indices) -> Array:
-    """Return by how much each step lowers minus twice the log-posterior, shape (n,)."""
-    moved = steps[:, free]
-    decrement: Array = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
-    return decrement
+    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+    log_determinants: Array = np.sum(np.log(values) + np.log(diagonal), axis=1)
+    inverses[~is_finite] = math.nan
+    log_determinants[~is_finite] = math.nan
+    return inverses, log_determinants
 
 
 def _outer(a: Array, b: Array) -> Array:
