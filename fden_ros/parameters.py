@@ -626,7 +626,7 @@ def pipeline_config(values: Mapping[str, Any]) -> PipelineConfig:
         estimator=EstimatorConfig(
             prior=prior,
             observation=Observation(values["estimator.observation"]),
-            order_given=given,
+            fractional_order_given=given,
             converged_log_sd=values["converged.log_sd"],
             converged_probability=values["converged.probability"],
         ),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from property_helpers import examples
 from scipy.special import gamma
 
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig, Prior
-from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
+from fden_ros.core.estimation.estimate import EstimatorConfig, Prior
+from fden_ros.core.estimation.fractional_stress_estimator import FractionalBlock, GaussianSum
 from fden_ros.core.law.geometry import PassThrough, Sphere
 
 #: No test depends on the time it takes, nor on chance.
@@ -45,7 +45,7 @@ def ramp_blocks(
         u = max_strain * n / count
         value = float(phi(u - origin, G, Gn)) + bias * time**ORDER / gamma(1 + ORDER)
         value += noise_sd(time, sigma, size) * rng.standard_normal()
-        blocks.append(Block(u, 0.0, value, 0.0, time, size))
+        blocks.append(FractionalBlock(u, value, 0.0, time, size))
     return blocks
 
 
@@ -56,10 +56,8 @@ def fed(estimator, blocks):
 
 
 def estimator_of(prior=PRIOR, geometry=None, sigma=3.0, bias_sd=0.0, origin_sd=0.0):
-    estimator = FractionalStressEstimator(
-        EstimatorConfig(prior), geometry or PassThrough(), sigma, origin_sd
-    )
-    estimator.begin_contact(bias_sd, 0.0)
+    estimator = GaussianSum(EstimatorConfig(prior), geometry or PassThrough(), sigma, origin_sd)
+    estimator.begin_contact(bias_sd)
     return estimator
 
 
@@ -130,7 +128,7 @@ def test_covariance_is_positive_whatever_the_blocks(rows, bias_sd, origin_sd, sp
     )
     estimator = estimator_of(prior, bias_sd=bias_sd, origin_sd=origin_sd)
     for n, (u, stress, by_order, size) in enumerate(rows, start=1):
-        innovation = estimator.update(Block(u, 0.0, stress, 1e3 * by_order, 0.01 * n, size))
+        innovation = estimator.update(FractionalBlock(u, stress, 1e3 * by_order, 0.01 * n, size))
         assert innovation.variance > 0.0
     estimate = estimator.estimate()
     assert np.all(np.isfinite(estimate.covariance))

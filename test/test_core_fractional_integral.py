@@ -16,13 +16,8 @@ from hypothesis import strategies as st
 from property_helpers import examples
 from scipy.special import gamma
 
-from fden_ros.core.law.fractional_integral import (
-    LONGEST_MEMORY,
-    SHORTEST_STEP,
-    FractionalIntegral,
-    _falling_rates,
-    kernel_weights,
-)
+from fden_ros.core.law.fractional_integral import FractionalIntegral, _falling_rates
+from fden_ros.core.law.kernel import LONGEST_MEMORY, SHORTEST_STEP, kernel_weights
 
 ORDERS = (0.02, 0.131, 0.25, 0.32, 0.5, 0.6)
 
@@ -263,7 +258,7 @@ def test_millisecond_noise_of_a_minute_equals_the_full_memory():
 
 @pytest.mark.parametrize("order", [*ORDERS, 1.0])
 def test_sum_of_exponentials_is_the_kernel_to_1e_10(order):
-    from fden_ros.core.law.fractional_integral import relaxation_rates
+    from fden_ros.core.law.kernel import relaxation_rates
 
     times = np.geomspace(SHORTEST_STEP, LONGEST_MEMORY, 4321)
     kernel = times ** (order - 1.0) / gamma(order)

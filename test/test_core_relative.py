@@ -11,14 +11,13 @@ from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from fden_ros.core.classification.classifier import likelihood_of
 from fden_ros.core.classification.relative import (
     LEAST_SURROUNDINGS,
-    LogStiffness,
     compare,
-    log_stiffness,
     neighbours,
     stack,
     without_prior,
 )
 from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import Classification as Answer
 from fden_ros.core.outputs import Decision

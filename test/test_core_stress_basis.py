@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from fden_ros.core.law.geometry import PassThrough
-from fden_ros.core.law.stress_response import (
+from fden_ros.core.law.interpolation import LogStiffnessGrid
+from fden_ros.core.law.kernel import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
-    LogStiffnessGrid,
-    StressBasis,
     order_interpolation,
     order_nodes,
 )
+from fden_ros.core.law.stress_response import StressBasis
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 
 GRID = LogStiffnessGrid(np.log(8.4), 0.8)

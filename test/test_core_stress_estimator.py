@@ -23,6 +23,7 @@ from fden_ros.simulation.trajectory import Palpation, Ramp
 
 RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
 ORDER, ORDER_SD = 0.2, 0.05
+NO_INTEGRALS = np.zeros(0)
 
 
 def drawn(rng):
@@ -34,9 +35,11 @@ def drawn(rng):
     )
 
 
-def estimator_of(order_given=False, order=ORDER, order_sd=ORDER_SD, origin_sd=0.0, bias_sd=0.0):
+def estimator_of(
+    fractional_order_given=False, order=ORDER, order_sd=ORDER_SD, origin_sd=0.0, bias_sd=0.0
+):
     prior = Prior(fractional_order=order, fractional_order_sd=order_sd)
-    config = EstimatorConfig(prior, order_given=order_given)
+    config = EstimatorConfig(prior, fractional_order_given=fractional_order_given)
     estimator = StressEstimator(config, PassThrough(), NOISE, origin_sd)
     estimator.begin_contact(bias_sd, 0.0)
     return estimator
@@ -54,14 +57,13 @@ def fed(estimator, motion, stress):
             Block(
                 float(motion[block].mean()),
                 float(stress[block].mean()),
-                0.0,
-                0.0,
                 time,
                 PER_BLOCK,
                 PER_BLOCK * step,
+                NO_INTEGRALS,
             )
         )
-        estimator.settle()
+        estimator.relinearise()
     return estimator.is_mismatch
 
 
@@ -100,7 +102,7 @@ def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors()
         stress += bias + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of(origin_sd=0.002, bias_sd=0.3)
         alarms += fed(estimator, motion + origin, stress) or estimator.change_count > 0
-        estimator.settle(fully=True)
+        estimator.relinearise(fully=True)
         estimate = estimator.estimate()
         assert estimate.converged
         error = error_of(estimate, truth)
@@ -122,7 +124,7 @@ def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges(
         stress = exact_stress(time, rate, top, FdenModel(*truth))
         estimator = estimator_of()
         fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-        estimator.settle(fully=True)
+        estimator.relinearise(fully=True)
         estimate = estimator.estimate()
         assert not estimate.converged
         error = np.abs(error_of(estimate, truth))
@@ -139,9 +141,9 @@ def test_given_order_that_is_one_deviation_wrong_stays_within_the_interval():
         truth = (g, gn, 0.131)
         time, motion, rate, top = ramp_and_hold(hold=0.0)
         stress = exact_stress(time, rate, top, FdenModel(*truth))
-        estimator = estimator_of(order_given=True, order=0.142, order_sd=0.011)
+        estimator = estimator_of(fractional_order_given=True, order=0.142, order_sd=0.011)
         fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-        estimator.settle(fully=True)
+        estimator.relinearise(fully=True)
         estimate = estimator.estimate()
         assert estimate.fractional_order == 0.142
         error = np.abs(error_of(estimate, truth))[:2]
@@ -169,7 +171,7 @@ def test_step_of_stiffness_within_a_contact_is_followed_and_said(ratio):
         stress = fractional_derivative(phi, ORDER) + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of()
         mismatch = fed(estimator, motion, stress)
-        estimator.settle(fully=True)
+        estimator.relinearise(fully=True)
         estimate = estimator.estimate()
         assert 1 <= estimator.change_count <= 2
         assert not mismatch
@@ -189,7 +191,7 @@ def test_wrong_model_is_told_and_does_not_converge_on_a_narrow_lie(kind):
         stress = 6000.0 * motion**1.8 * (1.0 + velocity)
     estimator = estimator_of()
     assert fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-    estimator.settle(fully=True)
+    estimator.relinearise(fully=True)
     estimate = estimator.estimate()
     assert not estimate.converged
     # The parameters of a wrong model are known no better than before the touch.

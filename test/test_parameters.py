@@ -230,7 +230,7 @@ def test_given_order_and_origin_reach_the_estimator():
             }
         )
     )
-    assert config.estimator.order_given
+    assert config.estimator.fractional_order_given
     assert config.estimator.prior.fractional_order == 0.3
     assert config.estimator.prior.fractional_order_sd == 0.02
     assert config.strain_origin == -0.1

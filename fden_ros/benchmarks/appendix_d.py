@@ -23,21 +23,10 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
 from fden_ros.core.estimation.estimate import Prior
-from fden_ros.core.law.fractional_integral import FractionalIntegral
 
 Array = NDArray[np.float64]
 
 _START = 3
-
-
-def fractional_stress(times: Array, stress: Array, order: float) -> Array:
-    """Return f' = D^-alpha f [Pa s^alpha] at each sample of a contact, shape (n,)."""
-    integral = FractionalIntegral((order,))
-    integral.start(float(stress[0]))
-    values = np.zeros_like(stress)
-    for index, step in enumerate(np.diff(times), start=1):
-        values[index] = integral.advance(float(step), float(stress[index]))[0]
-    return values
 
 
 def identify(

@@ -30,7 +30,8 @@ from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.law.stress_response import StressBasis, order_nodes
+from fden_ros.core.law.kernel import order_nodes
+from fden_ros.core.law.stress_response import StressBasis
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Pair
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer

@@ -19,12 +19,11 @@ from fden_ros.benchmarks.populations import (
 from fden_ros.core.classification.classifier import Likelihood, likelihood_of_estimate
 from fden_ros.core.classification.relative import (
     Comparison,
-    LogStiffness,
     compare,
-    log_stiffness,
     neighbours,
     without_prior,
 )
+from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,6 @@ from fden_ros.core.classification.classifier import (
     TissueLibrary,
     likelihood_of_estimate,
     log_evidence,
-    mean_of,
     posterior,
 )
 from fden_ros.core.estimation.estimate import Estimate, Prior
@@ -308,7 +307,7 @@ def stacked(pressed: Sequence[Pressed]) -> tuple[Indices, Array, Likelihood]:
         np.array([one.truth for one in used], dtype=np.intp),
         np.array([one.value for one in used]),
         Likelihood(
-            np.array([mean_of(one.estimate) for one in used if one.estimate is not None]),
+            np.array([one.estimate.mean for one in used if one.estimate is not None]),
             np.array([part.score for part in parts]),
             np.array([part.information for part in parts]),
         ),

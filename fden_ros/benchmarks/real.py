@@ -331,7 +331,7 @@ def _config(test: Test, prior: Prior, given: bool) -> PipelineConfig:
         geometry=FlatPunch(area=1.0, thickness=test.thickness),
         # The recording begins in contact, so bias and noise cannot be measured in the air.
         contact=ContactConfig(measure_bias=False, force_noise=_FORCE_NOISE),
-        estimator=EstimatorConfig(prior=prior, order_given=given),
+        estimator=EstimatorConfig(prior=prior, fractional_order_given=given),
         strain_origin=0.0,
     )
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks.peers import DiolaitiHuntCrossley, HaddadiHuntCrossley, KelvinVoigt
 from fden_ros.benchmarks.real import _WIDE, Test
-from fden_ros.core.classification.classifier import Likelihood, likelihood_of, mean_of
+from fden_ros.core.classification.classifier import Likelihood, likelihood_of
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import EstimatorConfig
@@ -122,15 +122,8 @@ def _identify(test: Test) -> tuple[Array, Array, bool]:
     estimate = known[-1].estimate if known else None
     if estimate is None:
         # Nothing is known: a likelihood without information.
-        centre = np.array(
-            [
-                math.log(_WIDE.linear_stiffness),
-                math.log(_WIDE.nonlinear_stiffness),
-                _WIDE.fractional_order,
-            ]
-        )
-        return centre, np.diag([9.0, 0.64, 0.0225]), True
-    return mean_of(estimate), estimate.covariance, bool(flags & Flag.MODEL_MISMATCH)
+        return _WIDE.mean, np.diag([9.0, 0.64, 0.0225]), True
+    return estimate.mean, estimate.covariance, bool(flags & Flag.MODEL_MISMATCH)
 
 
 def _fitted(tests: Sequence[Test]) -> Contacts:

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.benchmarks.appendix_d import fractional_stress, identify
+from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, contact_bounds
+from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.core.outputs import ContactSummary, OrderSource, Output, Status
 from fden_ros.core.outputs import TissueState as State
 from fden_ros.core.pipeline import Pipeline

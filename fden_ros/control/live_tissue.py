@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from fden_ros.control.prediction import Prediction, Predictor, StressMemory
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.fractional_integral import SHORTEST_STEP
 from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.outputs import Flag, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 
@@ -65,12 +65,12 @@ class Reading:
     @property
     def linear_stiffness(self) -> float:
         """G [Pa s^alpha]."""
-        return math.exp(self.estimate.log_linear_stiffness)
+        return self.estimate.linear_stiffness
 
     @property
     def nonlinear_stiffness(self) -> float:
         """Gn [1]."""
-        return math.exp(self.estimate.log_nonlinear_stiffness)
+        return self.estimate.nonlinear_stiffness
 
     def stiffness(self, time_scale: float) -> tuple[float, float]:
         """Return dF/dd and its deviation [N/m] for a small motion of `time_scale` seconds."""

@@ -15,7 +15,6 @@ and the variance of the last innovation.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,10 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.fractional_integral import FractionalIntegral, kernel_weights
+from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.law.characteristic import phi, strain_of_phi
+from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import Geometry, Sphere
-from fden_ros.core.law.stress_response import order_interpolation, order_nodes
+from fden_ros.core.law.kernel import integral_weights, order_interpolation
 from fden_ros.errors import InputError
 
 Array = NDArray[np.float64]
@@ -36,7 +36,6 @@ Array = NDArray[np.float64]
 _FINEST_SHARE = 40
 _DERIVATIVE_STEP = 1e-4
 _ORDER_STEP = 0.005
-_MAX_EXPONENT = 60.0
 
 
 class StressMemory(FractionalIntegral):
@@ -55,15 +54,9 @@ class StressMemory(FractionalIntegral):
     def remembered(self, elapsed: Array, order: float) -> Array:
         """Return D^-order of the past alone, shape of `elapsed` (n,), so many seconds from now."""
         # Interpolated over the orders: their weights are found once, and alpha may be learned.
-        weights = order_interpolation()(order)[0] @ _kernels()
+        weights = order_interpolation()(order)[0] @ integral_weights()
         result: Array = np.exp(-np.outer(elapsed, self._rates)) @ (weights * self._memory)
         return result
-
-
-@functools.cache
-def _kernels() -> Array:
-    """Return the kernel's weights at the order nodes, shape (orders, exponentials)."""
-    return np.vstack([kernel_weights(order) for order in order_nodes()])
 
 
 @dataclass(frozen=True)
@@ -125,7 +118,7 @@ class Predictor:
 
         def forces(logs: Array, order: float, shift: float) -> Array:
             known, gains = self._known(grid, order)
-            rest = _phi(strains, logs) + self._shift(logs, order) + shift - known
+            rest = phi(strains, *np.exp(logs)) + self._shift(logs, order) + shift - known
             stress = solve_triangular(gains, rest, lower=True)
             # Contact pushes and does not pull.
             return np.maximum(np.interp(wanted, grid, stress), 0.0) * scale
@@ -157,8 +150,8 @@ class Predictor:
 
         def moves(logs: Array, order: float, shift: float) -> Array:
             known, gains = self._known(grid, order)
-            phi = known + gains @ stress - self._shift(logs, order) - shift
-            strain = _strain_of_phi(np.interp(wanted, grid, phi), logs)
+            elastic = known + gains @ stress - self._shift(logs, order) - shift
+            strain = strain_of_phi(np.interp(wanted, grid, elastic), *np.exp(logs))
             start = _compression(self.geometry, np.array([self.strain]))
             return (_compression(self.geometry, strain) - start) * self.geometry.length
 
@@ -174,7 +167,7 @@ class Predictor:
         # The memory just after the present: the newest step holds its own error otherwise.
         measured = self.memory.remembered(np.array([1e-5]), order)[0]
         measured += 1e-5**order / math.gamma(1.0 + order) * self.stress
-        return float(measured - _phi(np.array([self.strain]), logs)[0])
+        return float(measured - phi(np.array([self.strain]), *np.exp(logs))[0])
 
     def _strains(self, way: Array) -> Array:
         start = _compression(self.geometry, np.array([self.strain]))[0]
@@ -185,7 +178,7 @@ class Predictor:
         self, times: Array, function: Callable[[Array, float, float], Array]
     ) -> Prediction:
         estimate = self.estimate
-        logs = np.array([estimate.log_linear_stiffness, estimate.log_nonlinear_stiffness])
+        logs = estimate.mean[: StateIndex.FRACTIONAL_ORDER]
         order = estimate.fractional_order
         value = function(logs, order, 0.0)
         step = _DERIVATIVE_STEP
@@ -197,22 +190,6 @@ class Predictor:
         jacobian = np.stack([by_g, by_gn, by_order])
         variance = np.einsum("in,ij,jn->n", jacobian, estimate.covariance, jacobian)
         return Prediction(times, value, np.sqrt(np.maximum(variance, 0.0) + by_noise**2))
-
-
-def _phi(strains: Array, logs: Array) -> Array:
-    linear, nonlinear = np.exp(logs)
-    excess = np.maximum(nonlinear * np.abs(strains) - 1.0, 0.0)
-    limited = np.clip(strains, -1.0 / nonlinear, 1.0 / nonlinear)
-    result: Array = linear * limited * np.exp(np.minimum(excess, _MAX_EXPONENT))
-    return result
-
-
-def _strain_of_phi(phi: Array, logs: Array) -> Array:
-    linear, nonlinear = np.exp(logs)
-    scaled = phi / linear
-    inside = np.clip(scaled, -1.0 / nonlinear, 1.0 / nonlinear)
-    result: Array = inside * (1.0 + np.log(np.maximum(np.abs(scaled) * nonlinear, 1.0)))
-    return result
 
 
 def _compression(geometry: Geometry, strain: Array) -> Array:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import enum
-import math
 import traceback
 from dataclasses import dataclass, replace
-
-import numpy as np
-from scipy.special import digamma
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.complex_modulus import ComplexModulus
-from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Innovation
-from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
+from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Innovation, StateIndex
+from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
 
@@ -192,42 +188,24 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
     """Return where the alpha of an estimate comes from."""
     if estimate is None:
         return OrderSource.NONE
-    if config.order_given:
+    if config.fractional_order_given:
         return OrderSource.GIVEN
-    variance = float(estimate.covariance[2, 2])
+    index = StateIndex.FRACTIONAL_ORDER
+    variance = float(estimate.covariance[index, index])
     is_learned = variance < (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
     return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
 
 
-def apparent_stiffness(
+def apparent_stiffness_of(
     estimate: Estimate, geometry: Geometry, compression: float, time_scale: float
 ) -> ApparentStiffness:
-    """Return the stiffness for a small motion about `compression` [1] that lasts `time_scale` [s].
+    """Return the apparent stiffness about `compression` [1] for a motion of `time_scale` [s].
 
     `compression` counts from the estimate's strain origin.
     """
-    order = estimate.fractional_order
-    nonlinear_stiffness = math.exp(estimate.log_nonlinear_stiffness)
-    strain = geometry.strain(compression)
-    response = elastic_response(
-        strain, math.exp(estimate.log_linear_stiffness), nonlinear_stiffness
-    )
-    value = (
-        response.by_strain
-        * geometry.strain_slope(compression)
-        * apparent_stiffness_factor(order, time_scale)
-        / (geometry.stress_per_force * geometry.length)
-    )
-    beyond = max(nonlinear_stiffness * abs(strain), 1.0)
-    gradient = np.array(
-        [
-            1.0,
-            beyond if beyond > 1.0 else 0.0,
-            -math.log(time_scale) + float(digamma(1.0 - order)),
-        ]
-    )
-    sd = value * math.sqrt(max(float(gradient @ estimate.covariance @ gradient), 0.0))
-    return ApparentStiffness(value, sd, time_scale)
+    mean, covariance = estimate.mean, estimate.covariance
+    stiffness = apparent_stiffness(mean, covariance, geometry, compression, time_scale)
+    return ApparentStiffness(*stiffness, time_scale)
 
 
 def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:

@@ -310,7 +310,7 @@ class Pipeline:
         learns = not press.has_ended
         if learns and self._sums.is_empty and not is_silent:
             # Only now: whoever waits for the last block's estimate has it already.
-            site.settle()
+            site.relinearise()
         site.add(pair.stamp_ns, compression, stress, is_free=is_free, learns=learns)
         if self._meter is not None:
             for output in press.moduli(self._meter, pair.stamp_ns, compression, stress, is_free):
@@ -342,6 +342,7 @@ class Pipeline:
     def _close_block(self, stamp_ns: int, press: Press, site: Site, *, is_silent: bool) -> None:
         means = self._sums.close(stamp_ns)
         block = site.block_of(means)
+        fractional_stress = site.fractional_stress(block)
         self._blocks += 1
         innovation = None
         if site.is_learning and not press.has_ended:
@@ -354,11 +355,11 @@ class Pipeline:
             if not is_silent:
                 site.refresh()
         phase = self._phase.add(stamp_ns, block.compression)
-        strain = press.strain_of(block.compression)
+        signals = press.signals(block, fractional_stress)
         if is_silent:
             return
         flags = self._input_flags()
-        self._emit(press.state(stamp_ns, block, strain, phase, innovation, flags))
+        self._emit(press.state(stamp_ns, signals, block.compression, phase, innovation, flags))
         for answer in press.label(stamp_ns, self._blocks):
             self._emit(press.classification(stamp_ns, answer))
 

@@ -20,7 +20,7 @@ from fden_ros.core.outputs import (
     Signals,
     Status,
     TissueState,
-    apparent_stiffness,
+    apparent_stiffness_of,
     order_source,
 )
 from fden_ros.core.site import Site
@@ -155,11 +155,11 @@ class Press:
     def _estimate(self) -> Estimate | None:
         return self._site.usable_estimate if not self.has_ended else None
 
-    def strain_of(self, compression: float) -> float:
-        """Return the strain of a block from the estimate's origin [1], and keep the largest."""
-        strain = self._config.geometry.strain(compression - self._origin())
+    def signals(self, block: Block, fractional_stress: float) -> Signals:
+        """Return a block's means, the strain from the estimate's origin, and keep the largest."""
+        strain = self._config.geometry.strain(block.compression - self._origin())
         self.max_strain = max(self.max_strain, strain)
-        return strain
+        return Signals(strain, block.stress, fractional_stress)
 
     def _origin(self) -> float:
         estimate = self._estimate
@@ -168,8 +168,8 @@ class Press:
     def state(
         self,
         stamp_ns: int,
-        block: Block,
-        strain: float,
+        signals: Signals,
+        compression: float,
         phase: Phase,
         innovation: Innovation | None,
         input_flags: Flag,
@@ -179,9 +179,11 @@ class Press:
         is_good = estimate is not None and estimate.converged and not self._site.is_doubtful
         stiffness = None
         if estimate is not None:
-            compression = block.compression - estimate.strain_origin
-            stiffness = apparent_stiffness(
-                estimate, config.geometry, compression, config.apparent_stiffness_time_scale
+            stiffness = apparent_stiffness_of(
+                estimate,
+                config.geometry,
+                compression - estimate.strain_origin,
+                config.apparent_stiffness_time_scale,
             )
         return TissueState(
             stamp_ns=stamp_ns,
@@ -192,7 +194,7 @@ class Press:
             phase=phase,
             order_source=order_source(estimate, config.estimator),
             estimate=estimate,
-            signals=Signals(strain, block.stress, block.fractional_stress),
+            signals=signals,
             innovation=innovation,
             apparent_stiffness=stiffness,
         )

@@ -10,18 +10,20 @@ from fden_ros.core.block import Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.estimate import Block, Estimate, Estimator, Innovation, Observation
-from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
+from fden_ros.core.estimation.fractional_stress_estimator import (
+    FractionalStressEstimator,
+    exact_orders,
+)
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.law.fractional_integral import SHORTEST_STEP, FractionalIntegral
-from fden_ros.core.law.stress_response import order_interpolation, order_nodes
+from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
 from fden_ros.core.outputs import Flag
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, lateral_distance
 
-#: Half the distance between the orders whose difference is df'/dalpha [1].
-_ORDER_STEP = 0.005
-#: The orders of the integral before the nodes: alpha itself and the two for the derivative.
-_EXACT_ORDERS = 3
+#: The orders of the integral from here on are those between which it is interpolated; before them
+#: stand the exact ones.
+_NODES = 3
 #: The tissue's relaxation between two contacts is followed in steps, the first of 1 ms [s], each
 #: longer by 4 %. (Eight steps a decade would bias Gn by a third of its error's bound.)
 _FIRST_REST, _REST_RATIO = 1e-3, 1.04
@@ -66,9 +68,8 @@ class Site:
         else:
             self.origin = onset.displacement
             self.origin_sd = _ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
-        self._orders = _orders(config)
         self._interpolation = order_interpolation()
-        self._integral = FractionalIntegral(self._orders)
+        self._integral = FractionalIntegral(_orders(config))
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
 
@@ -168,7 +169,7 @@ class Site:
         steps = tuple(np.diff(elapsed, prepend=0.0).tolist())
         free = self._integral.relax(steps)
         if self._estimator is not None:
-            self._estimator.rest(steps, free[:, _EXACT_ORDERS:])
+            self._estimator.rest(steps, free[:, _NODES:])
         self.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
     # Samples
@@ -198,7 +199,7 @@ class Site:
         elif step > 0.0:
             free = self._integral.advance(step, 0.0)
             if estimator is not None:
-                estimator.rest((step,), free[None, _EXACT_ORDERS:])
+                estimator.rest((step,), free[None, _NODES:])
         self.last_ns = stamp_ns
 
     def is_above_surface(self, step: float, compression: float) -> bool:
@@ -210,11 +211,11 @@ class Site:
         if estimate is None:
             return False
         weights, _ = self._interpolation(estimate.fractional_order)
-        free = float(weights @ self._integral.ahead(step)[_EXACT_ORDERS:])
+        free = float(weights @ self._integral.ahead(step)[_NODES:])
         response = elastic_response(
             self._config.geometry.strain(compression - estimate.strain_origin),
-            math.exp(estimate.log_linear_stiffness),
-            math.exp(estimate.log_nonlinear_stiffness),
+            estimate.linear_stiffness,
+            estimate.nonlinear_stiffness,
         )
         return response.value <= free
 
@@ -222,24 +223,24 @@ class Site:
 
     def block_of(self, means: Means) -> Block:
         """Return a block for the estimator: means, and the memory's means since the last."""
-        fractional = self._integral.take_sum() / means.size
-        order = self._orders[0]
-        if self.estimate is not None:
-            order = self.estimate.fractional_order
-        if order == self._orders[0]:
-            fractional_stress = float(fractional[0])
-        else:
-            fractional_stress = float(self._interpolation(order)[0] @ fractional[_EXACT_ORDERS:])
         return Block(
             compression=means.compression,
             stress=means.stress,
-            fractional_stress=fractional_stress,
-            fractional_stress_by_order=float(fractional[1] - fractional[2])
-            / (self._orders[1] - self._orders[2]),
             memory_time=0.5 * (means.start_ns + means.end_ns - 2 * self.start_ns) / NANOSECONDS,
             size=means.size,
             duration=means.duration,
+            fractional_integrals=self._integral.take_sum() / means.size,
         )
+
+    def fractional_stress(self, block: Block) -> float:
+        """Return D^-alpha of the stress of a block, at the newest alpha [Pa s^alpha]."""
+        integrals = block.fractional_integrals
+        order = prior = self._config.estimator.prior.fractional_order
+        if self.estimate is not None:
+            order = self.estimate.fractional_order
+        if order == prior:
+            return float(integrals[0])
+        return float(self._interpolation(order)[0] @ integrals[_NODES:])
 
     def update(self, block: Block) -> Innovation:
         """Learn from a block of a site that is learning.
@@ -270,15 +271,15 @@ class Site:
         assert self._estimator is not None
         self.estimate = _checked(self._estimator.estimate())
 
-    def settle(self) -> None:
+    def relinearise(self) -> None:
         """Do what takes long while nobody waits for an estimate."""
         if self._estimator is not None:
-            self._estimator.settle()
+            self._estimator.relinearise()
 
     def end_contact(self) -> None:
         """Bring the estimate to its best at the end of a contact."""
         if self._estimator is not None and self.is_usable and self.estimate is not None:
-            self._estimator.settle(fully=True)
+            self._estimator.relinearise(fully=True)
             self.refresh()
 
     def fail(self) -> None:
@@ -295,8 +296,7 @@ def prepare(config: PipelineConfig) -> None:
 
 
 def _orders(config: PipelineConfig) -> tuple[float, ...]:
-    order = config.estimator.prior.fractional_order
-    return (order, order + _ORDER_STEP, max(order - _ORDER_STEP, 1e-6), *order_nodes())
+    return (*exact_orders(config.estimator), *order_nodes())
 
 
 def _new_estimator(

@@ -1,9 +1,6 @@
-r"""The elastic characteristic phi in logarithms, for fits over decades of stress.
+"""From fits of phi in logarithms to the parameters with their deviations.
 
-With :math:`s = \ln(\varphi/G)` and :math:`u = \ln G_n` (paper, eqs. parameter4 and parameter5):
-:math:`\ln\varphi = \ln G + \ln x` up to :math:`x = 1/G_n` and
-:math:`\ln\varphi = \ln G + G_n x - 1 - u` beyond; inversely :math:`\ln x = s` up to
-:math:`s = -u` and :math:`\ln x = -u + \ln(1 + s + u)` beyond. Value and slope join (C1).
+Beside :func:`fden_ros.core.law.characteristic.log_phi`: the start of a fit, and what it found.
 """
 
 from __future__ import annotations
@@ -12,26 +9,12 @@ import math
 
 import numpy as np
 
+from fden_ros.core.law.characteristic import log_phi
 from fden_ros.experiments.regression import Solution
 from fden_ros.experiments.result import Array, Parameter, positive
 
 #: Gn outside of this is no tissue; the fits stay within.
 LOG_NONLINEAR_RANGE = (math.log(0.3), math.log(100.0))
-
-
-def log_phi(strain: Array, log_g: float, log_g_n: float) -> Array:
-    """Return ln phi at positive strains."""
-    scaled = math.exp(log_g_n) * strain
-    inside = np.log(np.minimum(scaled, 1.0))
-    result: Array = log_g - log_g_n + inside + np.maximum(scaled - 1.0, 0.0)
-    return result
-
-
-def log_strain(log_phi_values: Array, log_g: float, log_g_n: float) -> Array:
-    """Return ln x at which ln phi takes given values: the inverse of :func:`log_phi`."""
-    excess = log_phi_values - log_g + log_g_n
-    result: Array = np.minimum(excess, 0.0) + np.log1p(np.maximum(excess, 0.0)) - log_g_n
-    return result
 
 
 def start_from_points(strain: Array, phi_values: Array) -> Array:

@@ -21,11 +21,11 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import gamma
 
-from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.law.characteristic import log_phi
+from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.errors import InputError
 from fden_ros.experiments.characteristic import (
     LOG_NONLINEAR_RANGE,
-    log_phi,
     stiffness_parameters,
     undetermined_nonlinearity,
 )
@@ -216,15 +216,6 @@ def _start(history: StrainHistory, observed: Array, orders: tuple[float, ...]) -
             if cost < best:
                 best, values = cost, np.array([alpha, math.log(g), log_g_n])
     return values
-
-
-def fractional_stress(time: Array, stress: Array, alpha: float) -> Array:
-    """Return D^-alpha f [Pa s^alpha] at the samples (n,), f linear in between."""
-    integral = FractionalIntegral([alpha])
-    values = [integral.start(float(stress[0]))]
-    for step, value in zip(np.diff(time), stress[1:], strict=True):
-        values.append(integral.advance(float(step), float(value)))
-    return np.concatenate(values)
 
 
 def _appendix_f(time: Array, strain: Array, stress: Array, alpha: float) -> dict[str, Parameter]:

@@ -18,11 +18,10 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.special import digamma, gamma, gammaln
 
+from fden_ros.core.law.characteristic import log_phi, log_strain
 from fden_ros.errors import InputError
 from fden_ros.experiments.characteristic import (
     LOG_NONLINEAR_RANGE,
-    log_phi,
-    log_strain,
     start_from_points,
     stiffness_parameters,
     undetermined_nonlinearity,

@@ -27,10 +27,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma, gamma, gammaln
 
+from fden_ros.core.law.characteristic import log_phi
 from fden_ros.errors import InputError
 from fden_ros.experiments.characteristic import (
     LOG_NONLINEAR_RANGE,
-    log_phi,
     start_from_points,
     stiffness_parameters,
     undetermined_nonlinearity,

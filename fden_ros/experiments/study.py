@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gamma
 
-from fden_ros.experiments.characteristic import log_phi
+from fden_ros.core.law.characteristic import log_phi
+from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.experiments.creep import fit_creep
 from fden_ros.experiments.dynamic import fit_complex_modulus
-from fden_ros.experiments.indentation import fractional_stress
 from fden_ros.experiments.nonlinearity import (
     CreepTest,
     fit_creep_series,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.core.classification.classifier import UNKNOWN, mean_of
+from fden_ros.core.classification.classifier import UNKNOWN
 from fden_ros.core.estimation.estimate import Prior
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
@@ -199,7 +199,7 @@ def _add_summary(
     else:
         rows.add(
             (tissue, specimen),
-            (mean_of(estimate), estimate.covariance),
+            (estimate.mean, estimate.covariance),
             summary.order_source is not OrderSource.GIVEN,
             bool(summary.flags & Flag.MODEL_MISMATCH),
             name,

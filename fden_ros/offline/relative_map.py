@@ -11,13 +11,12 @@ import numpy as np
 
 from fden_ros.core.classification.classifier import Likelihood
 from fden_ros.core.classification.relative import (
-    LogStiffness,
     RelativeConfig,
     compare,
-    log_stiffness,
     neighbours,
     without_prior,
 )
+from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.errors import InputError
 from fden_ros.offline.labelled import Columns, Source, read_rows, read_source
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,16 +188,13 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
     }
     estimate = summary.estimate
     if estimate is not None:
-        g = math.exp(estimate.log_linear_stiffness)
-        g_n = math.exp(estimate.log_nonlinear_stiffness)
-        deviations = [math.sqrt(estimate.covariance[i, i]) for i in range(3)]
         contact |= {
-            "g": g,
-            "g_n": g_n,
+            "g": estimate.linear_stiffness,
+            "g_n": estimate.nonlinear_stiffness,
             "alpha": estimate.fractional_order,
-            "g_sd": g * deviations[0],
-            "g_n_sd": g_n * deviations[1],
-            "alpha_sd": deviations[2],
+            "g_sd": estimate.linear_stiffness_sd,
+            "g_n_sd": estimate.nonlinear_stiffness_sd,
+            "alpha_sd": estimate.fractional_order_sd,
         }
     if summary.classes is not None:
         contact["label"] = summary.classes.label

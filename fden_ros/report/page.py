@@ -136,11 +136,11 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
     row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha"), "–")
     estimate = summary.estimate
     if estimate is not None:
-        g, gn = math.exp(estimate[0]), math.exp(estimate[1])
-        deviations = [math.sqrt(estimate.covariance[i, i]) for i in range(3)]
+        g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
+        deviations = estimate.deviations.tolist()
         row |= {
-            "g": _pm(g, g * deviations[0]),
-            "gn": _pm(gn, gn * deviations[1]),
+            "g": _pm(g, estimate.linear_stiffness_sd),
+            "gn": _pm(gn, estimate.nonlinear_stiffness_sd),
             "boundary": _pm(1 / gn, deviations[1] / gn),
             "gi": f"{exponential_scale(g, gn):.3g}",
             "alpha": f"{_pm(estimate.fractional_order, deviations[2])} "

@@ -319,7 +319,7 @@ def _law(strain: Array, summary: ContactSummary) -> tuple[Array, Array]:
     """Return the fitted law over `strain`, and the standard deviation of its logarithm."""
     estimate = summary.estimate
     assert estimate is not None
-    stiffness, nonlinear = math.exp(estimate[0]), math.exp(estimate[1])
+    stiffness, nonlinear = estimate.linear_stiffness, estimate.nonlinear_stiffness
     response = np.array([elastic_response(x, stiffness, nonlinear).value for x in strain])
     # d ln phi by (ln G, ln Gn).
     gradient = np.array([np.ones_like(strain), np.maximum(nonlinear * strain - 1.0, 0.0)])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fden_ros.core.estimation.estimate import Innovation
+from fden_ros.core.estimation.estimate import Innovation, StateIndex
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
@@ -392,7 +392,7 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         yield "There is no estimate."
     elif not summary.converged:
         boundary = math.exp(-estimate.log_nonlinear_stiffness)
-        deviation = math.sqrt(estimate.covariance[1, 1])
+        deviation = float(estimate.deviations[StateIndex.LOG_NONLINEAR_STIFFNESS])
         if summary.max_strain < boundary * math.exp(2.0 * deviation):
             yield (
                 f"Not converged: the strain reached {summary.max_strain:.3f} and did not surely "

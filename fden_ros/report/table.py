@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -46,10 +45,8 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
     estimate = summary.estimate
     g = g_n = alpha = DASH
     if estimate is not None:
-        values = [math.exp(estimate[index]) for index in (0, 1)]
-        deviations = [v * math.sqrt(estimate.covariance[i, i]) for i, v in enumerate(values)]
-        g = f"{values[0]:.1f} ± {deviations[0]:.1f}"
-        g_n = f"{values[1]:.2f} ± {deviations[1]:.2f}"
+        g = f"{estimate.linear_stiffness:.1f} ± {estimate.linear_stiffness_sd:.1f}"
+        g_n = f"{estimate.nonlinear_stiffness:.2f} ± {estimate.nonlinear_stiffness_sd:.2f}"
         alpha = f"{estimate.fractional_order:.3f}"
     site = (truth or {}).get(summary.site_id)
     cells = [str(summary.contact_id), str(summary.site_id), g]

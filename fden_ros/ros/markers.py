@@ -13,6 +13,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.ros.messages import to_stamp
 
@@ -90,8 +91,8 @@ class StiffnessMap:
     ) -> tuple[Marker, Marker]:
         assert summary.position is not None and summary.estimate is not None
         x, y, z = (float(value) for value in summary.position)
-        stiffness = math.exp(summary.estimate.log_linear_stiffness)
-        deviation = math.sqrt(summary.estimate.covariance[0, 0])
+        stiffness = summary.estimate.linear_stiffness
+        deviation = float(summary.estimate.deviations[StateIndex.LOG_LINEAR_STIFFNESS])
         header = Header(stamp=Time(), frame_id=frame_id)
         ball = Marker(header=header, ns="sites", id=site_id, type=Marker.SPHERE, action=Marker.ADD)
         ball.pose.position = Point(x=x, y=y, z=z)
@@ -127,7 +128,12 @@ def colour_of(linear_stiffness: float, log_sd: float) -> ColorRGBA:
 def _row(summary: ContactSummary) -> list[float]:
     estimate = summary.estimate
     assert estimate is not None and summary.position is not None
-    deviations = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
-    g, gn = math.exp(estimate.log_linear_stiffness), math.exp(estimate.log_nonlinear_stiffness)
-    values = [*summary.position, g, gn, estimate.fractional_order]
-    return [*values, g * deviations[0], gn * deviations[1], deviations[2]]
+    return [
+        *summary.position,
+        estimate.linear_stiffness,
+        estimate.nonlinear_stiffness,
+        estimate.fractional_order,
+        estimate.linear_stiffness_sd,
+        estimate.nonlinear_stiffness_sd,
+        estimate.fractional_order_sd,
+    ]

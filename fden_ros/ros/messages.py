@@ -349,17 +349,16 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
 def _fill_parameters(
     message: TissueEstimate | PalpationSummary, estimate: Estimate, source: OrderSource
 ) -> None:
-    linear_stiffness = math.exp(estimate.log_linear_stiffness)
-    nonlinear_stiffness = math.exp(estimate.log_nonlinear_stiffness)
-    deviations = np.sqrt(np.diag(estimate.covariance))
+    linear_stiffness = estimate.linear_stiffness
+    nonlinear_stiffness = estimate.nonlinear_stiffness
     message.linear_stiffness = linear_stiffness
     message.nonlinear_stiffness = nonlinear_stiffness
     message.exponential_scale = exponential_scale(linear_stiffness, nonlinear_stiffness)
     message.boundary_strain = 1.0 / nonlinear_stiffness
     message.fractional_order = estimate.fractional_order
-    message.linear_stiffness_sd = linear_stiffness * float(deviations[0])
-    message.nonlinear_stiffness_sd = nonlinear_stiffness * float(deviations[1])
-    message.fractional_order_sd = float(deviations[2])
+    message.linear_stiffness_sd = estimate.linear_stiffness_sd
+    message.nonlinear_stiffness_sd = estimate.nonlinear_stiffness_sd
+    message.fractional_order_sd = estimate.fractional_order_sd
     message.covariance = estimate.covariance.ravel()
     message.strain_origin = estimate.strain_origin
     message.strain_origin_sd = estimate.strain_origin_sd

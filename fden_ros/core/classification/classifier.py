@@ -183,20 +183,8 @@ def likelihood_of(
         centre, scale = np.zeros(3), np.sqrt(np.einsum("...ii->...i", covariance))
         scale = np.where(scale > 0.0, scale, 1.0)
     else:
-        centre = np.array(
-            [
-                math.log(prior.linear_stiffness),
-                math.log(prior.nonlinear_stiffness),
-                prior.fractional_order,
-            ]
-        )
-        scale = np.array(
-            [
-                prior.linear_stiffness_log_sd,
-                prior.nonlinear_stiffness_log_sd,
-                prior.fractional_order_sd or 1.0,
-            ]
-        )
+        # An alpha that was known exactly has no scale of its own.
+        centre, scale = prior.mean, np.where(prior.deviations > 0.0, prior.deviations, 1.0)
     scale = np.broadcast_to(scale, mean.shape)[..., :used]
     scaled = covariance[..., :used, :used] / (scale[..., :, None] * scale[..., None, :])
     variances, axes = np.linalg.eigh(scaled)
@@ -219,20 +207,7 @@ def likelihood_of(
 
 def likelihood_of_estimate(estimate: Estimate, prior: Prior, order_given: bool) -> Likelihood:
     """Return what the data behind an estimate say, its prior taken out."""
-    return likelihood_of(
-        mean_of(estimate), estimate.covariance, prior, order_counts=not order_given
-    )
-
-
-def mean_of(estimate: Estimate) -> Array:
-    """Return (ln G, ln Gn, alpha) of an estimate, shape (3,)."""
-    return np.array(
-        [
-            estimate.log_linear_stiffness,
-            estimate.log_nonlinear_stiffness,
-            estimate.fractional_order,
-        ]
-    )
+    return likelihood_of(estimate.mean, estimate.covariance, prior, order_counts=not order_given)
 
 
 def classify(

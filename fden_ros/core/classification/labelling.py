@@ -13,19 +13,17 @@ from fden_ros.core.classification.classifier import (
     TissueLibrary,
     classify,
     likelihood_of_estimate,
-    mean_of,
 )
 from fden_ros.core.classification.decision import Decider, DecisionConfig
 from fden_ros.core.classification.relative import (
     Comparison,
-    LogStiffness,
     RelativeConfig,
     compare,
-    log_stiffness,
     stack,
     without_prior,
 )
 from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig
+from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.core.streams.samples import NANOSECONDS, Position
 
 #: While converged, every tenth block is classified.
@@ -95,7 +93,7 @@ class Surroundings:
     ) -> Comparison | None:
         """Compare a site with those around it, and keep it for those to come."""
         config = self._config
-        own = without_prior(likelihood) or (mean_of(estimate), estimate.covariance)
+        own = without_prior(likelihood) or (estimate.mean, estimate.covariance)
         place = log_stiffness(*own, config.strain, config.time_scale)
         around = [
             other
@@ -151,7 +149,7 @@ class Labeller:
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
         config = self.estimator
-        likelihood = likelihood_of_estimate(estimate, config.prior, config.order_given)
+        likelihood = likelihood_of_estimate(estimate, config.prior, config.fractional_order_given)
         if self.surroundings is not None:
             found = self.surroundings.compare(site_id, position, estimate, likelihood)
             return (found.classes(self.ratio) if found is not None else None), found

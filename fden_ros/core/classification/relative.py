@@ -1,14 +1,9 @@
 r"""How many times stiffer a place is than its surroundings, for tissue that no library knows.
 
-Places are compared by the logarithm of their apparent modulus for a small motion that lasts tau at
-the strain x,
-
-.. math:: l = \ln \phi'(x) - \alpha \ln\tau - \ln\Gamma(1 - \alpha),
-   \qquad \ln\phi'(x) = \ln G + \max(G_n |x| - 1, 0),
-
-because a fractional solid has no stiffness without a time scale, nor a nonlinear one without a
-strain. The surroundings vary by nature: :math:`l_k \sim N(m, t^2 + v_k)` with :math:`v_k` the
-variance of each estimate (a random-effects mean; R. DerSimonian and N. Laird, Controlled Clinical
+Places are compared by the logarithm l of their apparent modulus for a small motion that lasts tau
+at the strain x (:mod:`fden_ros.core.law.apparent_stiffness`). The surroundings vary by nature:
+:math:`l_k \sim N(m, t^2 + v_k)` with :math:`v_k` the variance of each estimate (a random-effects
+mean; R. DerSimonian and N. Laird, Controlled Clinical
 Trials 7 (1986) 177), where a share, estimated too, may be something else, lesions among them: each
 place counts with its probability of not being that. The mean enters with Student's t.
 """
@@ -18,13 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import digamma, gammaln, stdtr, stdtrit
+from scipy.special import stdtr, stdtrit
 
 from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
+from fden_ros.core.law.apparent_stiffness import LogStiffness
 
 Array = NDArray[np.float64]
 
@@ -64,13 +59,6 @@ class RelativeConfig:
     strain: float = 0.1
     time_scale: float = 0.1
     distance: float = 0.0
-
-
-class LogStiffness(NamedTuple):
-    """l of one place, or of many."""
-
-    value: Array  #: [1]
-    variance: Array  #: [1]
 
 
 @dataclass(frozen=True)
@@ -125,37 +113,6 @@ class Comparison:
         probabilities = (softer, max(1.0 - softer - stiffer, 0.0), stiffer)
         label = ANSWERS[int(np.argmax(probabilities))]
         return ClassProbabilities(label, ANSWERS, probabilities)
-
-
-def log_stiffness(
-    mean: Array, covariance: Array, strain: float, time_scale: float
-) -> LogStiffness:
-    """Return l and its variance.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (..., 3)
-        Of (ln G, ln Gn, alpha).
-    covariance : ndarray, shape (..., 3, 3)
-    strain : float
-        x [1].
-    time_scale : float
-        tau [s].
-    """
-    order = mean[..., 2]
-    reach = np.exp(mean[..., 1]) * abs(strain)
-    beyond = np.maximum(reach - 1.0, 0.0)
-    value = mean[..., 0] + beyond - order * math.log(time_scale) - gammaln(1.0 - order)
-    gradient = np.stack(
-        [
-            np.ones_like(order),
-            np.where(beyond > 0.0, reach, 0.0),
-            digamma(1.0 - order) - math.log(time_scale),
-        ],
-        axis=-1,
-    )
-    variance = np.einsum("...i,...ij,...j->...", gradient, covariance, gradient)
-    return LogStiffness(value, np.maximum(variance, 0.0))
 
 
 def without_prior(likelihood: Likelihood) -> tuple[Array, Array] | None:

@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: Coefficients of the trend [1]: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3
-#: Fewer samples in a period leave the phasor to chance.
+#: Samples in a period [1]: fewer leave the phasor to chance.
 _SAMPLES_PER_PERIOD = 8
 
 
@@ -195,6 +196,8 @@ class ComplexModulusMeter:
         return results
 
 
-def modulus_of_springpot(angular_frequency: float, stiffness: float, order: float) -> complex:
+def modulus_of_springpot(
+    angular_frequency: float, stiffness: float, fractional_order: float
+) -> complex:
     """Return G (j omega)^alpha [Pa] (paper, eq. MIModel)."""
-    return stiffness * cmath.exp(order * (math.log(angular_frequency) + 0.5j * math.pi))
+    return stiffness * cmath.exp(fractional_order * (math.log(angular_frequency) + 0.5j * math.pi))

@@ -1,8 +1,9 @@
-"""What an estimator is given and gives: prior, block, innovation, estimate."""
+"""Input and output of an estimator: prior, block, innovation, estimate; indices of a state."""
 
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -10,6 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+class StateIndex(enum.IntEnum):
+    """Places of the parameters in a state; the first three also in an estimate's covariance."""
+
+    LOG_LINEAR_STIFFNESS = 0  #: ln G, G in Pa s^alpha
+    LOG_NONLINEAR_STIFFNESS = 1  #: ln Gn
+    FRACTIONAL_ORDER = 2  #: alpha [1]
+    STRAIN_ORIGIN = 3  #: o, as compression [1]
+    BIAS = 4  #: of the stress in this contact [Pa]
+    DRIFT = 5  #: of the stress in this contact [Pa/s]
+    PULSE = 6  #: of phi, at a change of the tissue [Pa s^alpha]
 
 
 @dataclass(frozen=True)
@@ -33,9 +46,31 @@ class Prior:
     fractional_order: float = 0.131
     fractional_order_sd: float = 0.011
 
+    @property
+    def mean(self) -> Array:
+        """(ln G, ln Gn, alpha), shape (3,)."""
+        return np.array(
+            [
+                math.log(self.linear_stiffness),
+                math.log(self.nonlinear_stiffness),
+                self.fractional_order,
+            ]
+        )
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of (ln G, ln Gn, alpha), shape (3,)."""
+        return np.array(
+            [
+                self.linear_stiffness_log_sd,
+                self.nonlinear_stiffness_log_sd,
+                self.fractional_order_sd,
+            ]
+        )
+
 
 class Observation(enum.Enum):
-    """What an estimator looks at."""
+    """The quantity whose innovation an estimator takes."""
 
     STRESS = "stress"
     FRACTIONAL_STRESS = "fractional_stress"
@@ -43,14 +78,14 @@ class Observation(enum.Enum):
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """Prior, observation, and what counts as converged.
+    """Prior, observation, and thresholds of convergence.
 
     Parameters
     ----------
     prior : Prior
     observation : Observation
         STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
-    order_given : bool
+    fractional_order_given : bool
         alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
     converged_log_sd : float
         Converged only while the standard deviation of ln Gn is below this [1].
@@ -60,21 +95,20 @@ class EstimatorConfig:
 
     prior: Prior = Prior()
     observation: Observation = Observation.STRESS
-    order_given: bool = False
+    fractional_order_given: bool = False
     converged_log_sd: float = 0.05
     converged_probability: float = 0.99
 
 
 class Block(NamedTuple):
-    """Means over a block of samples: what an estimator is given."""
+    """Means over a block of samples."""
 
     compression: float  #: u, from the nominal strain origin [1]
     stress: float  #: f [Pa]
-    fractional_stress: float  #: f' [Pa s^alpha]
-    fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
     memory_time: float  #: t since the memory began [s]
     size: int  #: samples in the block
-    duration: float = 0.0  #: from the first sample to the last and one step more [s]
+    duration: float  #: from the first sample to the last and one step more [s]
+    fractional_integrals: Array  #: D^-beta f [Pa s^beta], shape (orders,)
 
 
 class Innovation(NamedTuple):
@@ -104,6 +138,46 @@ class Estimate(NamedTuple):
     converged: bool
     sample_count: int
 
+    @property
+    def mean(self) -> Array:
+        """(ln G, ln Gn, alpha), shape (3,)."""
+        return np.array(
+            [self.log_linear_stiffness, self.log_nonlinear_stiffness, self.fractional_order]
+        )
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of (ln G, ln Gn, alpha) [1], shape (3,)."""
+        return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
+
+    @property
+    def linear_stiffness(self) -> float:
+        """Median of G [Pa s^alpha]."""
+        return math.exp(self.log_linear_stiffness)
+
+    @property
+    def nonlinear_stiffness(self) -> float:
+        """Median of Gn [1]."""
+        return math.exp(self.log_nonlinear_stiffness)
+
+    @property
+    def linear_stiffness_sd(self) -> float:
+        """Standard deviation of G to first order [Pa s^alpha]."""
+        return self.linear_stiffness * self._deviation(StateIndex.LOG_LINEAR_STIFFNESS)
+
+    @property
+    def nonlinear_stiffness_sd(self) -> float:
+        """Standard deviation of Gn to first order [1]."""
+        return self.nonlinear_stiffness * self._deviation(StateIndex.LOG_NONLINEAR_STIFFNESS)
+
+    @property
+    def fractional_order_sd(self) -> float:
+        """Standard deviation of alpha [1]."""
+        return self._deviation(StateIndex.FRACTIONAL_ORDER)
+
+    def _deviation(self, index: StateIndex) -> float:
+        return math.sqrt(max(float(self.covariance[index, index]), 0.0))
+
 
 class Estimator(Protocol):
     """An observation model with its filter; the pipeline asks for nothing else."""
@@ -114,11 +188,11 @@ class Estimator(Protocol):
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether something came of late that is not explained yet."""
+        """Whether a surprise or a mismatch of late is not explained yet."""
 
     @property
     def change_count(self) -> int:
-        """How often the tissue was found to have changed under the probe."""
+        """Changes of the tissue under the probe that were found."""
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
@@ -138,5 +212,5 @@ class Estimator(Protocol):
     def estimate(self) -> Estimate:
         """Return the present estimate."""
 
-    def settle(self, *, fully: bool = False) -> None:
-        """Do what takes long while nobody waits for an estimate; `fully`: all, at the end."""
+    def relinearise(self, *, fully: bool = False) -> None:
+        """Solve anew about the present state, when that is due; `fully`: now, at the end."""

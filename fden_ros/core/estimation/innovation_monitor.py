@@ -10,15 +10,22 @@ from __future__ import annotations
 
 import math
 
+#: Scales j [1]: windows of up to 8192 innovations, 80 s of blocks of 10 ms.
 _SCALES = 14
-#: Of a normal distribution, one-sided: 3e-7 for each test of a scale.
+#: Threshold of the test of a scale in standard deviations of a normal distribution [1], one-sided:
+#: a probability of 3e-7 for each test, so that less than one contact of 1,000 blocks in a thousand
+#: raises an alarm (test_core_innovation_monitor).
 _MISMATCH_DEVIATIONS = 5.0
-#: A single window so far from zero is a change: 2e-9 where the model is right.
+#: Deviation of the sum over one window from 0 beyond which it proves a change [1]: a probability
+#: of 2e-9 where the model is right.
 CHANGE_DEVIATIONS = 6.0
-#: Scales of the windows, 4 to 64 innovations, in which a change is looked for.
+#: Scales j of the windows, 4 to 64 innovations, in which a change is looked for [1]: one
+#: innovation alone may be an outlier, and a change that 64 do not show is a mismatch.
 _CHANGE_SCALES = range(2, 7)
+#: Innovations in the longest of these windows [1].
 LONGEST_CHANGE_WINDOW = 1 << _CHANGE_SCALES[-1]
-#: The inflation is read off scales with so many windows.
+#: Windows that a scale must have before the inflation is read off it [1]: fewer leave a mean
+#: square to chance.
 _ENOUGH_WINDOWS = 4
 
 
@@ -26,9 +33,10 @@ class InnovationMonitor:
     """Test normalised innovations at scales of 1 to 8192 of them, in constant memory."""
 
     def __init__(self) -> None:
-        #: how many innovations have come since they are larger or slower than the model explains
+        #: Innovations since the first test that proved a mismatch, that one included; 0: none has.
         self.mismatch_count = 0
-        #: how many of the newest innovations stand out, while all before them did not; or 0
+        #: Newest innovations whose sum is beyond :data:`CHANGE_DEVIATIONS` of what was usual
+        #: before; 0: none are.
         self.change_window = 0
         self._first_half = [0.0] * _SCALES
         self._count = 0
@@ -60,7 +68,7 @@ class InnovationMonitor:
 
     @property
     def inflation(self) -> float:
-        """By how much the variance of the estimate is too small, at least 1."""
+        """Factor by which the variance of the estimate is too small, at least 1."""
         if not self.mismatch_count:
             return 1.0
         means = (
@@ -72,6 +80,9 @@ class InnovationMonitor:
 
 
 def _chi_squared_limit(degrees: int) -> float:
-    """Return what chi-squared exceeds by chance only (Wilson and Hilferty 1931)."""
+    """Return the value that chi-squared exceeds at _MISMATCH_DEVIATIONS only.
+
+    (Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684.)
+    """
     spread = 2.0 / (9.0 * degrees)
     return degrees * (1.0 - spread + _MISMATCH_DEVIATIONS * math.sqrt(spread)) ** 3

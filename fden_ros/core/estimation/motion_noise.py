@@ -1,16 +1,16 @@
-"""What is not known of the motion, as noise of the stress: white noise, and corners cut short."""
+"""Errors of the motion as noise of the stress: white noise, and corners cut short."""
 
 from __future__ import annotations
 
 import math
 
-#: The strain at a corner of the motion is off by so much of the bend: a quarter where the corner
-#: is in the middle of a step, less elsewhere.
+#: Error of the strain at a corner of the motion, as a share of the bend [1]: a quarter where the
+#: corner is in the middle of a step, 0.17 in the mean over its place in the step.
 _CORNER_SHARE = 0.15
-#: Of what was wrong there the law remembers so many times alpha one step later, and less in
-#: proportion to time.
+#: Error of the stress one step after a corner, over that at the corner and over alpha [1]; then it
+#: falls in proportion to time.
 _CORNER_MEMORY = 2.0
-#: A bend of so many standard deviations of the noise is none.
+#: Bends below this many standard deviations of the noise [1] are taken for noise.
 _NOISE_BENDS = 3.0
 
 
@@ -56,7 +56,7 @@ class MotionNoise:
         self._is_first = True
 
     def take_block(
-        self, duration: float, size: int, slope: float, order: float
+        self, duration: float, size: int, slope: float, fractional_order: float
     ) -> tuple[float, float]:
         """Return the variance for the block that ends now, and a further one for that before.
 
@@ -71,7 +71,7 @@ class MotionNoise:
             Samples in the block.
         slope : float
             Of the elastic response by the compression [Pa].
-        order : float
+        fractional_order : float
             alpha [1].
 
         Returns
@@ -85,9 +85,9 @@ class MotionNoise:
             return 0.0, 0.0
         step = duration / size
         self._age += duration
-        white = self._white * duration ** (-1.0 - 2.0 * order) * slope**2
-        by_bend = _CORNER_SHARE * abs(slope) * step**-order
-        remembered = _CORNER_MEMORY * order * self._remembered / self._age
+        white = self._white * duration ** (-1.0 - 2.0 * fractional_order) * slope**2
+        by_bend = _CORNER_SHARE * abs(slope) * step**-fractional_order
+        remembered = _CORNER_MEMORY * fractional_order * self._remembered / self._age
         corner = by_bend * bend
         if corner >= remembered:
             self._remembered, self._age = corner * step, step

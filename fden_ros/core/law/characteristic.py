@@ -10,31 +10,42 @@ value and slope at the boundary strain :math:`x_b = 1/G_n`. With :math:`u = \ln 
 :math:`\partial\varphi/\partial\ln G = \varphi` and
 :math:`\partial\varphi/\partial u = \varphi\,(G_n|x| - 1)` beyond the boundary strain, 0 within:
 one smooth observation, no switching.
+
+Beyond the exponent :data:`MAX_EXPONENT` phi goes on along its tangent, in every function here. The
+scalar functions serve the filters sample by sample; those on arrays may differ from them in the
+last bits, as the exponential function of numpy does from that of the C library.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Number = TypeVar("Number", float, Array)
+
+#: Exponent Gn |x| - 1 [1] beyond which phi is continued by its tangent: e^60 is no tissue, and an
+#: overflow would poison the filter.
+MAX_EXPONENT = 60.0
+#: Logarithm [1] beyond which a double overflows, with a margin: such a fit's step is not taken.
+_LARGEST_LOG = 700.0
 
 
-class ElasticResponse(NamedTuple):
-    """phi and its partial derivatives at one strain."""
+class ElasticResponse(NamedTuple, Generic[Number]):
+    """phi and its partial derivatives, at one strain or at many."""
 
-    value: float  #: phi(x) [Pa s^alpha]; also its derivative by ln G
-    by_log_nonlinear_stiffness: float  #: dphi/d(ln Gn) [Pa s^alpha]
-    by_strain: float  #: dphi/dx [Pa s^alpha]
-
-
-#: Beyond this exponent phi is continued by its tangent: e^60 is no tissue, and an overflow would
-#: poison the filter.
-_MAX_EXPONENT = 60.0
+    value: Number  #: phi(x) [Pa s^alpha]; also its derivative by ln G
+    by_log_nonlinear_stiffness: Number  #: dphi/d(ln Gn) [Pa s^alpha]
+    by_strain: Number  #: dphi/dx [Pa s^alpha]
 
 
 def elastic_response(
     strain: float, linear_stiffness: float, nonlinear_stiffness: float
-) -> ElasticResponse:
-    """Return phi(x) and its derivatives.
+) -> ElasticResponse[float]:
+    """Return phi(x) and its derivatives at one strain.
 
     Parameters
     ----------
@@ -48,10 +59,80 @@ def elastic_response(
     excess = nonlinear_stiffness * abs(strain) - 1.0
     if excess <= 0.0:
         return ElasticResponse(linear_stiffness * strain, 0.0, linear_stiffness)
-    capped = min(excess, _MAX_EXPONENT)
+    capped = min(excess, MAX_EXPONENT)
     slope = linear_stiffness * math.exp(capped)
     value = math.copysign(slope / nonlinear_stiffness * (1.0 + excess - capped), strain)
     return ElasticResponse(value, value * excess, slope)
+
+
+def phi(
+    strain: Array, linear_stiffness: float | Array, nonlinear_stiffness: float | Array
+) -> Array:
+    """Return phi(x) [Pa s^alpha] at many strains of either sign.
+
+    Parameters
+    ----------
+    strain : ndarray, shape (...)
+        x [1].
+    linear_stiffness, nonlinear_stiffness : float or ndarray, shape (...)
+        G [Pa s^alpha] and Gn [1], positive; the shapes must be broadcast to one.
+    """
+    excess = nonlinear_stiffness * np.abs(strain) - 1.0
+    # e^(Gn x - 1) beyond 1/Gn and Gn x below it, both in one.
+    result: Array = np.clip(excess, 0.0, MAX_EXPONENT)
+    np.exp(result, out=result)
+    result += np.minimum(excess, 0.0)
+    if np.any(excess > MAX_EXPONENT):
+        result += math.exp(MAX_EXPONENT) * np.maximum(excess - MAX_EXPONENT, 0.0)
+    result *= linear_stiffness / nonlinear_stiffness
+    return np.copysign(result, strain) if np.any(strain < 0.0) else result
+
+
+def elastic_responses(
+    strain: Array, linear_stiffness: float, nonlinear_stiffness: float
+) -> ElasticResponse[Array]:
+    """Return phi(x) and its derivatives at many strains, each of the strains' shape."""
+    value = phi(strain, linear_stiffness, nonlinear_stiffness)
+    excess = np.maximum(nonlinear_stiffness * np.abs(strain) - 1.0, 0.0)
+    slope = linear_stiffness * np.exp(np.minimum(excess, MAX_EXPONENT))
+    return ElasticResponse(value, value * excess, slope)
+
+
+def strain_of_phi(values: Array, linear_stiffness: float, nonlinear_stiffness: float) -> Array:
+    """Return the strains x [1] at which phi takes given values: the inverse of :func:`phi`."""
+    scaled = values * (nonlinear_stiffness / linear_stiffness)
+    inside = np.clip(scaled, -1.0, 1.0)
+    beyond = np.maximum(np.abs(scaled), 1.0)
+    on_tangent = np.maximum(beyond * math.exp(-MAX_EXPONENT) - 1.0, 0.0)
+    exponent = np.minimum(np.log(beyond), MAX_EXPONENT) + on_tangent
+    result: Array = inside * (1.0 + exponent) / nonlinear_stiffness
+    return result
+
+
+def log_phi(strain: Array, log_linear_stiffness: float, log_nonlinear_stiffness: float) -> Array:
+    """Return ln phi at positive strains (n,), for fits over decades of stress.
+
+    ln G + ln x up to 1/Gn and ln G + Gn x - 1 - ln Gn beyond (paper, eqs. parameter4 and
+    parameter5).
+    """
+    scaled = math.exp(log_nonlinear_stiffness) * strain
+    inside = np.log(np.minimum(scaled, 1.0))
+    excess = np.maximum(scaled - 1.0, 0.0)
+    beyond = np.minimum(excess, MAX_EXPONENT)
+    result: Array = log_linear_stiffness - log_nonlinear_stiffness + inside + beyond
+    return result + np.log1p(excess - beyond)
+
+
+def log_strain(
+    log_values: Array, log_linear_stiffness: float, log_nonlinear_stiffness: float
+) -> Array:
+    """Return ln x at which ln phi takes given values: the inverse of :func:`log_phi`."""
+    excess = log_values - log_linear_stiffness + log_nonlinear_stiffness
+    beyond = np.maximum(excess, 0.0)
+    on_tangent = np.expm1(np.clip(beyond - MAX_EXPONENT, 0.0, _LARGEST_LOG))
+    exponent = np.minimum(beyond, MAX_EXPONENT) + on_tangent
+    result: Array = np.minimum(excess, 0.0) + np.log1p(exponent) - log_nonlinear_stiffness
+    return result
 
 
 def exponential_scale(linear_stiffness: float, nonlinear_stiffness: float) -> float:

@@ -1,12 +1,9 @@
 r"""Online fractional integral in constant time and memory per sample, for arbitrary steps.
 
 The Riemann-Liouville integral of order beta (paper, eq. FC) has the kernel :math:`k(t) =
-t^{\beta-1}/\Gamma(\beta)`, which remembers everything. On :math:`[\delta, T]` it is a sum of
-exponentials to eleven digits,
-:math:`k(t) \approx \sum_j w_j e^{-s_j t}`, so that the whole past lives in one number per
-exponential,
-:math:`z_j(t) = \int_0^t e^{-s_j (t-\xi)} f(\xi)\,d\xi`. The rates s do not depend on beta: one
-state serves every order at once.
+t^{\beta-1}/\Gamma(\beta)`. As the sum of exponentials of :mod:`fden_ros.core.law.kernel` it lets
+the whole past live in one number per exponential,
+:math:`z_j(t) = \int_0^t e^{-s_j (t-\xi)} f(\xi)\,d\xi`, which serves every order at once.
 
 With f linear between samples, h the step and :math:`y_j = s_j h`, the recursion is exact for any
 h:
@@ -26,7 +23,6 @@ from __future__ import annotations
 
 import bisect
 import functools
-import itertools
 import math
 from collections.abc import Sequence
 
@@ -34,107 +30,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gamma
 
+from fden_ros.core.law.kernel import (
+    MOST_WAITING,
+    SERIES_LIMIT,
+    decays_of,
+    kernel_weights,
+    relaxation_rates,
+)
+
 Array = NDArray[np.float64]
 
-#: Shortest step [s] and longest memory [s] for which the sum of exponentials holds, to a relative
-#: 3e-11.
-SHORTEST_STEP = 1e-5
-LONGEST_MEMORY = 1e5
-
-_EXPONENTIALS = 76
-_FIT_POINTS = 1200
-#: Below this value of rate * step, phi_2 is taken from its series, where the closed form cancels.
-_SERIES_LIMIT = 1e-2
 #: In place of the rate 0, by whose product with a step is divided [1/s]: e^-x is 1 to the last bit
 #: for steps up to 1e13 s, and x far from where numbers are flushed to zero.
 _STANDING_RATE = 1e-30
-#: So many samples may wait to be added together.
-MOST_WAITING = 64
-
-
-@functools.cache
-def relaxation_rates() -> Array:
-    """Return the rates s_j of the exponentials [1/s], shape (76,), the first one 0."""
-    slowest, fastest = 10**-0.25 / LONGEST_MEMORY, 10**1.25 / SHORTEST_STEP
-    rates = np.concatenate([[0.0], np.geomspace(slowest, fastest, _EXPONENTIALS - 1)])
-    rates.flags.writeable = False
-    return rates
-
-
-@functools.lru_cache(maxsize=256)
-def kernel_weights(order: float) -> Array:
-    """Return the weights w_j, shape (76,), that turn the exponentials into the kernel of `order`.
-
-    Column-scaled least squares on the relative error at log-spaced times.
-
-    Raises
-    ------
-    ValueError
-        If `order` is not in (0, 1].
-    """
-    if not 0.0 < order <= 1.0:
-        raise ValueError(f"order of integration is {order}, must be in (0, 1]")
-    times = np.logspace(np.log10(SHORTEST_STEP), np.log10(LONGEST_MEMORY), _FIT_POINTS)
-    kernel = times ** (order - 1.0) / gamma(order)
-    design = np.exp(-np.outer(times, relaxation_rates())) / kernel[:, None]
-    scale = np.sqrt(np.sum(design**2, axis=0))
-    solution = np.linalg.lstsq(design / scale, np.ones(_FIT_POINTS), rcond=1e-16)[0]
-    weights: Array = solution / scale
-    weights.flags.writeable = False
-    return weights
-
-
-class Decays:
-    """How much the exponentials have decayed over several steps.
-
-    Parameters
-    ----------
-    steps : tuple of float
-        [s].
-    counts : tuple of float
-        1 where the end of a step is added up, 0 where it is not.
-
-    Attributes
-    ----------
-    mean : ndarray, shape (76, n)
-        phi_1: the mean decay within each step.
-    to_end : ndarray, shape (76, n)
-        From the end of each step to the end of the last.
-    sums_after : ndarray, shape (76, n)
-        From the end of each step to that of every later one, added up.
-    whole : ndarray, shape (76,)
-        From the beginning to the end of the last step.
-    sum_of_start : ndarray, shape (76,)
-        From the beginning to the end of every step, added up.
-    """
-
-    def __init__(self, steps: tuple[float, ...], counts: tuple[float, ...]) -> None:
-        rates = relaxation_rates()[:, None]
-        self._exponent = rates * np.array(steps)
-        loss = -np.expm1(-self._exponent)
-        by_step = 1.0 - loss
-        self.mean = np.ones_like(loss)
-        np.divide(loss[1:], self._exponent[1:], out=self.mean[1:])
-        left = itertools.accumulate(reversed(steps[1:]), initial=0.0)
-        self.to_end: Array = np.exp(-rates * np.array([*left][::-1]))
-        self.sums_after = np.zeros_like(by_step)
-        for k in range(len(steps) - 1, 0, -1):
-            np.add(self.sums_after[:, k], counts[k], out=self.sums_after[:, k - 1])
-            self.sums_after[:, k - 1] *= by_step[:, k]
-        self.whole: Array = by_step[:, 0] * self.to_end[:, 0]
-        self.sum_of_start: Array = by_step[:, 0] * (counts[0] + self.sums_after[:, 0])
-
-    def later_mean(self) -> Array:
-        """Return phi_2, shape (76, n)."""
-        small = np.minimum(self._exponent, _SERIES_LIMIT)
-        series = 0.5 - small * (1 / 6 - small * (1 / 24 - small * (1 / 120 - small / 720)))
-        large = np.maximum(self._exponent, _SERIES_LIMIT)
-        result: Array = np.where(self._exponent < _SERIES_LIMIT, series, (1.0 - self.mean) / large)
-        return result
-
-
-#: Force and motion of the same block ask for the same.
-decays_of = functools.lru_cache(maxsize=8)(Decays)
 
 
 @functools.cache
@@ -156,6 +64,28 @@ def _gain_series() -> Array:
     coefficients = np.array([1 / 2, -1 / 6, 1 / 24, -1 / 120, 1 / 720])
     series: Array = relaxation_rates()[:, None] ** np.arange(5) * coefficients
     return series
+
+
+def fractional_stress(times: Array, stress: Array, fractional_order: float) -> Array:
+    """Return f' = D^-alpha f [Pa s^alpha] at every sample, with f linear in between.
+
+    Parameters
+    ----------
+    times, stress : ndarray, shape (n,)
+        [s], increasing by at least :data:`~fden_ros.core.law.kernel.SHORTEST_STEP`; f [Pa].
+    fractional_order : float
+        alpha [1].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    integral = FractionalIntegral([fractional_order])
+    integral.start(float(stress[0]))
+    values = np.zeros(stress.size)
+    for index, step in enumerate(np.diff(times), start=1):
+        values[index] = integral.advance(float(step), float(stress[index]))[0]
+    return values
 
 
 class FractionalIntegral:
@@ -307,7 +237,7 @@ class FractionalIntegral:
         self._decay += 1.0
         np.subtract(mean_decay, 1.0, out=gain)
         gain /= falling
-        few = bisect.bisect_left(_rate_list(), _SERIES_LIMIT / step)
+        few = bisect.bisect_left(_rate_list(), SERIES_LIMIT / step)
         # The closed form cancels there.
         powers = np.array([1.0, step, step**2, step**3, step**4])
         np.dot(_gain_series()[:few], powers, out=gain[:few])

@@ -1,0 +1,336 @@
+r"""Sums of products over the whole past, from which any parameters' misfit follows.
+
+The predicted less the observed mean stress of a block is
+
+.. math::
+    r = G \sum_{nodes} w(\ln G_n)\,w(\alpha)\,w(o)\, L + \sum_{orders} w(\alpha)\, F
+    + \sum_k \theta_k C_k - f,
+
+with L the law's responses at the nodes of ln Gn, alpha and the strain origin o, F the response to
+what was in the air before at the order nodes, and :math:`C_k` one *linear column* for each
+parameter :math:`\theta_k` that enters the stress linearly. So the sum of squares of r and of its
+derivatives, over all blocks and weighed by their variances, is a quadratic form in the products of
+responses. Only these are kept: of laws at neighbouring nodes of ln Gn, of laws with columns, and
+of columns with columns.
+
+A linear column needs no more than a name: :class:`NormalEquations` sums it, differentiates by its
+parameter, and takes it out (:meth:`NormalEquations.marginalise`) when its parameter ends, as bias
+and drift do with their contact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fden_ros.core.estimation.estimate import StateIndex
+from fden_ros.core.law.interpolation import STENCIL, Lagrange, LogStiffnessGrid
+from fden_ros.core.law.kernel import order_interpolation, order_nodes
+
+Array = NDArray[np.float64]
+
+#: Blocks that may wait to be added to the sums together [1]: one product of matrices is faster
+#: than 32 of vectors, and a solution comes after 10 blocks at the latest.
+_MOST_PENDING = 32
+
+_LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
+_LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
+_ORDER = StateIndex.FRACTIONAL_ORDER
+_ORIGIN = StateIndex.STRAIN_ORIGIN
+#: Parameters before those of the linear columns.
+_NONLINEAR = 4
+_ORDERS = len(order_nodes())
+
+
+class BlockResponse(NamedTuple):
+    """Mean responses of a block at all nodes, and what was observed."""
+
+    law: Array  #: D^alpha phi at G = 1 [1], shape (nodes, origins * orders)
+    columns: Array  #: F (orders), linear columns, and the stress [Pa], shape (columns,)
+
+
+class _Pending(NamedTuple):
+    response: BlockResponse
+    weight: float  #: 1 over the variance of the block's mean stress [1/Pa^2]
+    size: int  #: samples in the block
+
+
+class NormalEquations:
+    """The sums, and the quadratic form of any state.
+
+    The state is (ln G, ln Gn, alpha, o) and one parameter for each linear column: shape (n,).
+
+    Parameters
+    ----------
+    grid : LogStiffnessGrid
+        Nodes of ln Gn.
+    origins : ndarray, shape (origins,)
+        Nodes of the strain origin [1].
+    linear : sequence of str
+        Names of the linear columns.
+    """
+
+    def __init__(self, grid: LogStiffnessGrid, origins: Array, linear: Sequence[str]) -> None:
+        self.linear = tuple(linear)
+        #: Length n of the state.
+        self.size = _NONLINEAR + len(self.linear)
+        self._grid = grid
+        self._in_origin = Lagrange(origins)
+        self._in_order = order_interpolation()
+        nodes, inner = grid.nodes.size, origins.size * _ORDERS
+        self._column_count = _ORDERS + len(self.linear) + 1
+        self._linear_columns = slice(_ORDERS, self._column_count - 1)
+        # Sums of products of responses: of neighbouring nodes, with the columns, of the columns.
+        self._law = np.zeros((STENCIL, nodes, inner, inner))
+        self._cross = np.zeros((nodes, inner, self._column_count))
+        self._columns = np.zeros((self._column_count, self._column_count))
+        self._pending: list[_Pending] = []
+
+    def index(self, name: str) -> int:
+        """Return the place in the state of a linear column's parameter."""
+        return _NONLINEAR + self.linear.index(name)
+
+    # Sums
+
+    def respond(
+        self, law: Array, free: Array, linear: Sequence[float], stress: float
+    ) -> BlockResponse:
+        """Return the responses of a block.
+
+        Parameters
+        ----------
+        law : ndarray, shape (nodes, origins * orders)
+            D^alpha phi at G = 1 [1].
+        free : ndarray, shape (orders,)
+            D^alpha of phi in the air before [Pa].
+        linear : sequence of float
+            The linear columns, in the order of their names.
+        stress : float
+            Observed [Pa].
+        """
+        return BlockResponse(law, np.concatenate([free, linear, [stress]]))
+
+    def add(self, response: BlockResponse, noise: float, size: int) -> None:
+        """Take a block whose mean stress of `size` samples has the variance `noise` [Pa^2]."""
+        self._pending.append(_Pending(response, 1.0 / noise, size))
+        if len(self._pending) >= _MOST_PENDING:
+            self._add_up()
+
+    def widen_newest(self, variance: float) -> None:
+        """Add to the variance of the newest block what one of its samples is further off [Pa^2].
+
+        Too late for a block that has been added to the sums already.
+        """
+        if variance > 0.0 and self._pending:
+            response, weight, size = self._pending[-1]
+            weight = 1.0 / (1.0 / weight + variance / size**2)
+            self._pending[-1] = _Pending(response, weight, size)
+
+    def clear(self) -> None:
+        """Forget all blocks."""
+        self._pending.clear()
+        for sums in (self._law, self._cross, self._columns):
+            sums.fill(0.0)
+
+    def _add_up(self) -> None:
+        """Add the blocks since the last time to the sums."""
+        if not self._pending:
+            return
+        laws = np.array([pending.response.law for pending in self._pending])
+        columns = np.array([pending.response.columns for pending in self._pending])
+        weights = np.array([pending.weight for pending in self._pending])
+        self._pending.clear()
+        by_node = laws.transpose(1, 0, 2)
+        weighted = by_node * weights[:, None]
+        transposed = by_node.transpose(0, 2, 1)
+        nodes = by_node.shape[0]
+        for distance in range(STENCIL):
+            self._law[distance, : nodes - distance] += (
+                transposed[: nodes - distance] @ weighted[distance:]
+            )
+        self._cross += weighted.transpose(0, 2, 1) @ columns
+        self._columns += (columns * weights[:, None]).T @ columns
+
+    def marginalise(self, index: int, precision: float) -> None:
+        """Take out of the sums what the parameter of a linear column explains.
+
+        Its column begins anew at 0, for another parameter in the same place.
+
+        Parameters
+        ----------
+        index : int
+            Place of the parameter in the state.
+        precision : float
+            1 over its prior variance; 0: it was known, and explains nothing.
+        """
+        self._add_up()
+        column = index - _NONLINEAR + _ORDERS
+        own = self._columns[column, column] + precision
+        if precision > 0.0 and own > 0.0:
+            by_law = self._cross[:, :, column].copy()
+            by_column = self._columns[column].copy()
+            for distance in range(STENCIL):
+                end = by_law.shape[0] - distance
+                self._law[distance, :end] -= (
+                    by_law[:end, :, None] * by_law[distance:, None, :] / own
+                )
+            self._cross -= by_law[:, :, None] * by_column / own
+            self._columns -= np.outer(by_column, by_column) / own
+        self._cross[:, :, column] = 0.0
+        self._columns[column, :] = self._columns[:, column] = 0.0
+
+    # One block
+
+    def residual(self, response: BlockResponse, state: Array) -> tuple[float, Array]:
+        """Return predicted less observed stress [Pa], and its derivatives by the state (n,)."""
+        first, directions = self._directions(state)
+        responses = np.concatenate(
+            [response.law[first : first + STENCIL].ravel(), response.columns]
+        )
+        residual, *gradient = directions @ responses
+        return residual, np.array(gradient)
+
+    def node_residuals(self, response: BlockResponse, states: Array) -> Array:
+        """Return predicted less observed stress [Pa] with each ln Gn at its node.
+
+        Parameters
+        ----------
+        response : BlockResponse
+        states : ndarray, shape (nodes, n)
+
+        Returns
+        -------
+        ndarray, shape (nodes,)
+        """
+        in_order, by_order = self._in_order(states[:, _ORDER])
+        in_origin, _ = self._in_origin(states[:, _ORIGIN])
+        rows = np.zeros((self.size + 1, self._column_count, states.shape[0]))
+        self._fill_columns(rows, states.T, in_order.T, by_order.T)
+        residuals: Array = response.columns @ rows[0]
+        residuals += np.exp(states[:, _LOG_G]) * np.sum(
+            response.law * _outer(in_origin, in_order), axis=1
+        )
+        return residuals
+
+    def law_weights(self, state: Array) -> tuple[int, Array]:
+        """Return the first node of ln Gn used at a state, and the weights, G included.
+
+        Returns
+        -------
+        int
+        ndarray, shape (8, origins)
+        """
+        first, in_gn, _ = self._grid.stencil(float(state[_LOG_GN]))
+        in_origin, _ = self._in_origin(float(state[_ORIGIN]))
+        return first, math.exp(state[_LOG_G]) * np.outer(in_gn, in_origin)
+
+    # Quadratic forms
+
+    def at_state(self, state: Array) -> Array:
+        """Return the products of residual and derivatives, summed over all blocks.
+
+        Parameters
+        ----------
+        state : ndarray, shape (n,)
+
+        Returns
+        -------
+        ndarray, shape (n + 1, n + 1)
+            The residual stands first; each product over the variance of its block.
+        """
+        self._add_up()
+        first, directions = self._directions(state)
+        products: Array = directions @ self._stencil_products(first) @ directions.T
+        return products
+
+    def at_nodes(self, states: Array) -> Array:
+        """Return what :meth:`at_state` does with each ln Gn at its node.
+
+        Parameters
+        ----------
+        states : ndarray, shape (nodes, n)
+
+        Returns
+        -------
+        ndarray, shape (nodes, n + 1, n + 1)
+            The derivatives by ln Gn are 0.
+        """
+        self._add_up()
+        inner, count = self._cross.shape[1], self._column_count
+        products = np.empty((states.shape[0], inner + count, inner + count))
+        products[:, :inner, :inner] = self._law[0]
+        products[:, :inner, inner:] = self._cross
+        products[:, inner:, :inner] = self._cross.transpose(0, 2, 1)
+        products[:, inner:, inner:] = self._columns
+        in_order, by_order = self._in_order(states[:, _ORDER])
+        in_origin, by_origin = self._in_origin(states[:, _ORIGIN])
+        in_origin = np.exp(states[:, _LOG_G])[:, None] * in_origin
+        by_origin = np.exp(states[:, _LOG_G])[:, None] * by_origin
+        directions = np.zeros((states.shape[0], self.size + 1, inner + count))
+        law, columns = directions[:, :, :inner], directions[:, :, inner:]
+        law[:, 0] = law[:, 1 + _LOG_G] = _outer(in_origin, in_order)
+        law[:, 1 + _ORDER] = _outer(in_origin, by_order)
+        law[:, 1 + _ORIGIN] = _outer(by_origin, in_order)
+        self._fill_columns(columns.transpose(1, 2, 0), states.T, in_order.T, by_order.T)
+        result: Array = directions @ products @ directions.transpose(0, 2, 1)
+        return result
+
+    def _directions(self, state: Array) -> tuple[int, Array]:
+        """Return the first node of the stencil, and coefficients of stencil and columns.
+
+        The first row gives the predicted less the observed stress, the others its derivatives by
+        the parameters, shape (n + 1, 8 * origins * orders + columns).
+        """
+        first, in_gn, by_gn = self._grid.stencil(float(state[_LOG_GN]))
+        in_order, by_order = self._in_order(float(state[_ORDER]))
+        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
+        g = math.exp(state[_LOG_G])
+        inner = np.outer(in_origin, in_order).ravel()
+        size = STENCIL * inner.size
+        directions = np.zeros((self.size + 1, size + self._column_count))
+        law, columns = directions[:, :size], directions[:, size:]
+        law[0] = law[1 + _LOG_G] = np.outer(g * in_gn, inner).ravel()
+        law[1 + _LOG_GN] = np.outer(g * by_gn, inner).ravel()
+        law[1 + _ORDER] = np.outer(g * in_gn, np.outer(in_origin, by_order)).ravel()
+        law[1 + _ORIGIN] = np.outer(g * in_gn, np.outer(by_origin, in_order)).ravel()
+        self._fill_columns(columns, state, in_order, by_order)
+        return first, directions
+
+    def _fill_columns(
+        self, columns: Array, state: Array, in_order: Array, by_order: Array
+    ) -> None:
+        """Fill coefficients of the columns, shape (n + 1, columns, ...), at states (n, ...)."""
+        columns[0, :_ORDERS] = in_order
+        columns[0, -1] = -1.0
+        columns[1 + _ORDER, :_ORDERS] = by_order
+        columns[0, self._linear_columns] = state[_NONLINEAR:]
+        for index, column in enumerate(range(_ORDERS, self._column_count - 1), start=_NONLINEAR):
+            columns[1 + index, column] = 1.0
+
+    def _stencil_products(self, first: int) -> Array:
+        """Return the products of the stencil that begins at a node, and of the columns."""
+        inner = self._cross.shape[1]
+        size = STENCIL * inner
+        products = np.empty((size + self._column_count, size + self._column_count))
+        for i in range(STENCIL):
+            rows = slice(i * inner, (i + 1) * inner)
+            for j in range(i, STENCIL):
+                block = self._law[j - i, first + i]
+                products[rows, j * inner : (j + 1) * inner] = block
+                if j > i:
+                    products[j * inner : (j + 1) * inner, rows] = block.T
+            cross = self._cross[first + i]
+            products[rows, size:] = cross
+            products[size:, rows] = cross.T
+        products[size:, size:] = self._columns
+        return products
+
+
+def _outer(a: Array, b: Array) -> Array:
+    """Return the outer products of rows, flattened, shape (n, a.size * b.size)."""
+    products: Array = (a[:, :, None] * b[:, None, :]).reshape(a.shape[0], -1)
+    return products

@@ -1,0 +1,157 @@
+"""Whether the tissue under the probe has changed, or was never what the model says."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fden_ros.core.estimation.estimate import Block, Innovation
+from fden_ros.core.estimation.innovation_monitor import (
+    CHANGE_DEVIATIONS,
+    LONGEST_CHANGE_WINDOW,
+    InnovationMonitor,
+)
+
+Array = NDArray[np.float64]
+
+#: An innovation whose variance is below this many times the noise's [1] is the noise's, not the
+#: state's: only such are tested.
+_MOST_NOISE_SHARE = 2.0
+#: Innovations [1] after which a mismatch is reported, unless a change of the tissue explains it: a
+#: change shows within the longest window of change.
+_MISMATCH_DELAY = LONGEST_CHANGE_WINDOW
+#: An innovation beyond this many standard deviations [1] makes the estimate doubtful for this many
+#: blocks [1]: by then the tests have decided what it was.
+_SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
+#: Blocks in a row [1] that each are a surprise and together are a change.
+_SURPRISES = 4
+#: After a change, for this time [s], the shape of the pulse matters too much to learn anything.
+_BLIND_TIME = 0.1
+#: Changes on one site [1]: a tissue that changes oftener is none that the model describes.
+_MOST_CHANGES = 2
+
+
+class Change(NamedTuple):
+    """A change of the tissue."""
+
+    time: float  #: of the first block that shows it [s]
+    state: Array | None  #: the last state before it, shape (n,); None: the present one
+
+
+class TissueChange:
+    """Tests of the innovations of one site."""
+
+    def __init__(self) -> None:
+        #: Changes found so far.
+        self.count = 0
+        self._monitor = InnovationMonitor()
+        self._was_mismatch = False
+        self._surprises = 0
+        self._first_surprise = 0.0
+        self._blind_until = -math.inf
+        self._recent_states: deque[tuple[float, Array]] = deque(maxlen=LONGEST_CHANGE_WINDOW + 2)
+        self._doubtful_blocks = 0
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a surprise or a mismatch of late is not explained yet."""
+        return self._doubtful_blocks > 0 or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the innovations are larger or slower than model and noise explain."""
+        return self._was_mismatch or self._monitor.mismatch_count > _MISMATCH_DELAY
+
+    @property
+    def is_suspected(self) -> bool:
+        """Whether the newest block was a surprise: perhaps the first of a change."""
+        return self._surprises > 0
+
+    @property
+    def inflation(self) -> float:
+        """Factor by which the variance of the estimate is too small, at least 1."""
+        return self._monitor.inflation
+
+    def begin_contact(self) -> None:
+        """Let a new contact begin: the mismatch before an earlier change is forgotten."""
+        self._was_mismatch = False
+
+    def is_blind(self, time: float) -> bool:
+        """Whether a block at `time` [s] is too soon after a change to be used."""
+        return time < self._blind_until
+
+    def watch(
+        self,
+        block: Block,
+        innovation: Innovation,
+        noise: float,
+        state: Array,
+        *,
+        is_unimodal: bool,
+        is_fresh: bool,
+        is_beyond_all_nodes: Callable[[], bool],
+    ) -> Change | None:
+        """Test the innovation of a block; return the change that it proves.
+
+        Parameters
+        ----------
+        block : Block
+        innovation : Innovation
+        noise : float
+            Variance of the block's mean stress [Pa^2].
+        state : ndarray, shape (n,)
+            By which the block was predicted.
+        is_unimodal : bool
+            The posterior is normal.
+        is_fresh : bool
+            The state holds all blocks before this one.
+        is_beyond_all_nodes : callable
+            Whether the innovation is a surprise for every likely ln Gn; asked where the posterior
+            is not normal.
+        """
+        self._doubtful_blocks = max(self._doubtful_blocks - 1, 0)
+        if innovation.normalized_squared > _SURPRISING**2:
+            self._doubtful_blocks = _DOUBTFUL_BLOCKS
+        if self.is_blind(block.memory_time):
+            return None
+        is_known = innovation.variance <= _MOST_NOISE_SHARE * noise
+        may_change = self.count < _MOST_CHANGES
+        is_surprising = (
+            innovation.normalized_squared > CHANGE_DEVIATIONS**2
+            # A first surprise needs a state that is known better than the noise; one that follows
+            # a surprise does not, because the surprise has widened the state.
+            and (is_known or not is_unimodal or self._surprises > 0)
+            and (is_unimodal or is_beyond_all_nodes())
+        )
+        self._surprises = self._surprises + 1 if is_surprising and may_change else 0
+        if self._surprises == 1:
+            self._first_surprise = block.memory_time
+        if self._surprises >= _SURPRISES:
+            return self._begin_anew(block, Change(self._first_surprise, None))
+        if not is_known or not is_fresh:
+            # Two innovations by one state are not independent.
+            return None
+        self._monitor.add(innovation.innovation / math.sqrt(innovation.variance))
+        self._recent_states.append((block.memory_time, state.copy()))
+        if not (self._monitor.change_window and may_change):
+            return None
+        # The blocks since the change have spoilt the present state.
+        first = max(len(self._recent_states) - self._monitor.change_window, 0)
+        changed_at, _ = self._recent_states[first]
+        _, before = self._recent_states[max(first - 1, 0)]
+        return self._begin_anew(block, Change(changed_at, before))
+
+    def _begin_anew(self, block: Block, change: Change) -> Change:
+        self._blind_until = block.memory_time + _BLIND_TIME
+        # A mismatch before the change is not explained by it.
+        self._was_mismatch = self.is_mismatch
+        self._surprises = 0
+        self._monitor = InnovationMonitor()
+        self._recent_states.clear()
+        self.count += 1
+        return change

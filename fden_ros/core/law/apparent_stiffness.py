@@ -1,0 +1,107 @@
+r"""Stiffness for a small motion that lasts tau, with its deviation.
+
+A fractional solid has no stiffness without a time scale, nor a nonlinear one without a strain. The
+apparent modulus is
+
+.. math:: E = \varphi'(x)\,\frac{\tau^{-\alpha}}{\Gamma(1-\alpha)}, \qquad
+   \ln E = \ln G + \max(G_n |x| - 1, 0) - \alpha \ln\tau - \ln\Gamma(1 - \alpha),
+
+and the stiffness dF/dd follows from the geometry. The logarithm stands for any parameters, however
+far from tissue; the value is that of a filter's estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma, gammaln
+
+from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
+from fden_ros.core.law.geometry import Geometry
+
+Array = NDArray[np.float64]
+
+
+class Stiffness(NamedTuple):
+    """dF/dd with its deviation."""
+
+    value: float  #: [N/m]
+    sd: float  #: [N/m]
+
+
+class LogStiffness(NamedTuple):
+    """ln E of one place, or of many."""
+
+    value: Array  #: [1], E in Pa
+    variance: Array  #: [1]
+
+
+def apparent_stiffness(
+    mean: Array, covariance: Array, geometry: Geometry, compression: float, time_scale: float
+) -> Stiffness:
+    """Return dF/dd and its deviation to first order.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (3,)
+        Of (ln G, ln Gn, alpha).
+    covariance : ndarray, shape (3, 3)
+    geometry : Geometry
+    compression : float
+        u, from the strain origin [1].
+    time_scale : float
+        tau [s].
+    """
+    log_g, log_gn, order = (float(value) for value in mean)
+    strain = geometry.strain(compression)
+    nonlinear_stiffness = math.exp(log_gn)
+    response = elastic_response(strain, math.exp(log_g), nonlinear_stiffness)
+    value = (
+        response.by_strain
+        * geometry.strain_slope(compression)
+        * apparent_stiffness_factor(order, time_scale)
+        / (geometry.stress_per_force * geometry.length)
+    )
+    reach = np.array(nonlinear_stiffness * abs(strain))
+    gradient = _log_gradient(reach, np.array(order), time_scale)
+    variance = float(gradient @ covariance @ gradient)
+    return Stiffness(value, value * math.sqrt(max(variance, 0.0)))
+
+
+def log_stiffness(
+    mean: Array, covariance: Array, strain: float, time_scale: float
+) -> LogStiffness:
+    """Return ln E and its variance.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (..., 3)
+        Of (ln G, ln Gn, alpha).
+    covariance : ndarray, shape (..., 3, 3)
+    strain : float
+        x [1].
+    time_scale : float
+        tau [s].
+    """
+    order = mean[..., 2]
+    reach = np.exp(mean[..., 1]) * abs(strain)
+    beyond = np.maximum(reach - 1.0, 0.0)
+    value = mean[..., 0] + beyond - order * math.log(time_scale) - gammaln(1.0 - order)
+    gradient = _log_gradient(reach, order, time_scale)
+    variance = np.einsum("...i,...ij,...j->...", gradient, covariance, gradient)
+    return LogStiffness(value, np.maximum(variance, 0.0))
+
+
+def _log_gradient(reach: Array, order: Array, time_scale: float) -> Array:
+    """Return the derivatives of ln E by (ln G, ln Gn, alpha), shape (..., 3), at Gn |x| (...)."""
+    return np.stack(
+        [
+            np.ones_like(order),
+            np.where(reach > 1.0, reach, 0.0),
+            digamma(1.0 - order) - math.log(time_scale),
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,80 @@
+"""Interpolation by polynomials: through all nodes, or through the nearest of a uniform grid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Distance of the nodes of ln Gn [1], and the number of them that serve one value [1]: between
+#: the nodes the stress is interpolated to 2e-5 at strains of 0.3 (test_core_stress_basis).
+LOG_SPACING = 0.1
+STENCIL = 8
+
+
+class Lagrange:
+    """Interpolation by the polynomial through given nodes.
+
+    Parameters
+    ----------
+    nodes : ndarray, shape (n,)
+        Ascending and distinct.
+    """
+
+    def __init__(self, nodes: Array) -> None:
+        self._middle = 0.5 * float(nodes[0] + nodes[-1])
+        self._half = 0.5 * float(nodes[-1] - nodes[0]) or 1.0
+        scaled = (nodes - self._middle) / self._half
+        cardinal = np.linalg.inv(chebyshev.chebvander(scaled, nodes.size - 1))
+        slope = np.zeros_like(cardinal)
+        slope[: max(nodes.size - 1, 1)] = chebyshev.chebder(cardinal) / self._half
+        self._size = nodes.size
+        self._coefficients = np.hstack([cardinal, slope])
+
+    def __call__(self, value: float | Array) -> tuple[Array, Array]:
+        """Return the weight of each node at `value` and its derivative, shape (..., n)."""
+        x = (value - self._middle) / self._half
+        polynomials = [x**0, x]
+        for _ in range(2, self._size):
+            polynomials.append(2.0 * x * polynomials[-1] - polynomials[-2])
+        both = np.array(polynomials[: self._size]).T @ self._coefficients
+        return both[..., : self._size], both[..., self._size :]
+
+
+class LogStiffnessGrid:
+    """Uniform nodes of ln Gn, with local interpolation between them.
+
+    Local, because far nodes differ by orders of magnitude at large strain.
+
+    Parameters
+    ----------
+    centre, half_width : float
+        What values of ln Gn must be covered [1].
+    """
+
+    def __init__(self, centre: float, half_width: float) -> None:
+        count = max(math.ceil(half_width / LOG_SPACING), STENCIL // 2)
+        offsets: Array = np.arange(-float(count), count + 1.0)
+        self.nodes = centre + LOG_SPACING * offsets
+        self._interpolation = Lagrange(np.arange(float(STENCIL)))
+
+    @property
+    def lowest(self) -> float:
+        """Smallest node."""
+        return float(self.nodes[0])
+
+    @property
+    def highest(self) -> float:
+        """Largest node."""
+        return float(self.nodes[-1])
+
+    def stencil(self, value: float) -> tuple[int, Array, Array]:
+        """Return the first node used at `value`, the weights and their slopes, shape (8,)."""
+        position = (value - self.lowest) / LOG_SPACING
+        first = min(max(math.floor(position) - STENCIL // 2 + 1, 0), self.nodes.size - STENCIL)
+        weights, slopes = self._interpolation(position - first)
+        return first, weights, slopes / LOG_SPACING
