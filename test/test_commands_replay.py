@@ -80,7 +80,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="module")
 def config(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("config") / "probe.yaml"
-    path.write_text(yaml.safe_dump(recording.truth["identifier_parameters"]))
+    path.write_text(
+        yaml.safe_dump({"/**": {"ros__parameters": recording.truth["identifier_parameters"]}})
+    )
     return path
 
 

@@ -178,7 +178,7 @@ def comparison(session: Session) -> str:
 def site_map(session: Session) -> str:
     """Where it was pressed, seen along the approach, with G as colour and number."""
     placed = [s for s in session.replay.summaries if s.position is not None]
-    first, second = _lateral_axes(session.parameters["displacement.axis"])
+    first, second = _lateral_axes(session.parameters.displacement.axis)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
