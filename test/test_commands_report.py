@@ -14,8 +14,7 @@ import pytest
 
 from fden_ros.cli import main
 from fden_ros.core.law.geometry import FlatPunch, Sphere
-from fden_ros.parameters import read_parameter_file
-from fden_ros.report.session import (
+from fden_ros.offline.session import (
     Contact,
     Envelope,
     Session,
@@ -24,6 +23,7 @@ from fden_ros.report.session import (
     fractional_derivative,
     gather,
 )
+from fden_ros.parameters import read_parameter_file
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 POSE = GOLDEN / "golden_pose"

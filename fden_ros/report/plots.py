@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.parameters import unit_vector
-from fden_ros.report.session import (
+from fden_ros.offline.session import (
     Array,
     Contact,
     Envelope,
@@ -26,6 +25,7 @@ from fden_ros.report.session import (
     normalized_innovation,
     predicted_stress,
 )
+from fden_ros.parameters import unit_vector
 
 # Each stands for a colour of the page, which differs in light and dark; see the page's style.
 INK, MUTED, GRID, SHADE, MEASURED, ESTIMATE, TRUTH, SURE = (
