@@ -18,16 +18,16 @@ import pytest
 from fault_helpers import TISSUE, Outcome, is_wrong, outcome_of
 from pipeline_helpers import Item, items_of, parameters_of
 
-from fden_ros.core.pipeline import (
+from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     Flag,
     Output,
     Phase,
-    Pipeline,
     Status,
     TissueState,
 )
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.simulation.scenario import DisplacementSensor, Site, ramp_scenario
 from fden_ros.simulation.simulate import simulate
 from fden_ros.simulation.trajectory import Approach, Palpation, RampHold, Trajectory
