@@ -205,7 +205,7 @@ def test_list_of_bags_is_read_with_paths_from_its_folder(bags, tmp_path, capsys)
 def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, capsys):
     folder, config = bags
     newtons = tmp_path / "newtons.yaml"
-    newtons.write_text("geometry: {area: 1.0}\n", encoding="utf-8")
+    newtons.write_text("/**: {ros__parameters: {geometry.area: 1.0}}\n", encoding="utf-8")
     table, library = written(tmp_path / "t.csv", rows()), tmp_path / "library.yaml"
     assert train(capsys, table, "--config", newtons, "-o", library)[0] == 0
     assert load_library(library).units == "N"

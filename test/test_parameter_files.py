@@ -224,6 +224,10 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
         "'<stream end>'",
     ),
     "an alias": (any_node("force.noise: &x 1.0, force.limit: *x"), "ROS 2 reads no aliases (*)"),
+    "a name twice": (
+        "/**:\n  ros__parameters:\n    prior: {alpha: 0.2}\n    prior: {alpha_sd: 0.02}\n",
+        "not valid YAML: prior stands twice in one mapping",
+    ),
     "no text": (b"\xff\xfe\x00", "cannot read the parameter file: it is not a text file"),
     "for another node": (
         "/arm/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",

@@ -206,6 +206,14 @@ class _Loader(yaml.SafeLoader):
             raise yaml.YAMLError("ROS 2 reads no aliases (*)")
         return super().compose_node(parent, index)
 
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
+        """Refuse a name that stands twice, of which one would be lost."""
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for name in names:
+            if names.count(name) > 1:
+                raise yaml.YAMLError(f"{name} stands twice in one mapping")
+        return super().construct_mapping(node, deep)
+
     def construct_truth(self, node: yaml.ScalarNode) -> bool:
         """Return a truth value: y and n are among ROS 2's."""
         return str(node.value)[0] in "yYtT" or str(node.value).lower() == "on"
