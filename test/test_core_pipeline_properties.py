@@ -132,7 +132,7 @@ def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(
     checked(items, dict(s.parameters) | parameters)
 
 
-@pytest.mark.parametrize("alpha", [{}, {"alpha.source": "prior"}])
+@pytest.mark.parametrize("alpha", [{}, {"alpha.learn": True, "prior.alpha_sd": 0.011}])
 def test_covariances_of_what_is_learned_are_positive_definite(alpha: dict[str, object]) -> None:
     s = shift()
     items = [i for i in s.items if s.second(i.stamp_ns) < 5.2]

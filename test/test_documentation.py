@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fden_ros.commands.parameters import parameter_file, parameter_table
-from fden_ros.parameters import defaults, read_parameter_file
+from fden_ros.parameters import Parameters, read_parameter_file
 
 ROOT = Path(__file__).parent.parent
 
@@ -15,7 +15,7 @@ def test_the_parameter_file_holds_every_parameter_at_its_default() -> None:
     assert path.read_text(encoding="utf-8") == parameter_file(), (
         "make it anew: fden parameters > config/identifier.yaml"
     )
-    assert read_parameter_file(path) == defaults()
+    assert read_parameter_file(path) == Parameters()
 
 
 def test_the_readme_lists_every_parameter() -> None:
