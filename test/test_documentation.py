@@ -28,6 +28,7 @@ from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, defaults, read_para
 from fden_ros.recording.source import DAMAGED
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate
+from fden_ros.tissues.library import parse_library
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -395,6 +396,12 @@ def test_tissue_is_identified_from_arrays_in_ten_lines_where_there_is_no_ros() -
     truth = [450.0, 9.0, 700.0, 8.0]
     found = [float(number) for number in re.findall(r"[\d.]+\d", done.stdout)]
     assert found == pytest.approx(truth, rel=0.02)
+
+
+def test_the_library_of_the_page_can_be_read() -> None:
+    page = "docs/classification.md"
+    text = next(b for b in code_blocks(text_of(page)) if b.startswith("format:"))
+    assert [tissue.name for tissue in parse_library(text, page).tissues] == ["liver"]
 
 
 def test_every_public_name_of_the_core_is_documented() -> None:
