@@ -8,11 +8,13 @@ import importlib.machinery
 import importlib.util
 import io
 import json
+import math
 import os
 import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
 from types import ModuleType
@@ -24,8 +26,16 @@ from fden_ros.cli import build_parser, main
 from fden_ros.commands.parameters import parameter_file
 from fden_ros.core import Decision, Flag, OrderSource, Phase, Status
 from fden_ros.core.streams.samples import Reason
-from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, defaults, read_parameter_file
-from fden_ros.recording.source import DAMAGED
+from fden_ros.offline.replay import Replay, replay
+from fden_ros.parameters import (
+    NODE_PARAMETERS,
+    PARAMETERS,
+    check,
+    defaults,
+    read_parameter_file,
+)
+from fden_ros.recording.source import DAMAGED, Selection
+from fden_ros.recording.table import Columns
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate
 from fden_ros.tissues.library import parse_library
@@ -154,6 +164,89 @@ def test_a_command_of_the_readme_prints_what_is_shown(
 
 def test_the_readme_has_five_commands_for_ones_own_recording() -> None:
     assert len(shown_commands()) == 5
+
+
+PRESS = EXAMPLES / "press.csv"
+IN_MM = "time_s,force_N,depth_mm*1e-3"
+
+
+def identified(
+    changes: Mapping[str, object], columns: str = IN_MM, recording: Path = PRESS
+) -> Replay:
+    stated = read_parameter_file(EXAMPLES / "probe.yaml")
+    return replay(
+        recording, check({**stated, **changes}), Selection(columns=Columns.parse(columns))
+    )
+
+
+def rows_between(path: Path, begin: float, end: float) -> Path:
+    """Write the rows of the example between two times [s]; return the file."""
+    head, *lines = PRESS.read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if begin < float(line.split(",")[0]) < end]
+    path.write_text("\n".join([head, *kept]), encoding="utf-8")
+    return path
+
+
+def converged(result: Replay) -> list[bool]:
+    return [summary.converged for summary in result.summaries]
+
+
+def test_a_wrong_sign_shows_as_the_readme_says() -> None:
+    result = identified({}, "time_s,force_N*-1,depth_mm*1e-3")
+    assert not result.summaries
+    assert any("the force fell below its value in the air" in text for text in result.warnings)
+
+
+def test_depth_in_mm_shows_as_the_readme_says() -> None:
+    result = identified({}, "time_s,force_N,depth_mm")
+    assert not any(converged(result))
+    assert result.summaries[0].max_strain == pytest.approx(297, abs=1)
+
+
+def test_a_geometry_left_at_its_default_shows_as_the_readme_says() -> None:
+    stated = identified({})
+    result = identified({name: defaults()[name] for name in ("geometry.area",)})
+    assert all(converged(result))
+    for one, other in zip(result.summaries, stated.summaries, strict=True):
+        assert one.estimate is not None and other.estimate is not None
+        ratio = one.estimate.log_linear_stiffness - other.estimate.log_linear_stiffness
+        assert math.exp(ratio) == pytest.approx(3.14, rel=0.01)
+
+
+def test_a_shallow_press_shows_as_the_readme_says(tmp_path: Path) -> None:
+    result = identified({}, recording=rows_between(tmp_path / "press.csv", -1.0, 2.05))
+    (summary,) = result.summaries
+    assert not summary.converged
+    assert summary.estimate is not None
+    assert math.exp(summary.estimate.log_nonlinear_stiffness) == pytest.approx(8.40, abs=0.01)
+
+
+def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
+    result = identified({"prior.nonlinear_stiffness": 30.0})
+    assert all(converged(result))
+    for summary in result.summaries:
+        assert summary.estimate is not None and summary.classes is not None
+        g_n = math.exp(summary.estimate.log_nonlinear_stiffness)
+        assert g_n == pytest.approx(30.0 * math.exp(-0.8), abs=0.01)
+        assert summary.classes.label == "unknown"
+    wide = {"prior.nonlinear_stiffness": 30.0, "prior.nonlinear_stiffness_log_sd": 1.0}
+    for summary, truth in zip(identified(wide).summaries, (9.0, 8.0), strict=True):
+        assert summary.converged and summary.estimate is not None
+        assert math.exp(summary.estimate.log_nonlinear_stiffness) == pytest.approx(truth, rel=0.01)
+
+
+@pytest.mark.parametrize("delay", [-0.01, 0.01])
+def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
+    result = identified({"displacement.delay": delay})
+    assert len(result.summaries) == 2 and not any(converged(result))
+    for summary in result.summaries:
+        assert summary.estimate is not None
+        assert math.sqrt(summary.estimate.covariance[0, 0]) > 0.33
+
+
+def test_a_recording_that_begins_in_contact_shows_as_the_readme_says(tmp_path: Path) -> None:
+    result = identified({}, recording=rows_between(tmp_path / "press.csv", 1.83, 99.0))
+    assert converged(result) == [False, True]
 
 
 # All pages
