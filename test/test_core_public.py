@@ -15,8 +15,12 @@ NAMES = [
     "TissueState",
     "Classification",
     "ContactSummary",
-    "Status",
+    "DynamicModulus",
+    "Decision",
     "Flag",
+    "OrderSource",
+    "Phase",
+    "Status",
 ]
 
 

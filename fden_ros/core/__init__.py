@@ -1,9 +1,10 @@
 """The pure core: from samples to classified tissue, in stages that follow the data.
 
-``streams`` → ``contact`` → ``law`` → ``estimation`` → ``classification`` → ``outputs``, composed
+``streams`` → ``law`` → ``contact`` → ``estimation`` → ``classification`` → ``outputs``, composed
 by ``pipeline``. Nothing here knows ROS, a clock or a file.
 
-The names below are those to use from outside; each is imported when it is first asked for.
+The names below are those to use from outside, documented in ``docs/python.md``; each is imported
+when it is first asked for.
 """
 
 from __future__ import annotations
@@ -12,13 +13,27 @@ from __future__ import annotations
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from fden_ros.core.config import PipelineConfig
-    from fden_ros.core.outputs import Classification, ContactSummary, Flag, Status, TissueState
+    from fden_ros.core.outputs import (
+        Classification,
+        ContactSummary,
+        Decision,
+        DynamicModulus,
+        Flag,
+        OrderSource,
+        Phase,
+        Status,
+        TissueState,
+    )
     from fden_ros.core.pipeline import Pipeline
 
 __all__ = [
     "Classification",
     "ContactSummary",
+    "Decision",
+    "DynamicModulus",
     "Flag",
+    "OrderSource",
+    "Phase",
     "Pipeline",
     "PipelineConfig",
     "Status",
