@@ -30,7 +30,7 @@ from fden_ros.control.prediction import Prediction
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
-from fden_ros.parameters import pipeline_config, read_parameter_file
+from fden_ros.parameters import geometry_of, read_parameter_file
 from fden_ros.ros.messages import state_of
 
 #: What the identifier offers; a feed cannot ask for less.
@@ -97,7 +97,7 @@ class TissueFeed:
                 f"{OFFERED_DEADLINE} s, so it must be at least that"
             )
         if parameters is not None:
-            geometry = pipeline_config(read_parameter_file(parameters)).geometry
+            geometry = geometry_of(read_parameter_file(parameters, identifier))
         self._node = node
         self._topic = f"{identifier}/estimate"
         self._deadline = deadline

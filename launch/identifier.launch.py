@@ -58,7 +58,6 @@ def generate_launch_description() -> LaunchDescription:
         namespace=LaunchConfiguration("namespace"),
         output="screen",
         parameters=[
-            LaunchConfiguration("parameters"),
             {
                 name: ParameterValue(LaunchConfiguration(name), value_type=bool)
                 for name in ("autostart", "use_sim_time")
@@ -68,6 +67,13 @@ def generate_launch_description() -> LaunchDescription:
             ("force", LaunchConfiguration("force_topic")),
             ("displacement", LaunchConfiguration("displacement_topic")),
         ],
-        arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
+        arguments=[
+            "--ros-args",
+            "--log-level",
+            LaunchConfiguration("log_level"),
+            # Not below `parameters`, where a file that is not there is passed over.
+            "--params-file",
+            LaunchConfiguration("parameters"),
+        ],
     )
     return LaunchDescription([*arguments, identifier])

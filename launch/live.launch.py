@@ -30,29 +30,32 @@ def generate_launch_description() -> LaunchDescription:
             description="Gains by the live stiffness; false: fixed gains.",
         ),
     ]
-    common = {"package": "fden_ros", "namespace": LaunchConfiguration("namespace")}
+    common = {
+        "package": "fden_ros",
+        "namespace": LaunchConfiguration("namespace"),
+        # Not below `parameters`, where a file that is not there is passed over.
+        "arguments": ["--ros-args", "--params-file", LaunchConfiguration("parameters")],
+    }
     scheduled = ParameterValue(LaunchConfiguration("scheduled"), value_type=bool)
-    parameters = LaunchConfiguration("parameters")
     return LaunchDescription(
         [
             *arguments,
             Node(
                 executable="tissue_simulator",
                 name="tissue_simulator",
-                parameters=[parameters],
                 **common,
             ),
             LifecycleNode(
                 executable="identifier",
                 name="identifier",
-                parameters=[parameters, {"autostart": True}],
+                parameters=[{"autostart": True}],
                 output="screen",
                 **common,
             ),
             Node(
                 executable="force_controller",
                 name="force_controller",
-                parameters=[parameters, {"scheduled": scheduled}],
+                parameters=[{"scheduled": scheduled}],
                 output="screen",
                 **common,
             ),

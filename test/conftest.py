@@ -6,10 +6,12 @@ import contextlib
 import os
 
 import domain_coordinator
+import property_helpers
 import pytest
 
 import fden_ros.one_thread  # noqa: F401 (as in the node: threads change last bits)
 
+property_helpers.load_profile()
 _domain = contextlib.ExitStack()
 
 

@@ -80,7 +80,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="module")
 def config(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("config") / "probe.yaml"
-    path.write_text(yaml.safe_dump(recording.truth["identifier_parameters"]))
+    path.write_text(
+        yaml.safe_dump({"/**": {"ros__parameters": recording.truth["identifier_parameters"]}})
+    )
     return path
 
 
@@ -278,7 +280,7 @@ def test_fields_of_types_that_only_the_bag_knows_give_the_truth(
 ) -> None:
     bag = foreign.write(tmp_path / "bag", foreign.loads, foreign.depth)
     inverted = tmp_path / "inverted.yaml"
-    inverted.write_text(config.read_text() + "force.inverted: true\n")
+    inverted.write_text(config.read_text() + "    force.inverted: true\n")
     options = (
         *("--force-topic", "/ati/netft", "--force-field", "channels[1]"),
         *("--displacement-topic", "/psm1/measured_cp", "--displacement-field", "tip"),

@@ -14,8 +14,7 @@ import pytest
 
 from fden_ros.cli import main
 from fden_ros.core.law.geometry import FlatPunch, Sphere
-from fden_ros.parameters import read_parameter_file
-from fden_ros.report.session import (
+from fden_ros.offline.session import (
     Contact,
     Envelope,
     Session,
@@ -24,6 +23,7 @@ from fden_ros.report.session import (
     fractional_derivative,
     gather,
 )
+from fden_ros.parameters import read_parameter_file
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 POSE = GOLDEN / "golden_pose"
@@ -144,7 +144,7 @@ def test_what_the_data_do_not_allow_is_said_in_words(tmp_path: Path) -> None:
     text = (POSE / "identifier.yaml").read_text()
     # A stiffness this nonlinear would begin at strains that were not reached.
     config.write_text(
-        text + "    prior: {nonlinear_stiffness: 2.0, nonlinear_stiffness_log_sd: 0.02}\n"
+        text + "      nonlinear_stiffness: 2.0\n      nonlinear_stiffness_log_sd: 0.02\n"
     )
     cut = tmp_path / "cut.mcap"
     (source,) = POSE.glob("*.mcap")

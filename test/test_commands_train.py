@@ -113,7 +113,10 @@ def test_order_that_was_given_is_not_learned(tmp_path, capsys):
     body = [("a", i, 500.0, 10.0, 8.0, 0.2, 0.45, 0.001, "given") for i in range(6)]
     table = written(tmp_path / "t.csv", body, (*HEADER, "alpha_source"))
     config = tmp_path / "probe.yaml"
-    config.write_text("alpha: {source: given, value: 0.45, sd: 0.001}\n", encoding="utf-8")
+    config.write_text(
+        "/**: {ros__parameters: {alpha.learn: false, prior: {alpha: 0.45, alpha_sd: 0.001}}}\n",
+        encoding="utf-8",
+    )
     assert train(capsys, table, "-o", tmp_path / "l.yaml", "--config", config)[0] == 0
     spread = load_library(tmp_path / "l.yaml").tissues[0].covariance[2, 2] ** 0.5
     # Nothing was seen of it: all orders are possible.
@@ -202,7 +205,7 @@ def test_list_of_bags_is_read_with_paths_from_its_folder(bags, tmp_path, capsys)
 def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, capsys):
     folder, config = bags
     newtons = tmp_path / "newtons.yaml"
-    newtons.write_text("geometry: {area: 1.0}\n", encoding="utf-8")
+    newtons.write_text("/**: {ros__parameters: {geometry.area: 1.0}}\n", encoding="utf-8")
     table, library = written(tmp_path / "t.csv", rows()), tmp_path / "library.yaml"
     assert train(capsys, table, "--config", newtons, "-o", library)[0] == 0
     assert load_library(library).units == "N"

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.stats import multivariate_normal, multivariate_t
 
 from fden_ros.core.classification.classifier import (
@@ -29,7 +30,7 @@ from fden_ros.core.estimation.estimate import Prior
 from fden_ros.tissues.library import load_library
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True)
+steady = examples(100)
 
 LIBRARY = load_library()
 LIVER = LIBRARY.tissues[0]

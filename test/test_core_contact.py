@@ -282,7 +282,7 @@ def test_memory_in_the_air_is_bounded_by_the_lookback():
         detector.add(pair)
     assert len(detector._samples) <= 1001
     # A chunk lasts 20 ms.
-    assert len(detector._chunks) <= 52
+    assert len(detector._baseline._chunks) <= 52
 
 
 def test_quantised_force_gives_a_contact_all_the_same():

@@ -47,7 +47,7 @@ def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1, **others)
     )
     recording = simulate(scenario, 1)
     parameters = parameters_of(recording) | {
-        "alpha.source": "prior",
+        "alpha.learn": True,
         "prior.alpha": 0.2,
         "prior.alpha_sd": 0.1,
         "prior.linear_stiffness_log_sd": 1.0,

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.special import gamma
 
 from fden_ros.core.estimation.estimate import EstimatorConfig, Prior
@@ -17,7 +18,7 @@ from fden_ros.core.estimation.fractional_stress_estimator import FractionalBlock
 from fden_ros.core.law.geometry import PassThrough, Sphere
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True, max_examples=30)
+steady = examples(30)
 
 PRIOR = Prior(fractional_order_sd=0.0)
 ORDER = PRIOR.fractional_order

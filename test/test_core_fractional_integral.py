@@ -11,11 +11,12 @@ import tracemalloc
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.special import gamma
 
-from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.law.fractional_integral import FractionalIntegral, _falling_rates
 from fden_ros.core.law.kernel import LONGEST_MEMORY, SHORTEST_STEP, kernel_weights
 
 ORDERS = (0.02, 0.131, 0.25, 0.32, 0.5, 0.6)
@@ -74,7 +75,7 @@ def test_reference_itself_agrees_with_adaptive_quadrature():
     assert product_integral(order, times, values) == pytest.approx(float(exact), rel=1e-9)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@examples(200)
 @given(data=st.data(), order=orders, step_list=steps)
 def test_any_data_on_any_steps_equals_the_full_memory(data, order, step_list):
     times = np.concatenate([[0.0], np.cumsum(step_list)])
@@ -86,7 +87,7 @@ def test_any_data_on_any_steps_equals_the_full_memory(data, order, step_list):
     )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@examples(60)
 @given(exponent=st.floats(1.0, 4.0), order=orders, seed=st.integers(0, 2**32 - 1))
 def test_powers_follow_the_power_rule_within_the_interpolation_of_the_data(exponent, order, seed):
     # D^-b t^p = Gamma(p+1)/Gamma(p+1+b) t^(p+b).
@@ -155,7 +156,7 @@ def test_start_forgets_the_past():
         assert np.array_equal(integral.advance(step, value), fresh.advance(step, value))
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@examples(50)
 @given(data=st.data(), step_list=steps)
 def test_several_orders_at_once_are_what_each_is_alone(data, step_list):
     times = np.concatenate([[0.0], np.cumsum(step_list)])
@@ -168,7 +169,7 @@ def test_several_orders_at_once_are_what_each_is_alone(data, step_list):
         assert np.max(np.abs(together[:, column] - alone)) <= 1e-11 * scale
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@examples(50)
 @given(data=st.data(), step_list=steps, repeats=st.integers(1, 4))
 def test_samples_added_together_are_what_they_are_one_by_one(data, step_list, repeats):
     step_list = step_list * repeats
@@ -186,7 +187,7 @@ def test_samples_added_together_are_what_they_are_one_by_one(data, step_list, re
     assert not np.any(nothing)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@examples(50)
 @given(data=st.data(), step_list=steps, order=orders, gain=st.floats(-5.0, 5.0))
 def test_integral_is_linear(data, step_list, order, gain):
     times = np.concatenate([[0.0], np.cumsum(step_list)])
@@ -197,7 +198,7 @@ def test_integral_is_linear(data, step_list, order, gain):
     assert np.max(np.abs(combined - separate)) <= 1e-11 * scale
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@examples(100)
 @given(
     data=st.data(),
     step_list=steps,
@@ -309,3 +310,10 @@ def test_work_and_memory_per_sample_do_not_grow_with_the_history():
     assert max(sizes) - min(sizes) <= 32  # a float may pickle into a few bytes more
     # What one sample needs beside the state: far below 8 bytes a sample of history (16 kB).
     assert max(peaks) < 8_000
+
+
+def test_no_factor_of_the_recursion_is_near_where_numbers_are_flushed_to_zero() -> None:
+    # A library built with -ffast-math lets the whole process flush subnormal numbers to zero.
+    standing = -float(_falling_rates()[0]) * SHORTEST_STEP
+    assert standing > 1e200 * sys.float_info.min
+    assert math.exp(-standing * 1e18) == 1.0

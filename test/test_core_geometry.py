@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import (
@@ -19,7 +20,7 @@ from fden_ros.core.law.geometry import (
 )
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True)
+steady = examples(100)
 
 GEOMETRIES = [
     FlatPunch(1e-4, 0.02),

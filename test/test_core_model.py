@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 from scipy.special import gamma
 
 from fden_ros.core.law.characteristic import (
@@ -16,7 +17,7 @@ from fden_ros.core.law.characteristic import (
 )
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True)
+steady = examples(100)
 
 stiffnesses = st.floats(1.0, 1e5)
 nonlinear_stiffnesses = st.floats(0.5, 50.0)

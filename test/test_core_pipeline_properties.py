@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import pickle
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from fault_helpers import assert_sound, outcome_of, shift
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pipeline_helpers import Item
+from property_helpers import examples
 
 from fden_ros.core.outputs import TissueState
 
 START_NS = 1_700_000_000_000_000_000
-#: FDEN_EXAMPLES times as many, by hand.
-MORE = int(os.environ.get("FDEN_EXAMPLES", "1"))
-ARBITRARY = settings(
-    max_examples=200 * MORE,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-    derandomize=MORE == 1,
-)
-DAMAGED = settings(ARBITRARY, max_examples=15 * MORE)
 
 values = st.one_of(
     st.floats(-1.0, 1.0),
@@ -54,6 +45,7 @@ modes = st.sampled_from(
 def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
     """Hold the invariants for one stream, run twice."""
     outcome, again = outcome_of(items, parameters), outcome_of(items, parameters)
+    assert not outcome.pipeline.failures
     assert_sound(outcome.outputs)
     assert pickle.dumps(outcome.outputs) == pickle.dumps(again.outputs)
     stamps = [o.stamp_ns for o in outcome.outputs if isinstance(o, TissueState)]
@@ -63,7 +55,7 @@ def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
     assert len(pickle.dumps(outcome.pipeline._synchronizer._forces)) < 5_000_000
 
 
-@ARBITRARY
+@examples(200)
 @given(events, modes)
 def test_any_stream_gives_sound_and_repeatable_outputs(
     stream: list[tuple[int, int, float, bool]], parameters: dict[str, object]
@@ -105,8 +97,26 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
     return [item._replace(value=new.get(kind, item.value))]
 
 
-@DAMAGED
+@examples(15)
 @example([("add", 757, 45, 9.99, 101), ("value", 332, 1, 0.434, 1)], {})
+@example(
+    [
+        ("value", 100, 12, 100001.0, 1),
+        ("repeat", 0, 53, 0.0, 1),
+        ("repeat", 0, 53, 0.0, 1),
+        ("value", 688, 82, 100001.0, 1),
+    ],
+    {"geometry.kind": "sphere"},
+)
+@example(
+    [
+        ("value", 0, 1, 0.0, 1),
+        ("value", 0, 1, 0.0, 1),
+        ("value", 0, 8, 0.0, 1),
+        ("freeze", 1101, 11, 0.0, 1),
+    ],
+    {"estimator.observation": "fractional_stress"},
+)
 @given(damages, modes)
 def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(
     done: list[tuple[str, int, int, float, int]], parameters: dict[str, object]
@@ -122,7 +132,7 @@ def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(
     checked(items, dict(s.parameters) | parameters)
 
 
-@pytest.mark.parametrize("alpha", [{}, {"alpha.source": "prior"}])
+@pytest.mark.parametrize("alpha", [{}, {"alpha.learn": True, "prior.alpha_sd": 0.011}])
 def test_covariances_of_what_is_learned_are_positive_definite(alpha: dict[str, object]) -> None:
     s = shift()
     items = [i for i in s.items if s.second(i.stamp_ns) < 5.2]

@@ -6,13 +6,14 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_helpers import examples
 
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 #: No test depends on the time it takes, nor on chance.
-steady = settings(deadline=None, derandomize=True, max_examples=200)
+steady = examples(200)
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
@@ -101,7 +102,7 @@ def test_pairs_do_not_depend_on_how_the_streams_are_interleaved(forces, displace
     assert runs[0].rejected == runs[1].rejected == runs[2].rejected
 
 
-@settings(steady, max_examples=40)
+@examples(40)
 @given(
     jumps=st.lists(st.integers(-8000 * MS, -700 * MS), max_size=3),
     seed=st.integers(0, 2**32 - 1),

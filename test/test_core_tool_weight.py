@@ -16,7 +16,8 @@ from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.cdr import serialize
 from fden_ros.ros.decoding import fast_handler
-from fden_ros.ros.messages import Inputs, to_stamp
+from fden_ros.ros.inputs import Inputs
+from fden_ros.ros.messages import to_stamp
 
 MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
 

@@ -249,8 +249,8 @@ def break_estimator(pipeline: Pipeline) -> None:
     def update(block: object) -> None:
         raise ZeroDivisionError("on purpose")
 
-    assert pipeline._site is not None and pipeline._site.estimator is not None
-    pipeline._site.estimator.update = update  # type: ignore[method-assign, assignment]
+    assert pipeline._site is not None and pipeline._site._estimator is not None
+    pipeline._site._estimator.update = update  # type: ignore[method-assign, assignment]
 
 
 GAP, SATURATED, FAILED = Flag.GAP, Flag.SATURATED, Flag.ESTIMATION_FAILED

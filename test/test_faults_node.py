@@ -27,7 +27,8 @@ from ros_helpers import LOSSLESS, RELIABLE, Bench, identifier, wait_for
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fden_ros.nodes.identifier import Identifier, make_executor
+from fden_ros.nodes.identifier import Identifier
+from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
 from fden_ros.simulation.simulate import START_NS
 
@@ -368,7 +369,7 @@ def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live: Liv
         "geometry.area": ParameterValue(type=double, double_value=2e-4),
         "geometry.thickness": ParameterValue(type=double, double_value=-1.0),
         "force.limit": ParameterValue(type=text, string_value="much"),
-        "alpha.value": ParameterValue(type=double, double_value=math.nan),
+        "prior.alpha": ParameterValue(type=double, double_value=math.nan),
         "stale_timeout": ParameterValue(type=double, double_value=1e9),
         "no.such": ParameterValue(type=double, double_value=1.0),
     }

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from fden_ros.core.law.geometry import FlatPunch, Sphere
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.tissues.library import library_for, load_library, units_of
@@ -176,11 +177,11 @@ def parameters(path="", **geometry):
 
 
 def test_estimates_in_newtons_are_told_by_the_area_of_one(tmp_path):
-    assert units_of(parameters()) == "Pa"
-    assert units_of(parameters(area=1.0)) == "N"
-    assert units_of(parameters(kind="sphere", area=1.0)) == "Pa"
+    assert units_of(FlatPunch(1e-4, 0.02)) == "Pa"
+    assert units_of(FlatPunch(1.0, 0.02)) == "N"
+    assert units_of(Sphere(1.0)) == "Pa"
     newtons = written(tmp_path, content(format=2, units="N"))
-    assert library_for(parameters(newtons, area=1.0)).units == "N"
+    assert library_for(str(newtons), FlatPunch(1.0, 0.02)).units == "N"
 
 
 @pytest.mark.parametrize(("units", "area"), [("N", 1e-4), ("Pa", 1.0)])
@@ -198,5 +199,5 @@ def test_built_in_library_is_left_out_where_it_does_not_fit():
 def test_library_of_another_geometry_is_refused(tmp_path):
     path = written(tmp_path, content(format=2, geometry={"kind": "sphere"}))
     with pytest.raises(InputError, match=r"was made with geometry\.kind sphere"):
-        library_for(parameters(path))
-    assert library_for(parameters(path, kind="sphere")).geometry == "sphere"
+        library_for(str(path), FlatPunch(1e-4, 0.02))
+    assert library_for(str(path), Sphere(0.005)).geometry == "sphere"

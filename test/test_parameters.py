@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 import re
+from importlib import resources
+from pathlib import Path
 
 import pytest
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from sensor_msgs.msg import JointState
 
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
-from fden_ros.core.pipeline import PipelineConfig
 from fden_ros.errors import InputError
 from fden_ros.parameters import (
     PARAMETERS,
+    Parameters,
     check,
-    defaults,
     pipeline_config,
-    read_parameter_file,
+    tool_weight,
     unit_vector,
 )
+from fden_ros.ros.inputs import Inputs
 from fden_ros.tissues.library import load_library
 
 
@@ -44,8 +49,20 @@ def test_names_are_unique_and_lower_case_with_dots():
 
 
 def test_what_is_not_given_takes_its_default():
-    assert check({}) == defaults()
-    assert check({"geometry.area": 2e-4}) == defaults() | {"geometry.area": 2e-4}
+    assert check({}) == Parameters()
+    assert check({}).as_dict() == {p.name: p.default for p in PARAMETERS}
+    changed = check({"geometry.area": 2e-4})
+    assert changed.geometry.area == 2e-4
+    assert changed.changed({"geometry.area": 1e-4}) == Parameters()
+
+
+def test_checked_parameters_cannot_change():
+    parameters = check({"dither.frequencies": [1, 2.0]})
+    assert parameters.dither.frequencies == (1.0, 2.0)
+    with pytest.raises(AttributeError):
+        parameters.geometry.area = 1.0
+    with pytest.raises(AttributeError):
+        parameters.geometry = None
 
 
 @pytest.mark.parametrize(
@@ -53,11 +70,25 @@ def test_what_is_not_given_takes_its_default():
     [
         ("geometry.aera", "geometry.area"),
         ("force.treshold", "force.threshold"),
-        ("aplha.value", "alpha.value"),
+        ("aplha.learn", "alpha.learn"),
+        ("geometry.thicknes", "geometry.thickness"),
+        ("stale_timout", "stale_timeout"),
     ],
 )
 def test_unknown_name_suggests_the_nearest(name, nearest):
     assert f"there is no parameter {name}; did you mean {nearest}" in refused({name: 1.0})
+
+
+@pytest.mark.parametrize(
+    ("old", "value", "new"),
+    [
+        ("alpha.source", "given", "alpha.learn: true for prior, false for given"),
+        ("alpha.value", 0.2, "prior.alpha, with alpha.learn: false"),
+        ("alpha.sd", 0.01, "prior.alpha_sd, with alpha.learn: false"),
+    ],
+)
+def test_old_name_says_the_new_one(old, value, new):
+    assert refused({old: value}) == f"there is no parameter {old} any more: use {new}"
 
 
 @pytest.mark.parametrize(
@@ -82,7 +113,8 @@ def test_unknown_name_suggests_the_nearest(name, nearest):
         ("force.axis", "001", "must be a list of three numbers"),
         ("force.axis", [0.0, math.nan, 1.0], "three numbers, not all 0"),
         ("force.axis", [0.0, "x", 1.0], "three numbers, not all 0"),
-        ("alpha.value", 0.7, "0.02 to 0.6"),
+        ("prior.alpha", 0.7, "0.02 to 0.6"),
+        ("alpha.learn", "no", "must be true or false"),
     ],
 )
 def test_value_that_is_not_allowed_says_what_is(name, value, right):
@@ -92,7 +124,7 @@ def test_value_that_is_not_allowed_says_what_is(name, value, right):
 
 
 def test_whole_number_will_do_for_a_number():
-    value = check({"converged.log_sd": 1})["converged.log_sd"]
+    value = check({"converged.log_sd": 1}).converged.log_sd
     assert value == 1.0
     assert isinstance(value, float)
 
@@ -103,82 +135,6 @@ def test_bounds_themselves_are_allowed():
             if math.isfinite(bound):
                 value = [bound] if parameter.most else bound
                 assert parameter.check(value) == value
-
-
-def read(tmp_path, text, **options):
-    path = tmp_path / "parameters.yaml"
-    path.write_text(text, encoding="utf-8")
-    return read_parameter_file(path, **options)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "geometry.area: 2.0e-4\nalpha.source: given\n",
-        "geometry: {area: 2.0e-4}\nalpha: {source: given}\n",
-        "/**:\n  ros__parameters:\n    geometry.area: 2.0e-4\n    alpha: {source: given}\n",
-        "identifier:\n  ros__parameters:\n    geometry: {area: 2.0e-4}\n    alpha.source: given\n",
-        "/arm/identifier:\n  ros__parameters: {geometry.area: 2.0e-4, alpha.source: given}\n",
-        "other:\n  ros__parameters: {geometry.area: 3.0e-4, none.of.ours: 1}\n"
-        "/**:\n  ros__parameters: {geometry.area: 2.0e-4, alpha.source: given}\n",
-    ],
-    ids=["dotted", "nested", "any node", "by name", "with namespace", "among others"],
-)
-def test_file_is_read_in_every_form(tmp_path, text):
-    expected = defaults() | {"geometry.area": 2e-4, "alpha.source": "given"}
-    assert read(tmp_path, text) == expected
-
-
-def test_section_of_the_node_outdoes_that_of_any_node(tmp_path):
-    text = (
-        "identifier:\n  ros__parameters: {geometry.area: 3.0e-4}\n"
-        "/**:\n  ros__parameters: {geometry.area: 2.0e-4, geometry.thickness: 0.03}\n"
-    )
-    values = read(tmp_path, text)
-    assert values["geometry.area"] == 3e-4
-    assert values["geometry.thickness"] == 0.03
-
-
-def test_parameters_of_every_node_are_passed_over(tmp_path):
-    text = "/**:\n  ros__parameters: {use_sim_time: true, autostart: true}\n"
-    assert read(tmp_path, text) == defaults()
-
-
-@pytest.mark.parametrize("text", ["", "# nothing yet\n", "/**:\n  ros__parameters:\n"])
-def test_empty_file_is_all_defaults(tmp_path, text):
-    assert read(tmp_path, text) == defaults()
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("geometry: [", "not valid YAML"),
-        ("- 1\n- 2\n", "no mapping"),
-        ("just text", "no mapping"),
-        ("geometry.area: large\n", "must be a number"),
-        ("geometry.aera: 1.0\n", "did you mean geometry.area"),
-        ("geometry.area: .nan\n", "parameter geometry.area is nan"),
-        ("/**:\n  ros__parameters: 3\n", "must be a mapping"),
-    ],
-)
-def test_mistake_in_a_file_is_told_in_one_line(tmp_path, text, said):
-    with pytest.raises(InputError) as caught:
-        read(tmp_path, text)
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert str(tmp_path) in str(caught.value)
-
-
-def test_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match="No such file"):
-        read_parameter_file(tmp_path / "none.yaml")
-
-
-def test_file_that_is_no_text_is_refused(tmp_path):
-    path = tmp_path / "parameters.yaml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not a text file"):
-        read_parameter_file(path)
 
 
 def test_axis_is_normalised():
@@ -210,7 +166,7 @@ def test_geometry_is_made_of_its_parameters(values, geometry):
 
 
 def test_defaults_of_the_table_are_those_of_the_core():
-    config = pipeline_config(defaults())
+    config = pipeline_config(Parameters())
     core = PipelineConfig(library=load_library())
     for part in ("geometry", "synchronize", "contact", "estimator"):
         assert getattr(config, part) == getattr(core, part)
@@ -218,24 +174,193 @@ def test_defaults_of_the_table_are_those_of_the_core():
     assert config.block_duration == core.block_duration
 
 
-def test_given_order_and_origin_reach_the_estimator():
-    config = pipeline_config(
-        check(
-            {
-                "alpha.source": "given",
-                "alpha.value": 0.3,
-                "alpha.sd": 0.02,
-                "origin.source": "given",
-                "origin.displacement": -0.1,
-            }
-        )
-    )
-    assert config.estimator.fractional_order_given
-    assert config.estimator.prior.fractional_order == 0.3
-    assert config.estimator.prior.fractional_order_sd == 0.02
-    assert config.strain_origin == -0.1
+def test_alpha_is_learned_from_the_prior_or_given_by_it():
+    learned = pipeline_config(check({"prior.alpha": 0.3, "prior.alpha_sd": 0.02})).estimator
+    assert not learned.fractional_order_given
+    given = pipeline_config(
+        check({"alpha.learn": False, "prior.alpha": 0.3, "prior.alpha_sd": 0.02})
+    ).estimator
+    assert given.fractional_order_given
+    for estimator in (learned, given):
+        assert estimator.prior.fractional_order == 0.3
+        assert estimator.prior.fractional_order_sd == 0.02
 
 
 def test_library_that_is_not_there_is_told(tmp_path):
     with pytest.raises(InputError, match="tissue library"):
         pipeline_config(check({"classifier.library": str(tmp_path / "none.yaml")}))
+
+
+# What each parameter does: where it arrives, given what else has to be set
+
+GIVEN = {"origin.source": "given"}
+TOOL = {"tool.mass": 0.1}
+SPHERE = {"geometry.kind": "sphere"}
+RELATIVE = {"classification.mode": "relative"}
+ARRIVES = {
+    "force.threshold": (0.2, {}, lambda c: c.contact.force_threshold, 0.2),
+    "force.noise": (0.01, {}, lambda c: c.contact.force_noise, 0.01),
+    "force.noise_floor": (1e-3, {}, lambda c: c.contact.noise_floor, 1e-3),
+    "force.measure_bias": (False, {}, lambda c: c.contact.measure_bias, False),
+    "force.limit": (10.0, {}, lambda c: c.synchronize.force_limit, 10.0),
+    "displacement.delay": (0.02, {}, lambda c: c.synchronize.displacement_delay, 0.02),
+    "displacement.limit": (1.0, {}, lambda c: c.synchronize.displacement_limit, 1.0),
+    "displacement.compliance": (1e-4, {}, lambda c: c.contact.series_compliance, 1e-4),
+    "synchronize.max_gap": (0.1, {}, lambda c: c.synchronize.max_gap, 0.1),
+    "synchronize.window": (2.0, {}, lambda c: c.synchronize.pairing_window, 2.0),
+    "geometry.kind": ("sphere", {}, lambda c: c.geometry, Sphere(0.005)),
+    "geometry.area": (2e-4, {}, lambda c: c.geometry, FlatPunch(2e-4, 0.02)),
+    "geometry.thickness": (0.03, {}, lambda c: c.geometry, FlatPunch(1e-4, 0.03)),
+    "geometry.radius": (0.01, SPHERE, lambda c: c.geometry, Sphere(0.01)),
+    "geometry.hayes": (True, {}, lambda c: c.geometry, FlatPunch(1e-4, 0.02, 0.5)),
+    "geometry.poisson_ratio": (
+        0.45,
+        {"geometry.hayes": True},
+        lambda c: c.geometry,
+        FlatPunch(1e-4, 0.02, 0.45),
+    ),
+    "origin.source": ("given", {}, lambda c: c.strain_origin, 0.0),
+    "origin.displacement": (-0.1, GIVEN, lambda c: c.strain_origin, -0.1),
+    "contact.lookback": (2.0, {}, lambda c: c.contact.lookback, 2.0),
+    "site.distance": (0.01, {}, lambda c: c.contact.site_distance, 0.01),
+    "site.timeout": (9.0, {}, lambda c: c.contact.site_timeout, 9.0),
+    "alpha.learn": (False, {}, lambda c: c.estimator.fractional_order_given, True),
+    "estimator.observation": (
+        "fractional_stress",
+        {},
+        lambda c: c.estimator.observation.value,
+        "fractional_stress",
+    ),
+    "prior.linear_stiffness": (900.0, {}, lambda c: c.estimator.prior.linear_stiffness, 900.0),
+    "prior.linear_stiffness_log_sd": (
+        0.5,
+        {},
+        lambda c: c.estimator.prior.linear_stiffness_log_sd,
+        0.5,
+    ),
+    "prior.nonlinear_stiffness": (5.0, {}, lambda c: c.estimator.prior.nonlinear_stiffness, 5.0),
+    "prior.nonlinear_stiffness_log_sd": (
+        0.5,
+        {},
+        lambda c: c.estimator.prior.nonlinear_stiffness_log_sd,
+        0.5,
+    ),
+    "prior.alpha": (0.3, {}, lambda c: c.estimator.prior.fractional_order, 0.3),
+    "prior.alpha_sd": (0.1, {}, lambda c: c.estimator.prior.fractional_order_sd, 0.1),
+    "converged.log_sd": (0.1, {}, lambda c: c.estimator.converged_log_sd, 0.1),
+    "converged.probability": (0.9, {}, lambda c: c.estimator.converged_probability, 0.9),
+    "estimate.period": (0.02, {}, lambda c: c.block_duration, 0.02),
+    "estimate.time_scale": (1.0, {}, lambda c: c.apparent_stiffness_time_scale, 1.0),
+    "dither.frequencies": ([5.0, 0.0, 2.0], {}, lambda c: c.dither_frequencies, (2.0, 5.0)),
+    "dither.periods": (8, {}, lambda c: c.dither_periods, 8),
+    "classification.mode": (
+        "relative",
+        {},
+        lambda c: c.relative and (c.relative.ratio, c.relative.strain, c.relative.time_scale),
+        (1.5, 0.1, 0.1),
+    ),
+    "classification.probability": (0.9, {}, lambda c: c.decision.probability, 0.9),
+    "classification.release": (0.6, {}, lambda c: c.decision.release, 0.6),
+    "classification.dwell": (1.0, {}, lambda c: c.decision.dwell, 1.0),
+    "classification.significance": (0.01, {}, lambda c: c.decision.significance, 0.01),
+    "classification.ratio": (2.0, RELATIVE, lambda c: c.relative.ratio, 2.0),
+    "classification.strain": (0.2, RELATIVE, lambda c: c.relative.strain, 0.2),
+    "classification.distance": (0.1, RELATIVE, lambda c: c.relative.distance, 0.1),
+}
+
+
+@pytest.mark.parametrize("name", ARRIVES)
+def test_parameter_arrives_where_the_core_takes_it(name):
+    value, others, look, expected = ARRIVES[name]
+    assert look(pipeline_config(check({**others, name: value}))) == expected
+    assert look(pipeline_config(check(others))) != expected
+
+
+def test_library_is_read_from_its_path(tmp_path):
+    path = tmp_path / "mine.yaml"
+    built_in = resources.files("fden_ros.tissues") / "tissues.yaml"
+    path.write_text(built_in.read_text().replace("name: paper", "name: mine"))
+    config = pipeline_config(check({"classifier.library": str(path)}))
+    assert config.library.name == "mine"
+
+
+QUARTER = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # about x: z of the sensor is -y of the world
+
+
+@pytest.mark.parametrize(
+    ("values", "load"),
+    [
+        ({"tool.mass": 0.2}, 0.0),
+        ({"tool.mass": 0.2, "tool.gravity": [0.0, -10.0, 0.0]}, 2.0),
+        (
+            {
+                "tool.mass": 0.2,
+                "tool.gravity": [0.0, 0.0, -10.0],
+                "tool.centre_of_mass": [0.1, 0.0, 0.0],
+                "geometry.kind": "torsional_rheometer",
+            },
+            -0.2,
+        ),
+    ],
+    ids=["mass", "gravity", "lever"],
+)
+def test_tool_is_made_of_its_parameters(values, load):
+    assert tool_weight(check({})) is None
+    tool = tool_weight(check(values))
+    assert tool.load(QUARTER) == pytest.approx(load, abs=1e-12)
+
+
+class Samples:
+    """What a projector hands on."""
+
+    def __init__(self):
+        self.heard = []
+
+    def add_force(self, stamp_ns, force):
+        self.heard.append(("force", force))
+
+    def add_displacement(self, stamp_ns, displacement, position=None, load=0.0):
+        self.heard.append(("displacement", displacement))
+
+    def reject(self, stream, reason):
+        self.heard.append((stream, reason))
+
+
+WRENCH = WrenchStamped()
+WRENCH.wrench.force.x, WRENCH.wrench.force.z = 1.0, 3.0
+POINT = PointStamped()
+POINT.point.x, POINT.point.z = 0.1, 0.3
+JOINTS = JointState(name=["a", "b"], position=[0.1, 0.2], effort=[1.0, 2.0])
+READ = {
+    "force.axis": ([2.0, 0.0, 0.0], "force", WRENCH, 3.0, 1.0),
+    "force.name": ("b", "force", JOINTS, 1.0, 2.0),
+    "force.inverted": (True, "force", JOINTS, 1.0, -1.0),
+    "displacement.axis": ([2.0, 0.0, 0.0], "displacement", POINT, 0.3, 0.1),
+    "displacement.name": ("b", "displacement", JOINTS, 0.1, 0.2),
+    "displacement.inverted": (True, "displacement", JOINTS, 0.1, -0.1),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_parameter_says_what_of_a_message_counts(name):
+    value, stream, message, usual, expected = READ[name]
+    for parameters, number in (({}, usual), ({name: value}, expected)):
+        samples = Samples()
+        inputs = Inputs(check(parameters), samples)
+        (inputs.add_force if stream == "force" else inputs.add_displacement)(message)
+        assert samples.heard == [(stream, number)]
+
+
+#: Shown with the running node, in test_parameter_files.py.
+LIVE = {"force.message", "displacement.message"}
+TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
+
+
+def test_no_parameter_is_without_a_test():
+    shown = {*ARRIVES, *READ, *LIVE, *TOOLS, "classifier.library"}
+    assert shown == {parameter.name for parameter in PARAMETERS}
+    live = "".join(
+        (Path(__file__).parent / name).read_text(encoding="utf-8")
+        for name in ("test_parameter_files.py",)
+    )
+    assert {name for name in LIVE if f'"{name}"' not in live} == set()

@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from fden_ros.parameters import check
 from fden_ros.recording.cdr import serialize
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.messages import Inputs
+from fden_ros.ros.inputs import Inputs
 
 numbers = st.floats(allow_nan=False)
 texts = st.text(st.characters(min_codepoint=1, max_codepoint=0x17F), max_size=9)

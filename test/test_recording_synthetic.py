@@ -30,7 +30,7 @@ def recording(
 ) -> Recording:
     truth = {
         "scenario": "test",
-        "identifier_parameters": {"geometry.kind": "flat_punch", "alpha.value": 0.131},
+        "identifier_parameters": {"geometry.kind": "flat_punch", "prior.alpha": 0.131},
     }
     return Recording(
         stream("/force", force), stream("/displacement", displacement, **options), truth
@@ -111,7 +111,7 @@ def test_parameters_lie_beside_the_bag(tmp_path: Path) -> None:
     write_recording(recording(), tmp_path / "bag")
     text = (tmp_path / "bag" / "identifier.yaml").read_text()
     assert yaml.safe_load(text) == {
-        "/**": {"ros__parameters": {"geometry": {"kind": "flat_punch"}, "alpha": {"value": 0.131}}}
+        "/**": {"ros__parameters": {"geometry": {"kind": "flat_punch"}, "prior": {"alpha": 0.131}}}
     }
     assert "# Force topic: /force" in text
 

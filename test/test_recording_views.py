@@ -10,12 +10,15 @@ from typing import Any
 import pytest
 import yaml
 
-from fden_ros.offline.results import _TOPICS
+from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.recording.definitions import message_class
+from fden_ros.ros.status import type_name
+from fden_ros.ros.topics import OUTPUT_TOPICS
 
 CONFIG = Path(__file__).parent.parent / "config"
 # The node's topics, and those of the bags that `fden bag` makes and of the node's defaults.
-TYPES = {topic: type_name for topic, type_name, _ in _TOPICS.values()} | {
+TYPES = {f"{NODE}/{topic.name}": type_name(topic.message_type) for topic in OUTPUT_TOPICS} | {
+    DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
     "/force": "geometry_msgs/msg/WrenchStamped",
     "/displacement": "geometry_msgs/msg/PoseStamped",
 }

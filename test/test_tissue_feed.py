@@ -26,7 +26,7 @@ from fden_ros.core.outputs import Flag, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.errors import InputError
-from fden_ros.parameters import defaults, pipeline_config
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column
@@ -44,10 +44,9 @@ class Press:
 
     def __init__(self, model: FdenModel, seed: int, after: float, seconds: float = 4.2) -> None:
         rig = Rig(RigConfig((Column(model),), seed=seed))
-        values = {**defaults(), "geometry.area": AREA, "geometry.thickness": THICKNESS}
         self.states: list[TissueState] = []
         pipeline = Pipeline(
-            pipeline_config(values),
+            pipeline_config(check({"geometry.area": AREA, "geometry.thickness": THICKNESS})),
             lambda out: self.states.append(out) if isinstance(out, TissueState) else None,
         )
         kept = []

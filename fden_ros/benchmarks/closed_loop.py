@@ -20,7 +20,7 @@ from fden_ros.core.law.characteristic import apparent_stiffness_factor
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.parameters import defaults, pipeline_config
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion
@@ -180,9 +180,10 @@ def _close_loop(
 ) -> Run:
     rig = Rig(rig_config)
     controller = ForceController(config)
-    values = defaults()
-    values.update({"geometry.area": rig_config.area, "geometry.thickness": rig_config.thickness})
-    pipeline_settings = pipeline_config(values)
+    parameters = check(
+        {"geometry.area": rig_config.area, "geometry.thickness": rig_config.thickness}
+    )
+    pipeline_settings = pipeline_config(parameters)
     live = LiveTissue(pipeline_settings.geometry)
 
     def arrived(output: Output) -> None:

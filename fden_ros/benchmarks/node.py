@@ -171,7 +171,8 @@ def _node_arguments() -> list[str]:
         "autostart": "true",
         "site.timeout": "1.0",
         "geometry.area": "3.14159e-4",
-        "alpha.source": "given",
+        "alpha.learn": "false",
+        "prior.alpha_sd": "0.0",
     }
     pairs = [("-p", f"{name}:={value}") for name, value in parameters.items()]
     return ["--ros-args", *(word for pair in pairs for word in pair)]
@@ -300,8 +301,9 @@ def _relay(raw: bool) -> None:
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import JointState
 
-    from fden_ros.nodes.identifier import ESTIMATE_QOS, INPUT_QOS, make_executor, spin
+    from fden_ros.nodes.running import make_executor, spin
     from fden_ros.recording.cdr import serialize
+    from fden_ros.ros.topics import ESTIMATE_QOS, INPUT_QOS
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("identifier")
@@ -345,7 +347,7 @@ def _sink() -> None:
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from rclpy.signals import SignalHandlerOptions
 
-    from fden_ros.nodes.identifier import make_executor, spin
+    from fden_ros.nodes.running import make_executor, spin
 
     stopped = _signals()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -165,7 +165,7 @@ def identify(recording: object, library: TissueLibrary | None) -> list[Output]:
 
     parameters = dict(recording.truth["identifier_parameters"])  # type: ignore[attr-defined]
     parameters |= {
-        "alpha.source": "prior",
+        "alpha.learn": True,
         "prior.linear_stiffness": PRIOR.linear_stiffness,
         "prior.linear_stiffness_log_sd": PRIOR.linear_stiffness_log_sd,
         "prior.nonlinear_stiffness": PRIOR.nonlinear_stiffness,

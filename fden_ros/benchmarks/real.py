@@ -36,11 +36,12 @@ from fden_ros.benchmarks.peers import (
     Peer,
 )
 from fden_ros.control.prediction import Predictor, StressMemory
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Prior
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Output, TissueState
-from fden_ros.core.pipeline import Pipeline, PipelineConfig
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.tissues.library import load_library

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from fden_ros.benchmarks.peers import DiolaitiHuntCrossley, HaddadiHuntCrossley, KelvinVoigt
 from fden_ros.benchmarks.real import _WIDE, Test
 from fden_ros.core.classification.classifier import Likelihood, likelihood_of
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import EstimatorConfig
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Output, Status, TissueState
-from fden_ros.core.pipeline import Pipeline, PipelineConfig
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.experiments.indentation import fit_indentation
 from fden_ros.tissues.training import Check, Contacts, check, contacts_of, learn
 

@@ -194,14 +194,18 @@ def _scenario(case: Case, seed: int) -> Scenario:
 def _parameters(case: Case, recording: Recording, model: FdenModel) -> dict[str, Any]:
     parameters: dict[str, Any] = dict(recording.truth["identifier_parameters"])
     if case.learns_alpha:
-        parameters["alpha.source"] = "prior"
-        if not case.is_liver:
+        parameters["alpha.learn"] = True
+        if case.is_liver:
+            # Table II's, the defaults.
+            for name in ("prior.alpha", "prior.alpha_sd"):
+                parameters.pop(name, None)
+        else:
             parameters["prior.alpha"] = case.alpha
             parameters["prior.alpha_sd"] = case.prior_alpha_sd
     elif case.alpha_off_sd:
         sign = 1.0 if recording.truth["seed"] % 2 else -1.0
-        parameters["alpha.sd"] = case.alpha_off_sd
-        parameters["alpha.value"] = model.fractional_order + sign * case.alpha_off_sd
+        parameters["prior.alpha_sd"] = case.alpha_off_sd
+        parameters["prior.alpha"] = model.fractional_order + sign * case.alpha_off_sd
     if case.gives_origin:
         parameters["origin.source"] = "given"
         parameters["origin.displacement"] = recording.truth["surface_displacement_m"]

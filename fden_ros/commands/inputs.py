@@ -5,18 +5,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from fden_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from fden_ros.parameters import Parameters
 
 _Value = TypeVar("_Value")
 
 
 def add_input_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--config`` and the options that say where force and displacement are."""
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="parameter file of the identifier (YAML)"
-    )
+    add_config_options(parser)
     group = parser.add_argument_group(
         "what is force, what is displacement (found where it can be)"
     )
@@ -46,11 +47,25 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def parameters_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the checked parameters of ``--config``."""
+def add_config_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--config`` and the node whose sections of the file count."""
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="parameter file of the identifier (YAML)"
+    )
+    parser.add_argument(
+        "--node",
+        default="/identifier",
+        metavar="NAME",
+        help="node whose sections of the parameter file count, with its namespace, such as "
+        "/arm/identifier (default: %(default)s)",
+    )
+
+
+def parameters_of(args: argparse.Namespace) -> Parameters:
+    """Return the checked parameters of ``--config`` for ``--node``."""
     from fden_ros.parameters import check, read_parameter_file
 
-    return read_parameter_file(args.config) if args.config else check({})
+    return read_parameter_file(args.config, args.node) if args.config else check({})
 
 
 def selection_of(args: argparse.Namespace) -> Any:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fden_ros.commands.inputs import add_config_options, parameters_of
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("results", type=Path, metavar="RESULTS", help="CSV or Parquet")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="parameter file (YAML)")
+    add_config_options(parser)
     parser.add_argument("--ratio", type=_positive, default=1.5, metavar="R", help="default: 1.5")
     parser.add_argument(
         "--strain", type=_positive, default=0.1, metavar="X", help="of the comparison (0.1)"
@@ -65,9 +66,8 @@ def run(args: argparse.Namespace) -> int:
     """Compare and print; return the exit code."""
     from fden_ros.core.classification.relative import RelativeConfig
     from fden_ros.offline.relative_map import compare_sites
-    from fden_ros.parameters import check, read_parameter_file
 
-    parameters = read_parameter_file(args.config) if args.config else check({})
+    parameters = parameters_of(args)
     config = RelativeConfig(args.ratio, args.strain, args.time_scale, args.distance)
     rows = compare_sites(args.results, parameters, config)
     if args.map is not None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 if TYPE_CHECKING:
-    from fden_ros.report.session import Session
+    from fden_ros.offline.session import Session
 
 DESCRIPTION = """\
 Replay a recording and write a page on it: what was pressed, where and how often; per contact force
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """Write what was asked for; return the exit code."""
     if args.output is None and args.png is None and args.csv is None:
         args.parser.error("nothing to write: give -o FILE.html, --png FILE or --csv FILE")
-    from fden_ros.report.session import gather
+    from fden_ros.offline.session import gather
 
     session = gather(
         args.bag, parameters_of(args), selection_of(args), progress=sys.stderr.isatty()

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     from fden_ros.tissues.training import Check, Contacts, Spread
 
+if TYPE_CHECKING:
+    from fden_ros.parameters import Parameters
+
 DESCRIPTION = """\
 Learn a tissue library from labelled contacts: per tissue the distribution of (ln G, ln Gn, alpha)
 over specimens, with the estimation error of each contact taken out, and a check in which one
@@ -87,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
     """Learn, check, write and print; return the exit code."""
     from fden_ros.benchmarks import progress
     from fden_ros.offline.labelled import Columns, Source, read_source
+    from fden_ros.parameters import geometry_of
     from fden_ros.tissues.library import units_of
     from fden_ros.tissues.training import (
         UNKNOWN_PRIOR,
@@ -116,6 +120,7 @@ def run(args: argparse.Namespace) -> int:
             )
     unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
     geometry = _geometry(parameters) if args.config else {}
+    units = units_of(geometry_of(parameters))
 
     def make(spreads: Mapping[str, Spread]) -> Any:
         return library_of(
@@ -123,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
             args.name or args.output.stem,
             priors,
             unknown,
-            units_of(parameters),
+            units,
             str(geometry.get("kind", "")),
         )
 
@@ -138,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         summary = {
             "library": str(args.output),
-            "units": units_of(parameters),
+            "units": units,
             "contacts": len(contacts),
             "mismatched": contacts.mismatched,
             "left_out": dict(contacts.skipped),
@@ -153,20 +158,20 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     if not console.is_terminal:
         console.width = 120
-    _print(console, contacts, spreads, result, units_of(parameters))
+    _print(console, contacts, spreads, result, units)
     console.print(f"wrote {args.output}")
     return 0
 
 
-def _geometry(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    kind = parameters["geometry.kind"]
+def _geometry(parameters: Parameters) -> dict[str, Any]:
+    kind = parameters.geometry.kind
     sizes = {
         "flat_punch": ("area", "thickness", "hayes"),
         "sphere": ("radius",),
         "torsional_rheometer": ("radius", "thickness"),
         "pass_through": (),
     }[kind]
-    return {"kind": kind} | {name: parameters[f"geometry.{name}"] for name in sizes}
+    return {"kind": kind} | {name: getattr(parameters.geometry, name) for name in sizes}
 
 
 def _warnings(contacts: Contacts, result: Check) -> list[str]:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import enum
+import traceback
 from dataclasses import dataclass, replace
 
 from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.complex_modulus import ComplexModulus
-from fden_ros.core.estimation.estimate import Estimate, Innovation
+from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Innovation, StateIndex
+from fden_ros.core.law.apparent_stiffness import apparent_stiffness
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
+
+#: alpha is learned when its standard deviation is below this share of its prior's.
+_LEARNED_SHARE = 0.5
 
 
 class Status(enum.IntEnum):
@@ -54,15 +61,6 @@ class OrderSource(enum.IntEnum):
     LEARNED = 3
 
 
-class Decision(enum.IntEnum):
-    """What a :class:`Classification` has decided."""
-
-    NONE = 0
-    UNDETERMINED = 1
-    CLASS = 2
-    UNKNOWN = 3
-
-
 @dataclass(frozen=True)
 class Signals:
     """Means over a block."""
@@ -96,14 +94,6 @@ class TissueState:
     signals: Signals | None = None
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
-
-
-@dataclass(frozen=True)
-class Decided:
-    """What it took to name the tissue, since the touch."""
-
-    time: float  #: [s]
-    strain: float  #: largest so far [1]
 
 
 @dataclass(frozen=True)
@@ -191,4 +181,39 @@ def stale(state: TissueState) -> TissueState:
         innovation=None,
         apparent_stiffness=None,
         order_source=OrderSource.NONE,
+    )
+
+
+def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSource:
+    """Return where the alpha of an estimate comes from."""
+    if estimate is None:
+        return OrderSource.NONE
+    if config.fractional_order_given:
+        return OrderSource.GIVEN
+    index = StateIndex.FRACTIONAL_ORDER
+    variance = float(estimate.covariance[index, index])
+    is_learned = variance < (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
+    return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
+
+
+def apparent_stiffness_of(
+    estimate: Estimate, geometry: Geometry, compression: float, time_scale: float
+) -> ApparentStiffness:
+    """Return the apparent stiffness about `compression` [1] for a motion of `time_scale` [s].
+
+    `compression` counts from the estimate's strain origin.
+    """
+    mean, covariance = estimate.mean, estimate.covariance
+    stiffness = apparent_stiffness(mean, covariance, geometry, compression, time_scale)
+    return ApparentStiffness(*stiffness, time_scale)
+
+
+def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:
+    """Return an exception as a :class:`Failure`."""
+    return Failure(
+        stamp_ns=stamp_ns,
+        site_id=site_id,
+        contact_id=contact_id,
+        reason=" ".join("".join(traceback.format_exception_only(error)).split()),
+        traceback="".join(traceback.format_exception(error)).strip(),
     )

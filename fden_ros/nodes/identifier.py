@@ -8,9 +8,7 @@ is in :mod:`fden_ros.core`.
 from __future__ import annotations
 
 import copy
-import difflib
 import gc
-import signal
 import struct
 import sys
 import threading
@@ -18,8 +16,6 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-import rclpy
-from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -27,99 +23,38 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.exceptions import InvalidParameterTypeException, ParameterException
-from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSPolicyKind,
-    QoSProfile,
-    ReliabilityPolicy,
-)
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
 
-from fden_ros.core.outputs import (
-    Classification,
-    ContactSummary,
-    DynamicModulus,
-    Output,
-    TissueState,
-    stale,
-)
+from fden_ros.core.outputs import Output, TissueState, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
-from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameter, check, pipeline_config
+from fden_ros.nodes.diagnostics import Diagnostics
+from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
+from fden_ros.nodes.running import run_node
+from fden_ros.parameters import (
+    NODE_PARAMETERS,
+    PARAMETERS,
+    Parameter,
+    Parameters,
+    check,
+    pipeline_config,
+)
+from fden_ros.parameters.files import identifier_values
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.markers import StiffnessMap
-from fden_ros.ros.messages import (
-    DISPLACEMENT_MESSAGES,
-    FORCE_MESSAGES,
-    Inputs,
-    classification_message,
-    estimate_message,
-    modulus_message,
-    summary_message,
-)
-from fden_ros.ros.status import Diagnostics, type_name
+from fden_ros.ros.inputs import DAMAGED, DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
+from fden_ros.ros.status import type_name
+from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, Frames, OutputMessages
 
-_DAMAGED = "damaged"
-
-#: Deep: one lost sample is lost to the fractional integral for good.
-INPUT_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=2000,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
-#: Deadline and lease are offered, so that those who ask for them are told when the node freezes.
-ESTIMATE_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    deadline=Duration(seconds=0.05),
-    liveliness=LivelinessPolicy.AUTOMATIC,
-    liveliness_lease_duration=Duration(seconds=0.2),
-)
-#: What comes late still learns of the last classification and of every palpation of the session's
-#: last hundred.
-LATCHED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-CLASSIFICATION_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-_OVERRIDABLE = QoSOverridingOptions(
-    (
-        QoSPolicyKind.HISTORY,
-        QoSPolicyKind.DEPTH,
-        QoSPolicyKind.RELIABILITY,
-        QoSPolicyKind.DURABILITY,
-    )
-)
 _STALE_CHECK_PERIOD = 0.05
 _ACKNOWLEDGE_TIMEOUT = 1.0
-#: How soon a signal is seen when nothing else happens [s].
-_SPIN_TIMEOUT = 0.1
 
 
 class Identifier(LifecycleNode):
@@ -142,41 +77,35 @@ class Identifier(LifecycleNode):
         self._is_stale = False
         self._made: list[Callable[[], object]] = []
         self._subscriptions_made: list[Subscription] = []
-        self._publishers_made: dict[type, LifecyclePublisher] = {}
+        self._publishers_made: dict[str, LifecyclePublisher] = {}
         self.add_on_set_parameters_callback(self._on_set_parameters)
 
     # Parameters
 
     def _declare_parameters(self) -> None:
+        self._check_overrides()
         for parameter in PARAMETERS:
             self.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
-        self.declare_parameter(
-            "autostart",
-            False,
-            ParameterDescriptor(
-                description="Configure and activate at start-up, without a lifecycle manager [1]",
-                read_only=True,
-            ),
-        )
-        self.declare_parameter(
-            "stale_timeout",
-            0.5,
-            ParameterDescriptor(
-                description="Time without a usable pair of samples after which the estimate is "
-                "stale [s]",
-                floating_point_range=[FloatingPointRange(from_value=0.01, to_value=60.0)],
-            ),
-        )
-        self._warn_of_unknown_parameters()
+        for parameter in NODE_PARAMETERS:
+            # rclpy declares those of every node itself.
+            if not self.has_parameter(parameter.name):
+                self.declare_parameter(
+                    parameter.name, parameter.default, _node_descriptor(parameter)
+                )
 
-    def _warn_of_unknown_parameters(self) -> None:
-        known = {parameter.name for parameter in PARAMETERS} | NODE_PARAMETERS
-        for name in self._parameter_overrides:
-            if name in known or name.split(".")[0] in NODE_PARAMETERS:
-                continue
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            self.get_logger().warning(f"there is no parameter {name}: it is ignored{hint}")
+    def _check_overrides(self) -> None:
+        """Refuse a parameter that is unknown or not allowed; [0, 0, -1] is a list of numbers."""
+        given = {
+            name: _plain(override.value) for name, override in self._parameter_overrides.items()
+        }
+        values = check(identifier_values(given)).as_dict()
+        values |= {p.name: p.check(given[p.name]) for p in NODE_PARAMETERS if p.name in given}
+        for name in given:
+            if name in values:
+                self._parameter_overrides[name] = RosParameter(name, value=values[name])
+        inputs = [self.resolve_topic_name(name) for name in ("force", "displacement")]
+        outputs = [self.resolve_topic_name(f"~/{topic.name}") for topic in OUTPUT_TOPICS]
+        check_qos_overrides(given, inputs, outputs)
 
     def _on_set_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
         own = {parameter.name: parameter for parameter in PARAMETERS}
@@ -194,7 +123,7 @@ class Identifier(LifecycleNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _parameter_values(self) -> dict[str, Any]:
+    def _parameters_now(self) -> Parameters:
         return check({p.name: _plain(self.get_parameter(p.name).value) for p in PARAMETERS})
 
     # Lifecycle
@@ -247,25 +176,18 @@ class Identifier(LifecycleNode):
         return TransitionCallbackReturn.FAILURE
 
     def _configure(self) -> None:
-        values = self._parameter_values()
-        self._pipeline = Pipeline(pipeline_config(values), self._publish)
-        self._inputs = Inputs(values, self._pipeline)
-        for kind, topic, qos in (
-            (TissueEstimate, "~/estimate", ESTIMATE_QOS),
-            (TissueClassification, "~/classification", CLASSIFICATION_QOS),
-            (PalpationSummary, "~/palpation", LATCHED_QOS),
-            (ComplexModulus, "~/complex_modulus", ESTIMATE_QOS),
-            (MarkerArray, "~/markers", CLASSIFICATION_QOS),
-            (PointCloud2, "~/stiffness_map", CLASSIFICATION_QOS),
-        ):
+        parameters = self._parameters_now()
+        self._pipeline = Pipeline(pipeline_config(parameters), self._publish)
+        self._inputs = Inputs(parameters, self._pipeline)
+        for topic in OUTPUT_TOPICS:
             publisher = self.create_lifecycle_publisher(
+                topic.message_type,
+                f"~/{topic.name}",
                 # rclpy writes the overrides into the profile that it is given.
-                kind,
-                topic,
-                copy.copy(qos),
-                qos_overriding_options=_OVERRIDABLE,
+                copy.copy(topic.qos),
+                qos_overriding_options=OVERRIDABLE,
             )
-            self._publishers_made[kind] = publisher
+            self._publishers_made[topic.name] = publisher
             self._made.append(lambda p=publisher: self.destroy_publisher(p))  # type: ignore[misc]
         self._diagnostics = Diagnostics(self)
         self._made.append(self._diagnostics.destroy)
@@ -274,11 +196,11 @@ class Identifier(LifecycleNode):
             self._made.append(lambda s=service: self.destroy_service(s))  # type: ignore[misc]
 
     def _activate(self) -> None:
-        values = self._parameter_values()
+        parameters = self._parameters_now()
         # Afresh: what was learned before an interruption is not trusted after it.
-        self._pipeline = Pipeline(pipeline_config(values), self._publish)
-        self._inputs = Inputs(values, self._pipeline)
-        self._map = StiffnessMap()
+        self._pipeline = Pipeline(pipeline_config(parameters), self._publish)
+        self._inputs = Inputs(parameters, self._pipeline)
+        self._messages = OutputMessages()
         self._last_state = None
         self._is_stale = False
         self._seen_pairs = 0
@@ -287,9 +209,9 @@ class Identifier(LifecycleNode):
         self._active = True
         self._backlog = Backlog()
         self._diagnostics.start(self._pipeline, self._subscriptions_made, self._backlog)
-        self._subscribe(FORCE_MESSAGES[values["force.message"]], "force", self._inputs)
+        self._subscribe(FORCE_MESSAGES[parameters.force.message], "force", self._inputs)
         self._subscribe(
-            DISPLACEMENT_MESSAGES[values["displacement.message"]], "displacement", self._inputs
+            DISPLACEMENT_MESSAGES[parameters.displacement.message], "displacement", self._inputs
         )
         self._stale_timer = self.create_timer(
             _STALE_CHECK_PERIOD, self._check_stale, clock=self._steady
@@ -317,7 +239,7 @@ class Identifier(LifecycleNode):
                 incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event),
                 message_lost=lambda event: self._diagnostics.message_lost(topic, event),
             ),
-            qos_overriding_options=_OVERRIDABLE,
+            qos_overriding_options=OVERRIDABLE,
             # Decoding the few bytes that count is faster than making a message of them all.
             raw=True,
         )
@@ -340,7 +262,7 @@ class Identifier(LifecycleNode):
                 message = deserialize_message(data, kind)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(topic, _DAMAGED)
+                inputs.reject(topic, DAMAGED)
                 return
             add(message)
 
@@ -379,27 +301,15 @@ class Identifier(LifecycleNode):
     # Outputs
 
     def _publish(self, output: Output) -> None:
-        assert self._inputs is not None
-        frame = self._inputs.force_frame
         if isinstance(output, TissueState):
             self._last_state = output
-            self._publishers_made[TissueEstimate].publish(estimate_message(output, frame))
-        elif isinstance(output, Classification):
-            self._publishers_made[TissueClassification].publish(
-                classification_message(output, frame)
-            )
-        elif isinstance(output, DynamicModulus):
-            self._publishers_made[ComplexModulus].publish(modulus_message(output, frame))
-        else:
-            self._publishers_made[PalpationSummary].publish(summary_message(output, frame))
-            self._publish_map(output)
+        self._publish_messages(output)
 
-    def _publish_map(self, summary: ContactSummary) -> None:
+    def _publish_messages(self, output: Output) -> None:
         assert self._inputs is not None
-        frame = self._inputs.displacement_frame
-        if self._map.add(summary):
-            self._publishers_made[MarkerArray].publish(self._map.markers(frame))
-            self._publishers_made[PointCloud2].publish(self._map.cloud(frame))
+        frames = Frames(self._inputs.force_frame, self._inputs.displacement_frame)
+        for topic, message in self._messages.of(output, frames):
+            self._publishers_made[topic.name].publish(message)
 
     def _check_stale(self) -> None:
         with self._lock:
@@ -435,10 +345,7 @@ class Identifier(LifecycleNode):
         self.get_logger().warning(
             f"no usable pair of force and displacement for {waited:.2f} s: the estimate is stale"
         )
-        assert self._inputs is not None
-        self._publishers_made[TissueEstimate].publish(
-            estimate_message(stale(self._last_state), self._inputs.force_frame)
-        )
+        self._publish_messages(stale(self._last_state))
 
     # Services
 
@@ -475,7 +382,7 @@ class Identifier(LifecycleNode):
             self._deactivate()
         # Lifecycle publishers hand on what rclpy's publishers can do.
         for publisher in self._publishers_made.values():
-            publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 
 
 def _answer(response: Trigger.Response, problem: str | None) -> Trigger.Response:
@@ -485,16 +392,24 @@ def _answer(response: Trigger.Response, problem: str | None) -> Trigger.Response
 
 
 def _plain(value: Any) -> Any:
-    """Return a parameter's value as plain Python: arrays come as array.array."""
+    """Return a parameter's value as plain Python: arrays come as array.array, none as None."""
+    if value is None:
+        return []
     return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    descriptor = _node_descriptor(parameter)
+    descriptor.additional_constraints = "; ".join(
+        filter(None, (parameter.constraint, "changes only while unconfigured"))
+    )
+    return descriptor
+
+
+def _node_descriptor(parameter: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=f"{parameter.description} [{parameter.unit}]",
-        additional_constraints="; ".join(
-            filter(None, (parameter.constraint, "changes only while unconfigured"))
-        ),
+        read_only=parameter.name == "autostart",
     )
     is_number = isinstance(parameter.default, (int, float)) and not isinstance(
         parameter.default, bool
@@ -512,54 +427,25 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def make_executor(context: Context | None = None) -> Executor:
-    """Return an EventsExecutor, or the default one where rclpy has none (before 7.1.4)."""
-    try:
-        from rclpy.experimental.events_executor import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor(context=context)
-    executor: Executor = EventsExecutor(context=context)
-    return executor
-
-
-def spin(executor: Executor, stop: Callable[[], bool]) -> None:
-    """Run callbacks until `stop`.
-
-    Event by event with a timeout: signals then reach Python, and ``EventsExecutor.spin`` of the
-    manylinux wheels, which polls without pause and never returns, is not needed.
-    """
-    while not stop():
-        executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; report the open contact before leaving."""
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda caught, _: stopped.append(caught))
-    try:
-        node = Identifier()
-    except (InvalidParameterTypeException, ParameterException) as error:
-        print(f"identifier: {' '.join(str(error).split())}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    executor = make_executor()
-    executor.add_node(node)
-    try:
-        if node.get_parameter("autostart").value and not _autostart(node):
-            return 1
-        # What is there by now stays: the collector need not look through it again and again.
-        gc.collect()
-        gc.freeze()
-        spin(executor, lambda: bool(stopped))
-        return 0
-    finally:
-        node.finish()
-        executor.remove_node(node)
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown()
+    return run_node(
+        "identifier",
+        Identifier,
+        arguments,
+        start=_start,
+        finish=Identifier.finish,
+        needs_section=True,
+    )
+
+
+def _start(node: Identifier) -> bool:
+    if node.get_parameter("autostart").value and not _autostart(node):
+        return False
+    # What is there by now stays: the collector need not look through it again and again.
+    gc.collect()
+    gc.freeze()
+    return True
 
 
 def _autostart(node: Identifier) -> bool:

@@ -1,39 +1,165 @@
-"""Run a plain node until SIGINT or SIGTERM; what is wrong comes in one line."""
+"""Run a node until SIGINT or SIGTERM; what is wrong at its start comes in one line."""
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import rclpy
+import yaml
+from rclpy.context import Context
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fden_ros.errors import InputError
-from fden_ros.nodes.identifier import make_executor, spin
+from fden_ros.parameters.files import (
+    Section,
+    check_types,
+    parse_yaml,
+    read_sections,
+    values_for,
+)
+
+_Node = TypeVar("_Node", bound=Node)
+
+#: How soon a signal is seen when nothing else happens [s].
+_SPIN_TIMEOUT = 0.1
+_LOG_LEVELS = ("debug", "info", "warn", "error", "fatal", "unset")
 
 
-def run_node(name: str, make: Callable[[], Node], arguments: list[str] | None = None) -> int:
-    """Make a node, spin it until a signal, and clean up; return the exit code."""
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+def run_node(
+    name: str,
+    make: Callable[[], _Node],
+    arguments: Sequence[str] | None = None,
+    *,
+    start: Callable[[_Node], bool] = lambda node: True,
+    finish: Callable[[_Node], object] = lambda node: None,
+    needs_section: bool = False,
+) -> int:
+    """Make a node, spin it until a signal, and clean up; return the exit code.
+
+    Parameters
+    ----------
+    name : str
+        What is before the line that says what is wrong.
+    make : callable
+        Returns the node.
+    arguments : sequence of str, optional
+        Of the command line, the program's name first; without it the process's own.
+    start, finish : callable
+        Called with the node before and after it is spun; where `start` returns false the node
+        ends.
+    needs_section : bool
+        Refuse a parameter file that has no section for this node.
+    """
+    arguments = list(sys.argv if arguments is None else arguments)
+    try:
+        files = check_arguments(arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except (InputError, RuntimeError, ValueError) as error:
+        # rclpy raises RCLError, a RuntimeError, for arguments that rcl cannot read.
+        return _refuse(name, error)
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _: stopped.append(caught))
     try:
         node = make()
+        if needs_section:
+            for sections in files:
+                values_for(sections, node.get_fully_qualified_name())
     except (InputError, InvalidParameterTypeException, ParameterException) as error:
-        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
         rclpy.try_shutdown()
-        return 1
+        return _refuse(name, error)
     executor = make_executor()
     executor.add_node(node)
     try:
+        if not start(node):
+            return 1
         spin(executor, lambda: bool(stopped))
         return 0
     finally:
+        finish(node)
         executor.remove_node(node)
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def make_executor(context: Context | None = None) -> Executor:
+    """Return an EventsExecutor, or the default one where rclpy has none (before 7.1.4)."""
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor(context=context)
+    executor: Executor = EventsExecutor(context=context)
+    return executor
+
+
+def spin(executor: Executor, stop: Callable[[], bool]) -> None:
+    """Run callbacks until `stop`.
+
+    Event by event with a timeout: signals then reach Python, and ``EventsExecutor.spin`` of the
+    manylinux wheels, which polls without pause and never returns, is not needed.
+    """
+    while not stop():
+        executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+
+
+def check_arguments(arguments: Sequence[str]) -> list[list[Section]]:
+    """Check what of a command line is ROS's, before rcl reads it: parameters and log levels.
+
+    Returns
+    -------
+    list of list of Section
+        Of each parameter file.
+
+    Raises
+    ------
+    InputError
+        In one line, where rcl would write several, or name no reason.
+    """
+    files: list[list[Section]] = []
+    for option, value in _ros_options(arguments):
+        if option == "--params-file":
+            files.append(read_sections(value))
+        elif option in ("-p", "--param"):
+            _check_override(value)
+        elif option == "--log-level" and value.split(":=")[-1].lower() not in _LOG_LEVELS:
+            raise InputError(
+                f"there is no log level {value}: it must be one of {', '.join(_LOG_LEVELS)}"
+            )
+    return files
+
+
+def _ros_options(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield every argument between --ros-args and -- with the one that follows it."""
+    is_ros = False
+    for option, value in zip(arguments, [*arguments[1:], ""], strict=True):
+        if option == "--ros-args":
+            is_ros = True
+        elif option == "--":
+            is_ros = False
+        elif is_ros:
+            yield option, value
+
+
+def _check_override(text: str) -> None:
+    name, separator, value = text.partition(":=")
+    if not name or not separator:
+        raise InputError(f"-p {text} is no parameter: expected -p NAME:=VALUE")
+    try:
+        check_types(name, parse_yaml(value))
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(f"-p {text}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def _refuse(name: str, error: Exception) -> int:
+    text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ")
+    # rcl adds the places in its sources.
+    print(f"{name}: {re.sub(r', at [^ ,]+:[0-9]+', '', text)}", file=sys.stderr)
+    return 1

@@ -12,7 +12,7 @@ import hashlib
 import itertools
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row
+from fden_ros.parameters import Parameters
 from fden_ros.recording.source import Selection
 from fden_ros.tissues.library import load_library
 
@@ -57,20 +58,25 @@ class Work:
 
     Parameters
     ----------
-    parameters : mapping
-        Checked parameter values.
+    parameters : Parameters
     selection : Selection
         Topics or fields.
     """
 
-    parameters: Mapping[str, Any]
+    parameters: Parameters
     selection: Selection
 
     def digest(self) -> str:
         """Return what tells this configuration from others, the tissue library included."""
-        library = load_library(self.parameters["classifier.library"] or None)
+        library = load_library(self.parameters.classifier.library or None)
         text = json.dumps(
-            [_FORMAT, __version__, dict(self.parameters), asdict(self.selection), repr(library)],
+            [
+                _FORMAT,
+                __version__,
+                self.parameters.as_dict(),
+                asdict(self.selection),
+                repr(library),
+            ],
             sort_keys=True,
             default=str,
         )

@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from scipy.signal import find_peaks
 
 from fden_ros.core.streams.samples import Position
 from fden_ros.errors import InputError
+from fden_ros.parameters import Parameters
 from fden_ros.recording.source import Selection, open_source
 
 Array = NDArray[np.float64]
@@ -331,7 +331,7 @@ class _Collector:
 
 def read_samples(
     recording: str | Path,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None = None,
     show: Callable[[int, int], None] | None = None,
 ) -> tuple[Samples, Samples]:

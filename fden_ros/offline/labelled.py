@@ -18,7 +18,7 @@ from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import read_table
 from fden_ros.offline.rows import CORRELATIONS
-from fden_ros.parameters import pipeline_config
+from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import TABLE_SUFFIXES
 from fden_ros.tissues.training import Contacts, contacts_of
@@ -111,7 +111,7 @@ class _Rows:
 
 def read_source(
     source: Source,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None = None,
     columns: Columns | None = None,
     advance: Callable[[], None] = lambda: None,
@@ -171,7 +171,7 @@ def _bags(path: Path) -> list[Path]:
 
 def _from_bags(
     bags: Iterable[tuple[Path, str, str]],
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None,
     name: str,
     advance: Callable[[], None],
@@ -179,7 +179,7 @@ def _from_bags(
     from fden_ros.offline.replay import replay
 
     # What the present library makes of them does not matter, nor whether it fits.
-    own = {**parameters, "classifier.library": ""}
+    own = parameters.changed({"classifier.library": ""})
     rows = _Rows(pipeline_config(own).estimator.prior)
     for bag, tissue, specimen in bags:
         for summary in replay(bag, own, selection).summaries:
@@ -211,7 +211,7 @@ def _add_summary(
 
 def _from_table(
     source: Source,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None,
     columns: Columns,
     advance: Callable[[], None],
@@ -243,7 +243,7 @@ def _from_table(
             "g_n, g_n_sd, and alpha, alpha_sd where known; a list of bags has bag"
         )
     is_posterior = "alpha_source" in names
-    config = pipeline_config({**parameters, "classifier.library": ""})
+    config = pipeline_config(parameters.changed({"classifier.library": ""}))
     found = _Rows(config.estimator.prior if is_posterior else None)
     for index, row in enumerate(rows):
         _add_row(found, row, source, columns, f"{source.path}: row {index + 1}")

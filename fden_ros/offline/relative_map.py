@@ -19,13 +19,14 @@ from fden_ros.core.classification.relative import (
 from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.errors import InputError
 from fden_ros.offline.labelled import Columns, Source, read_rows, read_source
+from fden_ros.parameters import Parameters
 
 #: Rows need a label to be read as contacts: any.
 _ANY = "site"
 
 
 def compare_sites(
-    path: Path, parameters: Mapping[str, Any], config: RelativeConfig
+    path: Path, parameters: Parameters, config: RelativeConfig
 ) -> list[dict[str, Any]]:
     """Return a row a site: place, ratio with its interval, probability, deviations and label.
 

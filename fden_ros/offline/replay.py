@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import pipeline_config
+from fden_ros.core.streams.samples import Sink
+from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import RawMessage
-from fden_ros.recording.source import Selection, Sink, Source, open_source
+from fden_ros.recording.source import Selection, Source, open_source
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ class Replay:
 
 def replay(
     bag: str | Path,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None = None,
     *,
     progress: bool = False,
@@ -49,8 +50,8 @@ def replay(
     ----------
     bag : path
         A rosbag2 folder, an ``.mcap`` file, or a table with `selection.columns`.
-    parameters : mapping
-        Checked parameter values (:func:`fden_ros.parameters.check`).
+    parameters : Parameters
+        Of :func:`fden_ros.parameters.check`.
     selection : Selection, optional
         Topics, fields or columns; without it the only sensible topics of the bag.
     progress : bool

@@ -2,66 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
-from sensor_msgs.msg import PointCloud2
-from visualization_msgs.msg import MarkerArray
 
-from fden_ros.core.outputs import ContactSummary, Output
+from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
+from fden_ros.parameters import Parameters
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
 from fden_ros.recording.source import Selection, Source
 from fden_ros.recording.writer import BagWriter
-from fden_ros.ros.markers import StiffnessMap
-from fden_ros.ros.messages import to_message, to_stamp
-from fden_ros.ros.status import diagnostic_status
+from fden_ros.ros.messages import to_stamp
+from fden_ros.ros.status import diagnostic_status, type_name
+from fden_ros.ros.topics import OUTPUT_TOPICS, Frames, OutputMessages
 
 NODE = "/identifier"
-ESTIMATE_TOPIC = f"{NODE}/estimate"
-CLASSIFICATION_TOPIC = f"{NODE}/classification"
-SUMMARY_TOPIC = f"{NODE}/palpation"
-MODULUS_TOPIC = f"{NODE}/complex_modulus"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 
 _DIAGNOSTICS_PERIOD_NS = 1_000_000_000
-# Topic, type and QoS as the node has them.
-_TOPICS: dict[type, tuple[str, str, Qos]] = {
-    TissueEstimate: (ESTIMATE_TOPIC, "fden_msgs/msg/TissueEstimate", Qos(depth=100)),
-    TissueClassification: (
-        CLASSIFICATION_TOPIC,
-        "fden_msgs/msg/TissueClassification",
-        Qos(durability="transient_local", depth=1),
-    ),
-    PalpationSummary: (
-        SUMMARY_TOPIC,
-        "fden_msgs/msg/PalpationSummary",
-        Qos(durability="transient_local", depth=100),
-    ),
-    ComplexModulus: (MODULUS_TOPIC, "fden_msgs/msg/ComplexModulus", Qos(depth=100)),
-    MarkerArray: (
-        f"{NODE}/markers",
-        "visualization_msgs/msg/MarkerArray",
-        Qos(durability="transient_local", depth=1),
-    ),
-    PointCloud2: (
-        f"{NODE}/stiffness_map",
-        "sensor_msgs/msg/PointCloud2",
-        Qos(durability="transient_local", depth=1),
-    ),
-    DiagnosticArray: (DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", Qos(depth=10)),
-}
 
 
 def replay_to_bag(
     bag: str | Path,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None,
     folder: str | Path,
     *,
@@ -137,10 +103,12 @@ class _Recorder:
         self._now_ns = 0
         self._next_diagnostics_ns: int | None = None
         self._source: Source | None = None
-        self._map = StiffnessMap()
+        self._messages = OutputMessages()
         self._pairs_before = self._rejected_before = 0
-        for topic, type_name, qos in _TOPICS.values():
-            writer.add_topic(topic, type_name, qos)
+        for topic in OUTPUT_TOPICS:
+            qos = Qos.from_profile(topic.qos)
+            writer.add_topic(f"{NODE}/{topic.name}", type_name(topic.message_type), qos)
+        writer.add_topic(DIAGNOSTICS_TOPIC, type_name(DiagnosticArray), Qos())
 
     def read(self, source: Source) -> None:
         """Take note of what is read."""
@@ -148,15 +116,10 @@ class _Recorder:
 
     def take(self, output: Output, frame: str) -> None:
         """Write one output of the pipeline."""
-        self._write(to_message(output, frame))
-        if isinstance(output, ContactSummary) and self._map.add(output):
-            assert self._source is not None
-            place = self._source.displacement_frame
-            self._write(self._map.markers(place))
-            self._write(self._map.cloud(place))
-
-    def _write(self, message: Any) -> None:
-        self._writer.write(_TOPICS[type(message)][0], message, self._now_ns)
+        assert self._source is not None
+        frames = Frames(frame, self._source.displacement_frame)
+        for topic, message in self._messages.of(output, frames):
+            self._writer.write(f"{NODE}/{topic.name}", message, self._now_ns)
 
     def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:
         """Take note of the time of the next input, and write diagnostics when they are due."""

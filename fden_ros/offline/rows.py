@@ -9,7 +9,7 @@ from typing import Any
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import contact_object
-from fden_ros.report.session import Session
+from fden_ros.offline.session import Session
 
 #: The columns, in their order. x, y, z: place of the touch [m]; mean_nis: mean of the normalised
 #: innovation squared, 1 where model and noise are right. Correlations: of ln G, ln Gn and alpha.

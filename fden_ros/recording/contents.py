@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fden_ros.errors import InputError
+from fden_ros.parameters import Parameters
 from fden_ros.recording.reader import BagReader, Topic
 from fden_ros.recording.source import BagSource, Selection
 
@@ -97,7 +98,7 @@ class BagContents:
 
 def inspect(
     path: str | Path,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None = None,
     progress: Callable[[int], object] = lambda done: None,
 ) -> BagContents:
@@ -163,7 +164,7 @@ def contents_object(contents: BagContents) -> dict[str, Any]:
 
 
 def _used(
-    path: str | Path, parameters: Mapping[str, Any], selection: Selection
+    path: str | Path, parameters: Parameters, selection: Selection
 ) -> tuple[dict[str, str], list[str]]:
     try:
         return BagSource(path, parameters, selection).inputs, []

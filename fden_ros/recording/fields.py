@@ -12,6 +12,7 @@ from mcap.records import Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
+from fden_ros.core.streams.tool_weight import Quaternion
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class, message_definition
 from fden_ros.recording.reader import Topic
@@ -65,6 +66,15 @@ class FieldPath:
                 raise InputError(f"there is no {name} on the way to {self.text}: it has {fields}")
             message = getattr(message, name)
         return message
+
+    def orientation_beside(self, message: Any) -> Quaternion | None:
+        """Return the orientation that stands beside a position or translation, if one does."""
+        above, _, _ = self.text.rpartition(".")
+        beside = FieldPath(above).of(message) if above else message
+        turn: Any = getattr(beside, "orientation", None) or getattr(beside, "rotation", None)
+        if not all(hasattr(turn, axis) for axis in "xyzw"):
+            return None
+        return float(turn.x), float(turn.y), float(turn.z), float(turn.w)
 
 
 def as_number_or_vector(value: Any) -> float | Vector | None:

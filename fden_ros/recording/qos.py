@@ -40,6 +40,16 @@ class Qos:
     depth: int = 10
     history: str = "keep_last"
 
+    @staticmethod
+    def from_profile(profile: QoSProfile) -> Qos:
+        """Return what a bag says of a topic that is published with a ``rclpy`` profile."""
+        return Qos(
+            reliability=profile.reliability.name.lower(),
+            durability=profile.durability.name.lower(),
+            depth=profile.depth,
+            history=profile.history.name.lower(),
+        )
+
     @property
     def reliable(self) -> bool:
         """Whether delivery is guaranteed."""

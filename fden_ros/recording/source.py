@@ -3,41 +3,21 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from fden_ros.core.streams.samples import Position, Reason
+from fden_ros.core.streams.samples import Sink
 from fden_ros.errors import InputError
-from fden_ros.parameters import unit_vector
+from fden_ros.parameters import Parameters
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
 from fden_ros.recording.topics import find_topic, named_topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.messages import Inputs, stamp_ns
-
-DAMAGED = "damaged"
-
-
-class Sink(Protocol):
-    """Where samples go: a pipeline, or something that stands before it."""
-
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        """Take a force sample [N]."""
-
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-    ) -> None:
-        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
-
-    def reject(self, stream: str, reason: str) -> None:
-        """Count a sample that could not be read."""
+from fden_ros.ros.inputs import DAMAGED, Inputs, NumberOrVector
+from fden_ros.ros.messages import stamp_ns
 
 
 @dataclass(frozen=True)
@@ -97,7 +77,7 @@ class Source(Protocol):
 
 
 def open_source(
-    path: str | Path, parameters: Mapping[str, Any], selection: Selection | None = None
+    path: str | Path, parameters: Parameters, selection: Selection | None = None
 ) -> Source:
     """Return the recording at `path`.
 
@@ -127,9 +107,7 @@ class BagSource:
         As :func:`open_source`.
     """
 
-    def __init__(
-        self, path: str | Path, parameters: Mapping[str, Any], selection: Selection
-    ) -> None:
+    def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
         self._parameters = parameters
         self.force = self._find("force", selection.force_topic, selection.force_field)
@@ -139,7 +117,6 @@ class BagSource:
         self._fields = {"force": selection.force_field, "displacement": None}
         self._fields["displacement"] = selection.displacement_field
         self._notes: list[str] = []
-        self._frames: dict[str, str] = {}
         self._inputs: Inputs | None = None
 
     def _find(
@@ -171,48 +148,43 @@ class BagSource:
     @property
     def frame(self) -> str:
         """frame_id of the force so far."""
-        if "force" in self._frames:
-            return self._frames["force"]
         return self._inputs.force_frame if self._inputs is not None else ""
 
     @property
     def displacement_frame(self) -> str:
         """frame_id of the positions so far."""
-        if "displacement" in self._frames:
-            return self._frames["displacement"]
         return self._inputs.displacement_frame if self._inputs is not None else ""
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the messages in the order of their recording."""
-        # Inputs asks a pipeline for no more than a sink offers.
-        self._inputs = Inputs(self._parameters, sink)  # type: ignore[arg-type]
+        self._inputs = Inputs(self._parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for what, topic in (("force", self.force), ("displacement", self.displacement)):
-            handlers.setdefault(topic.name, []).append(self._handler(what, topic, sink))
+            handlers.setdefault(topic.name, []).append(self._handler(what, topic))
         for done, message in enumerate(self.reader.messages(handlers), start=1):
             before(message.log_time_ns, message)
             for handle in handlers[message.topic]:
                 handle(message)
             yield done
 
-    def _handler(self, what: str, topic: Topic, sink: Sink) -> Callable[[RawMessage], None]:
-        field = self._fields[what]
+    def _handler(self, what: str, topic: Topic) -> Callable[[RawMessage], None]:
+        field, inputs = self._fields[what], self._inputs
+        assert inputs is not None
         if field is not None:
-            return _FieldHandler(self, what, topic, FieldPath(field), sink)
-        assert self._inputs is not None
+            return _FieldHandler(what, topic, FieldPath(field), inputs, self.note)
         decode = decoder_of_class(topic)
-        take = self._inputs.add_force if what == "force" else self._inputs.add_displacement
+        take = inputs.add_force if what == "force" else inputs.add_displacement
 
         def handle(message: RawMessage) -> None:
             try:
                 sample = decode(message.data)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                sink.reject(what, DAMAGED)
+                inputs.reject(what, DAMAGED)
                 return
             take(sample)
 
-        fast = fast_handler(what, topic.type_name, self._inputs)
+        fast = fast_handler(what, topic.type_name, inputs)
         if fast is None:
             return handle
 
@@ -229,10 +201,6 @@ class BagSource:
         if text not in self._notes:
             self._notes.append(text)
 
-    def set_frame(self, what: str, frame: str) -> None:
-        """Take the frame of a quantity's first message."""
-        self._frames.setdefault(what, frame)
-
 
 def decoder_of_class(topic: Topic) -> Callable[[bytes], Any]:
     """Return the decoder of a topic whose type is installed."""
@@ -248,29 +216,34 @@ class _FieldHandler:
     """Takes one field out of every message of a topic."""
 
     def __init__(
-        self, source: BagSource, what: str, topic: Topic, path: FieldPath, sink: Sink
+        self,
+        what: str,
+        topic: Topic,
+        path: FieldPath,
+        inputs: Inputs,
+        note: Callable[[str], None],
     ) -> None:
-        parameters = source._parameters
-        self._source, self._what, self._topic, self._path = source, what, topic, path
-        self._sink = sink
+        self._what, self._topic, self._path = what, topic, path
+        self._inputs, self._note = inputs, note
         self._decode = decoder_of(topic)
-        self._axis = unit_vector(parameters[f"{what}.axis"])
-        self._sign = -1.0 if parameters[f"{what}.inverted"] else 1.0
         self._seen = False
 
     def __call__(self, message: RawMessage) -> None:
         try:
             sample = self._decode(message.data)
         except Exception:
-            self._sink.reject(self._what, DAMAGED)
+            self._inputs.reject(self._what, DAMAGED)
             return
         value = self._value(sample)
-        if value is None:
-            self._sink.reject(self._what, Reason.MISSING_FIELD)
-            return
-        self._add(self._stamp(sample, message.log_time_ns), value)
+        stamp = self._stamp(sample, message.log_time_ns)
+        frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
+        if self._what == "force":
+            self._inputs.add_force_value(frame, stamp, value)
+        else:
+            turn = self._path.orientation_beside(sample)
+            self._inputs.add_displacement_value(frame, stamp, value, turn)
 
-    def _value(self, sample: Any) -> float | Position | None:
+    def _value(self, sample: Any) -> NumberOrVector | None:
         try:
             found = self._path.of(sample)
         except IndexError:
@@ -286,23 +259,12 @@ class _FieldHandler:
         self._seen = True
         return value
 
-    def _add(self, stamp: int, value: float | Position) -> None:
-        if isinstance(value, float):
-            number, position = self._sign * value, None
-        else:
-            number, position = sum(a * v for a, v in zip(self._axis, value, strict=True)), value
-        if self._what == "force":
-            self._sink.add_force(stamp, number)
-        else:
-            self._sink.add_displacement(stamp, number, position)
-
     def _stamp(self, sample: Any, log_time_ns: int) -> int:
         header = getattr(sample, "header", None)
         stamp = getattr(header, "stamp", None) or getattr(sample, "stamp", None)
-        self._source.set_frame(self._what, str(getattr(header, "frame_id", "")))
         if stamp is not None and hasattr(stamp, "nanosec"):
             return stamp_ns(stamp)
-        self._source.note(
+        self._note(
             f"{self._topic.name} carries no stamps: the times of recording are used, which jitter"
         )
         return log_time_ns
@@ -319,15 +281,16 @@ class TableSource:
 
     frame = displacement_frame = ""
 
-    def __init__(
-        self, path: str | Path, parameters: Mapping[str, Any], selection: Selection
-    ) -> None:
+    def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         assert selection.columns is not None
+        if parameters.tool.mass:
+            raise InputError(
+                "tool.mass takes off the weight by the tool's orientation, which a table does "
+                "not hold: set tool.mass to 0, or replay a bag with poses"
+            )
         self._columns = selection.columns
         self._table = TableReader(path, selection.columns, selection.where)
-        self._signs = [
-            -1.0 if parameters[f"{what}.inverted"] else 1.0 for what in ("force", "displacement")
-        ]
+        self._parameters = parameters
 
     @property
     def total(self) -> int:
@@ -349,9 +312,9 @@ class TableSource:
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the rows in the order of the file."""
-        force_sign, displacement_sign = self._signs
+        inputs = Inputs(self._parameters, sink)
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
-            sink.add_displacement(row.stamp_ns, displacement_sign * row.displacement)
-            sink.add_force(row.stamp_ns, force_sign * row.force)
+            inputs.add_displacement_value("", row.stamp_ns, row.displacement)
+            inputs.add_force_value("", row.stamp_ns, row.force)
             yield done

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.characteristic import phi
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def _draw_parameter(
             rows.append((_seconds(state.stamp_ns, start_ns), *[math.nan] * 4))
             continue
         value = estimate[index]
-        sd = math.sqrt(estimate.covariance[index, index])
+        sd = float(estimate.deviations[index])
         band = (math.exp(v) for v in (value, value - 2 * sd, value + 2 * sd))
         rows.append(
             (
@@ -148,14 +148,18 @@ def _draw_characteristics(axes: Axes, session: Session) -> None:
         if summary.estimate is not None:
             axes.plot(
                 strain,
-                _phi(strain, *np.exp(summary.estimate[:2])),
+                phi(
+                    strain,
+                    summary.estimate.linear_stiffness,
+                    summary.estimate.nonlinear_stiffness,
+                ),
                 color=colour,
                 linewidth=1.6,
                 label=_name(summary),
             )
         site = session.truth.get(summary.site_id)
         if site is not None:
-            truth = _phi(strain, site["linear_stiffness"], site["nonlinear_stiffness"])
+            truth = phi(strain, site["linear_stiffness"], site["nonlinear_stiffness"])
             label = "truth" if summary is session.summaries[-1] else None
             axes.plot(strain, truth, color="black", linestyle=":", linewidth=1.2, label=label)
     axes.set_xlabel("strain")
@@ -170,12 +174,6 @@ def _name(summary: ContactSummary) -> str:
     label = summary.classes.label if summary.classes is not None else ""
     label = label or "undetermined"
     return f"site {summary.site_id}, contact {summary.contact_id}: {label}"
-
-
-def _phi(strain: Array, linear_stiffness: float, nonlinear_stiffness: float) -> Array:
-    return np.array(
-        [elastic_response(x, linear_stiffness, nonlinear_stiffness).value for x in strain]
-    )
 
 
 def _colours(count: int) -> list[Any]:
@@ -197,7 +195,7 @@ def _draw_errors(axes: Axes, session: Session) -> None:
         for summary in known:
             assert summary.estimate is not None
             error = summary.estimate[index] - math.log(session.truth[summary.site_id][key])
-            sd = math.sqrt(summary.estimate.covariance[index, index])
+            sd = summary.estimate.deviations[index]
             rows.append((summary.contact_id + offset, 100 * error, 200 * sd))
         if rows:
             place, error, width = np.array(rows).T

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -38,9 +37,11 @@ def _present(state: TissueState | None) -> Text:
         parts.append(f"{state.phase.name.lower()}, strain {state.signals.strain:.3f}")
     in_contact = state.status in (Status.CONVERGING, Status.CONVERGED)
     if in_contact and state.estimate is not None:
-        for name, index in (("G", 0), ("Gn", 1)):
-            value = math.exp(state.estimate[index])
-            deviation = value * math.sqrt(state.estimate.covariance[index, index])
+        estimate = state.estimate
+        for name, value, deviation in (
+            ("G", estimate.linear_stiffness, estimate.linear_stiffness_sd),
+            ("Gn", estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd),
+        ):
             parts.append(f"{name} {value:.4g} ± {deviation:.2g}")
     if state.apparent_stiffness is not None:
         stiffness = state.apparent_stiffness

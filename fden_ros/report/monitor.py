@@ -115,7 +115,7 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
     estimate = state.estimate
     if estimate is None:
         return [("G", DASH), ("Gn", DASH), ("α", DASH)]
-    deviations = [math.sqrt(max(estimate.covariance[i, i], 0.0)) for i in range(3)]
+    deviations = estimate.deviations
     rows = []
     for name, index, unit in (("G", 0, "Pa s^α"), ("Gn", 1, "")):
         value, spread = math.exp(estimate[index]), math.exp(_DEVIATIONS * deviations[index])

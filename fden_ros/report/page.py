@@ -14,8 +14,8 @@ from fden_ros import __version__
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
+from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
-from fden_ros.report.session import DETAILED_CONTACTS, Contact, Session, remarks
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -81,7 +81,7 @@ def page(session: Session) -> str:
         contacts=[_contact(session, contact) for contact in session.contacts[:DETAILED_CONTACTS]],
         left_out=max(0, len(summaries) - DETAILED_CONTACTS),
         open_contacts=len(summaries) <= _OPEN_CONTACTS,
-        parameters=sorted(session.parameters.items()),
+        parameters=sorted(session.parameters.as_dict().items()),
     )
 
 
@@ -94,7 +94,7 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         yield what.capitalize(), name
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
-    yield "Geometry", str(session.parameters["geometry.kind"]).replace("_", " ")
+    yield "Geometry", session.parameters.geometry.kind.replace("_", " ")
 
 
 def _headline(session: Session) -> str:

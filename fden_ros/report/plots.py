@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.parameters import unit_vector
-from fden_ros.report.session import (
+from fden_ros.offline.session import (
     Array,
     Contact,
     Envelope,
@@ -26,6 +25,7 @@ from fden_ros.report.session import (
     normalized_innovation,
     predicted_stress,
 )
+from fden_ros.parameters import unit_vector
 
 # Each stands for a colour of the page, which differs in light and dark; see the page's style.
 INK, MUTED, GRID, SHADE, MEASURED, ESTIMATE, TRUTH, SURE = (
@@ -178,7 +178,7 @@ def comparison(session: Session) -> str:
 def site_map(session: Session) -> str:
     """Where it was pressed, seen along the approach, with G as colour and number."""
     placed = [s for s in session.replay.summaries if s.position is not None]
-    first, second = _lateral_axes(session.parameters["displacement.axis"])
+    first, second = _lateral_axes(session.parameters.displacement.axis)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()

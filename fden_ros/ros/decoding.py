@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable
 
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.ros.messages import Inputs
+from fden_ros.ros.inputs import Inputs
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _HEADER = struct.Struct("<iII")  # seconds, nanoseconds, length of the frame's name with its 0

@@ -50,6 +50,10 @@ class StiffnessMap:
         self._diameter = diameter
         self._sites: OrderedDict[int, ContactSummary] = OrderedDict()
 
+    def __contains__(self, summary: ContactSummary) -> bool:
+        """Return whether this very summary is its site's on the map."""
+        return self._sites.get(summary.site_id) is summary
+
     def add(self, summary: ContactSummary) -> bool:
         """Take a summary; return whether the map has changed."""
         if summary.position is None or summary.estimate is None:

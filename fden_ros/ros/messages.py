@@ -1,19 +1,12 @@
-"""Between ROS messages and the core: samples in, messages out.
-
-Used alike by the live node and by replay, so that both compute from the same numbers.
-"""
+"""The values of the core as ROS messages, and back."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
-from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
-from sensor_msgs.msg import JointState
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.estimation.estimate import Estimate, Innovation
@@ -26,24 +19,12 @@ from fden_ros.core.outputs import (
     DynamicModulus,
     Flag,
     OrderSource,
-    Output,
     Phase,
     Signals,
     Status,
     TissueState,
 )
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason
-from fden_ros.core.streams.tool_weight import Quaternion
-from fden_ros.parameters import tool_weight, unit_vector
-
-FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
-DISPLACEMENT_MESSAGES: dict[str, type] = {
-    "joint_state": JointState,
-    "pose": PoseStamped,
-    "transform": TransformStamped,
-    "point": PointStamped,
-}
+from fden_ros.core.streams.samples import NANOSECONDS
 
 
 def stamp_ns(stamp: Time) -> int:
@@ -55,196 +36,6 @@ def to_stamp(nanoseconds: int) -> Time:
     """Return integer nanoseconds as a stamp."""
     seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
-
-
-class Inputs:
-    """Feed a pipeline from messages: project on the axes, pick the joint, hold the frame.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Checked parameter values.
-    pipeline : Pipeline
-
-    Attributes
-    ----------
-    force_frame : str
-        frame_id of the force messages; the outputs carry it.
-    force_joint, displacement_joint : str
-        Joints that are asked for; empty: the first.
-    """
-
-    def __init__(self, parameters: Mapping[str, Any], pipeline: Pipeline) -> None:
-        self._pipeline = pipeline
-        self._force_axis = unit_vector(parameters["force.axis"])
-        self._displacement_axis = unit_vector(parameters["displacement.axis"])
-        self.force_joint = str(parameters["force.name"])
-        self.displacement_joint = str(parameters["displacement.name"])
-        self._force_sign = -1.0 if parameters["force.inverted"] else 1.0
-        self._displacement_sign = -1.0 if parameters["displacement.inverted"] else 1.0
-        self._read_force: dict[type, Callable[[Any], float | None]] = {
-            WrenchStamped: self._wrench_force,
-            JointState: self._joint_force,
-        }
-        self.takes_torque = parameters["geometry.kind"] == "torsional_rheometer"
-        self._tool = tool_weight(parameters)
-        self.takes_orientation = self._tool is not None
-        self._read_position: dict[type, Callable[[Any], Position]] = {
-            PoseStamped: _pose_position,
-            TransformStamped: _transform_position,
-            PointStamped: _point_position,
-        }
-        self.reset()
-
-    def reset(self) -> None:
-        """Let the next messages say their frames anew."""
-        self.force_frame = ""
-        self._force_frame_known = False
-        self._displacement_frame: str | None = None
-
-    @property
-    def displacement_frame(self) -> str:
-        """Return the frame_id of the positions; empty before the first."""
-        return self._displacement_frame or ""
-
-    def reject(self, stream: str, reason: str) -> None:
-        """Count a message that cannot be read."""
-        self._pipeline.reject(stream, reason)
-
-    def add_force(self, message: Any) -> None:
-        """Take a force message."""
-        header = message.header
-        force = self._read_force[type(message)](message)
-        self.take_force(header.frame_id, stamp_ns(header.stamp), force)
-
-    def add_displacement(self, message: Any) -> None:
-        """Take a displacement message."""
-        header = message.header
-        stamp = stamp_ns(header.stamp)
-        if isinstance(message, JointState):
-            joint = _joint_value(message.name, message.position, self.displacement_joint)
-            self.take_joint(header.frame_id, stamp, joint)
-            return
-        position = self._read_position[type(message)](message)
-        orientation = _orientation(message) if self.takes_orientation else None
-        self.take_position(header.frame_id, stamp, position, orientation)
-
-    def take_force(self, frame_id: str, stamp: int, force: float | None) -> None:
-        """Take a force along the axis [N]; None where the message does not hold it."""
-        if frame_id != self.force_frame:
-            if self._force_frame_known:
-                self._pipeline.reject("force", Reason.WRONG_FRAME)
-                return
-            self.force_frame = frame_id
-        self._force_frame_known = True
-        if force is None:
-            self._pipeline.reject("force", Reason.MISSING_FIELD)
-            return
-        self._pipeline.add_force(stamp, force)
-
-    def take_joint(self, frame_id: str, stamp: int, joint: float | None) -> None:
-        """Take a joint's position [m]; None where the message does not hold it."""
-        if not self._is_displacement_frame(frame_id):
-            return
-        # A joint says nothing of the tool's orientation.
-        if joint is None or self._tool is not None:
-            self._pipeline.reject("displacement", Reason.MISSING_FIELD)
-            return
-        self._pipeline.add_displacement(stamp, self._displacement_sign * joint)
-
-    def take_position(
-        self,
-        frame_id: str,
-        stamp: int,
-        position: Position,
-        orientation: Quaternion | None = None,
-    ) -> None:
-        """Take a position [m], and the sensor's orientation where the tool's weight matters."""
-        if not self._is_displacement_frame(frame_id):
-            return
-        x, y, z = position
-        a, b, c = self._displacement_axis
-        displacement = a * x + b * y + c * z
-        if self._tool is None:
-            self._pipeline.add_displacement(stamp, displacement, position)
-            return
-        try:
-            load = self._tool.load(orientation or (0.0, 0.0, 0.0, 0.0))
-        except ValueError:
-            # Without an orientation the weight cannot be told from the tissue.
-            self._pipeline.reject("displacement", Reason.MISSING_FIELD)
-            return
-        self._pipeline.add_displacement(stamp, displacement, position, load)
-
-    def along_force(self, x: float, y: float, z: float) -> float:
-        """Return the part of a force along the axis [N]."""
-        a, b, c = self._force_axis
-        return float(a * x + b * y + c * z)
-
-    def signed_effort(self, effort: float | None) -> float | None:
-        """Return a joint's effort as force [N]."""
-        return None if effort is None else self._force_sign * effort
-
-    def _is_displacement_frame(self, frame_id: str) -> bool:
-        if frame_id == self._displacement_frame:
-            return True
-        if self._displacement_frame is not None:
-            self._pipeline.reject("displacement", Reason.WRONG_FRAME)
-            return False
-        self._displacement_frame = frame_id
-        return True
-
-    def _wrench_force(self, message: WrenchStamped) -> float:
-        wrench = message.wrench
-        vector = wrench.torque if self.takes_torque else wrench.force
-        return self.along_force(vector.x, vector.y, vector.z)
-
-    def _joint_force(self, message: JointState) -> float | None:
-        return self.signed_effort(_joint_value(message.name, message.effort, self.force_joint))
-
-
-def _joint_value(names: list[str], values: Any, joint: str) -> float | None:
-    index = 0
-    if joint:
-        if joint not in names:
-            return None
-        index = names.index(joint)
-    return float(values[index]) if index < len(values) else None
-
-
-def _pose_position(message: PoseStamped) -> Position:
-    position = message.pose.position
-    return position.x, position.y, position.z
-
-
-def _transform_position(message: TransformStamped) -> Position:
-    translation = message.transform.translation
-    return translation.x, translation.y, translation.z
-
-
-def _orientation(message: Any) -> Quaternion | None:
-    if isinstance(message, PoseStamped):
-        turn = message.pose.orientation
-    elif isinstance(message, TransformStamped):
-        turn = message.transform.rotation
-    else:
-        return None
-    return turn.x, turn.y, turn.z, turn.w
-
-
-def _point_position(message: PointStamped) -> Position:
-    return message.point.x, message.point.y, message.point.z
-
-
-def to_message(output: Output, frame_id: str) -> Any:
-    """Return the message of one output of the pipeline."""
-    if isinstance(output, TissueState):
-        return estimate_message(output, frame_id)
-    if isinstance(output, Classification):
-        return classification_message(output, frame_id)
-    if isinstance(output, DynamicModulus):
-        return modulus_message(output, frame_id)
-    return summary_message(output, frame_id)
 
 
 def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:

@@ -126,9 +126,9 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
     }
     orders = {model.fractional_order for model in models}
     if len(orders) == 1:
-        parameters["alpha.source"] = "given"
-        parameters["alpha.value"] = orders.pop()
-        parameters["alpha.sd"] = 0.0
+        parameters["alpha.learn"] = False
+        parameters["prior.alpha"] = orders.pop()
+        parameters["prior.alpha_sd"] = 0.0
     return parameters
 
 

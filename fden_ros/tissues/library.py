@@ -7,7 +7,6 @@ distributions; files of version 1 are in pascals.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 import yaml
 
 from fden_ros.core.classification.classifier import UNKNOWN, Tissue, TissueLibrary
+from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.errors import InputError
 
 FORMAT = 2
@@ -22,6 +22,13 @@ FORMAT = 2
 UNITS = ("Pa", "N")
 #: A flat punch of so large an area stands for one whose area is not known [m^2].
 _NO_AREA = 1.0
+#: What a library calls the geometries.
+_KINDS: dict[type, str] = {
+    FlatPunch: "flat_punch",
+    Sphere: "sphere",
+    TorsionalRheometer: "torsional_rheometer",
+    PassThrough: "pass_through",
+}
 
 
 def load_library(path: str | Path | None = None) -> TissueLibrary:
@@ -43,19 +50,16 @@ def load_library(path: str | Path | None = None) -> TissueLibrary:
     return parse_library(text, str(path))
 
 
-def units_of(parameters: Mapping[str, object]) -> str:
-    """Return the unit of the stress that the identifier's parameters make.
+def units_of(geometry: Geometry) -> str:
+    """Return the unit of the stress that a geometry makes.
 
     A flat punch of 1 m^2 is how a probe of unknown area is given: stress is force, in N.
     """
-    is_force = parameters["geometry.kind"] == "flat_punch" and parameters["geometry.area"] == (
-        _NO_AREA
-    )
-    return "N" if is_force else "Pa"
+    return "N" if isinstance(geometry, FlatPunch) and geometry.area == _NO_AREA else "Pa"
 
 
-def library_for(parameters: Mapping[str, object]) -> TissueLibrary | None:
-    """Return the library that the identifier's parameters name, if it fits their units.
+def library_for(path: str, geometry: Geometry) -> TissueLibrary | None:
+    """Return the library at `path`, or without one the built-in one, if it fits the geometry.
 
     None where the built-in library does not: then nothing is classified.
 
@@ -64,9 +68,8 @@ def library_for(parameters: Mapping[str, object]) -> TissueLibrary | None:
     InputError
         If the file cannot be read, or is in other units or of another geometry.
     """
-    path = parameters["classifier.library"]
-    library = load_library(str(path) if path else None)
-    units, kind = units_of(parameters), parameters["geometry.kind"]
+    library = load_library(path or None)
+    units, kind = units_of(geometry), _KINDS[type(geometry)]
     if library.units != units:
         if not path:
             return None

@@ -18,7 +18,7 @@ from geometry_msgs.msg import WrenchStamped
 from harness import fuzz
 from sensor_msgs.msg import JointState
 
-from fden_ros.parameters import defaults
+from fden_ros.parameters import check
 from fden_ros.recording.cdr import serialize
 from fden_ros.recording.writer import BagWriter
 
@@ -56,14 +56,14 @@ def one_input(data: bytes) -> None:
         path = FOLDER / "fuzzed.csv"
         path.write_bytes(data)
         columns = Columns.parse("time_s,force_N,depth_mm*1e-3")
-        replay(path, defaults(), Selection(columns=columns))
+        replay(path, check({}), Selection(columns=columns))
         return
     else:
         damaged = {"force": data} if kind == WRENCH else {"joint": data}
         path = small_bag(FOLDER / "damaged", **damaged)
     for _ in BagReader(path).messages():
         pass
-    replay(path, defaults())
+    replay(path, check({}))
 
 
 def seeds() -> dict[str, bytes]:

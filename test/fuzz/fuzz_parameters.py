@@ -27,7 +27,7 @@ SEEDS = {
     "all": "\n".join(
         line for line in parameter_file().splitlines() if not line.lstrip().startswith("#")
     ).encode(),
-    "plain": b"geometry.area: 1.0e-4\nforce.axis: [0, 0, -1]\nalpha: {source: given}\n",
+    "plain": b"/**:\n  ros__parameters: {geometry.area: 1e-4, force.axis: [0, 0, -1]}\n",
     "ros": b"identifier:\n  ros__parameters:\n    geometry: {kind: sphere, radius: 0.01}\n",
 }
 

@@ -8,7 +8,7 @@ An estimate is a posterior: the estimator's prior is in it. What the data alone 
 
 with c and P the estimate and its covariance, :math:`m_0` and :math:`C_0` those of the prior.
 What the data do not show (alpha after a ramp) has no information in :math:`\Lambda` and therefore
-no say, without a rule of its own. Likelihoods of several contacts with one place add up.
+no weight, without a rule of its own. Likelihoods of several contacts with one place add up.
 
 A class spreads as :math:`\theta = \mu + u`, u normal with covariance :math:`\Sigma`, or Student's
 t where the class was learned from few specimens, which is a normal with :math:`\Sigma/g` averaged
@@ -22,7 +22,7 @@ over a gamma distributed g. With :math:`\Sigma = K K^T` and :math:`K^T \Lambda K
 ``unknown`` is one more class, as wide as soft tissue is. Beside it stands an open-set test:
 ``typicality`` is the share of contacts with the best fitting tissue that lie as far from its
 centre as this one, or farther (Mahalanobis distance against chi-squared or, with few specimens,
-F). What lies too far from all is called unknown, however small the prior of that is.
+F). A place whose typicality is below the significance is unknown, however small the prior of that.
 
 References: A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, ch. 3 and 17; C. Bishop,
 Pattern Recognition and Machine Learning, 2006, 2.3.7.
@@ -53,7 +53,7 @@ _NODES, _MOST_DEGREES = 24, 300.0
 _LEAST_INFORMATION = 0.1
 #: A direction that decides is observable where the data leave less than this of its variance.
 _OBSERVABLE_SHARE = 0.25
-#: Data that favour a class so much more than another have spoken, in whatever direction.
+#: A class that the data favour over another by odds of 20 is told from it, in any direction.
 _SPEAKING_ODDS = 20.0
 _LEAST_VARIANCE = 1e-15
 
@@ -314,7 +314,7 @@ def _mixture(degrees: float) -> tuple[Array, Array]:
 def _is_observable(
     library: TissueLibrary, likelihood: Likelihood, evidence: Array, best: int
 ) -> bool:
-    """Whether the data have looked at what tells the best tissue from each of the others."""
+    """Whether the data are informative in the directions that separate the best tissue."""
     tissues = library.tissues
     if best == len(tissues):
         return True

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fden_ros.core.classification.classifier import UNKNOWN, ClassProbabilities
 
 _NANOSECONDS = 1_000_000_000
-#: What was called unknown by the test must fit so many times better to become known.
+#: An unknown place becomes known when its typicality exceeds the significance by this factor.
 _TEST_HYSTERESIS = 2.0
 
 
@@ -18,14 +18,14 @@ class DecisionConfig:
     Parameters
     ----------
     probability : float
-        A class becomes the label when it is at least so probable.
+        A class becomes the label when its probability is at least this [1].
     release : float
-        It stays the label while it is at least so probable; below `probability`.
+        It stays the label while its probability is at least this [1]; below `probability`.
     dwell : float
-        Another answer must have stood for so long before it replaces the label [s].
+        Another answer replaces the label when it has stood for this time [s].
     significance : float
-        What only this share of contacts with the best fitting tissue would be as far from is
-        called unknown; the false unknowns of the open-set test.
+        A place is unknown when its typicality, the share of contacts with the best fitting tissue
+        that lie as far from its centre, is below this [1]: the share of false unknowns.
     """
 
     probability: float = 0.7
@@ -62,14 +62,14 @@ class Decider:
         self._since_ns = 0
 
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
-        """Take what is known by now; return the label, empty while there is none.
+        """Take the newest probabilities; return the label, empty while there is none.
 
         Parameters
         ----------
         stamp_ns : int
         classes : ClassProbabilities
         last : bool
-            Nothing more will come: another answer need not stand for long.
+            No more probabilities come: another answer replaces the label at once.
         """
         candidate = self._answer(classes)
         if candidate == self.label:

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 #: Answers of the comparison.
 ANSWERS = ("softer", "alike", "stiffer")
 
-#: Fewer places are no surroundings.
+#: Fewer than 4 places are no surroundings.
 LEAST_SURROUNDINGS = 4
 #: Share of the surroundings that is something else, at first and at least and at most, and its
 #: spread in l.
@@ -35,13 +35,13 @@ _FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
 _LEAST_SD = 0.02
 _MEDIAN_TO_SD = 1.4826
 _ITERATIONS = 30
-#: A ratio is known at least so far, that no number overflows.
+#: The interval of the logarithm of a ratio ends here, so that its exponential does not overflow.
 _LARGEST_LOG = 100.0
 
 
 @dataclass(frozen=True)
 class RelativeConfig:
-    """At what the comparison is made.
+    """Strain and time scale of the comparison, and its limits.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Comparison:
 
 
 def without_prior(likelihood: Likelihood) -> tuple[Array, Array] | None:
-    """Return mean and covariance of what the data alone say, where they say enough of all."""
+    """Return mean and covariance without the prior; None where a direction is not observed."""
     if float(np.linalg.eigvalsh(likelihood.information).min()) <= 0.0:
         return None
     covariance = np.linalg.inv(likelihood.information).astype(np.float64)
@@ -195,7 +195,7 @@ def neighbours(positions: Array, index: int, distance: float) -> NDArray[np.intp
 
 
 def stack(places: Sequence[LogStiffness]) -> LogStiffness:
-    """Return places as one."""
+    """Return scalars as arrays of shape (k,)."""
     return LogStiffness(
         np.array([float(place.value) for place in places]),
         np.array([float(place.variance) for place in places]),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import NamedTuple, Protocol
 
 NANOSECONDS = 1_000_000_000
 
@@ -45,3 +46,29 @@ class Pair(NamedTuple):
     force: float  #: [N]
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
+
+
+def lateral_distance(axis: Position, a: Position, b: Position) -> float:
+    """Return the distance of two positions perpendicular to the unit vector `axis` [m]."""
+    offset = [q - p for p, q in zip(a, b, strict=True)]
+    along = sum(o * n for o, n in zip(offset, axis, strict=True))
+    return math.dist(offset, [along * n for n in axis])
+
+
+class Sink(Protocol):
+    """Takes samples: a pipeline, or what stands before it."""
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        """Take a force sample [N]."""
+
+    def add_displacement(
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
+    ) -> None:
+        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
+
+    def reject(self, stream: str, reason: str) -> None:
+        """Count a sample that could not be read."""

@@ -1,7 +1,7 @@
 r"""What a turning tool's own weight adds to the measured force.
 
 A tool of mass m beyond the sensor pulls on it with :math:`m R^T g`, where R is the sensor's
-orientation and g gravity in the frame that R is told in; with the lever c of its centre of mass it
+orientation and g gravity in the frame that R refers to; with the lever c of its centre of mass it
 twists it by :math:`c \times m R^T g`. The part along the force's axis changes as the tool turns,
 and looks like drift or contact if it is not taken off.
 """
@@ -29,7 +29,7 @@ class ToolWeight:
     centre_of_mass : tuple of float
         In the sensor's frame [m].
     gravity : tuple of float
-        In the frame that orientations are told in [m/s^2].
+        In the frame that orientations refer to [m/s^2].
     axis : tuple of float
         Unit vector in the sensor's frame.
     is_torque : bool

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ from scipy.stats import chi2
 from fden_ros.core.estimation.estimate import Innovation, StateIndex
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
-from fden_ros.core.streams.samples import NANOSECONDS, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import pipeline_config
+from fden_ros.parameters import Parameters, geometry_of
 from fden_ros.recording.reader import BagReader
-from fden_ros.recording.source import Selection, Sink
+from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import read_truth
 
 Array = NDArray[np.float64]
@@ -176,7 +176,7 @@ class Session:
     """A recording as a report shows it."""
 
     path: Path
-    parameters: Mapping[str, Any]
+    parameters: Parameters
     replay: Replay
     contacts: list[Contact]
     force: Envelope
@@ -194,7 +194,7 @@ class Session:
 
 def gather(
     bag: str | Path,
-    parameters: Mapping[str, Any],
+    parameters: Parameters,
     selection: Selection | None = None,
     *,
     progress: bool = False,
@@ -229,7 +229,7 @@ def gather(
         displacement=gatherer.displacement,
         start_ns=gatherer.start_ns or 0,
         end_ns=gatherer.end_ns,
-        geometry=pipeline_config(parameters).geometry,
+        geometry=geometry_of(parameters),
         truth=_truth(bag, selection),
     )
 

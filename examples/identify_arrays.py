@@ -1,0 +1,14 @@
+"""Identify tissue from arrays of time [s], force [N] and depth [mm]; no ROS is needed."""
+
+import numpy as np
+
+from fden_ros.core import ContactSummary, Pipeline
+from fden_ros.parameters import pipeline_config, read_parameter_file
+
+outputs = []
+pipeline = Pipeline(pipeline_config(read_parameter_file("examples/probe.yaml")), outputs.append)
+for time, force, depth in np.loadtxt("examples/press.csv", delimiter=",", skiprows=1):
+    pipeline.add_displacement(round(1e9 * (1 + time)), 1e-3 * depth)  # [m], stamps above 0 [ns]
+    pipeline.add_force(round(1e9 * (1 + time)), force)
+pipeline.finish()
+print(*(np.exp(o.estimate[:2]) for o in outputs if isinstance(o, ContactSummary)), sep="\n")

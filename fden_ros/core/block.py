@@ -1,0 +1,132 @@
+"""The samples behind one estimate: their sums, and what the probe does."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from fden_ros.core.outputs import Phase
+from fden_ros.core.streams.samples import NANOSECONDS
+
+#: A block is complete at this share of its duration, so that jitter does not add a sample.
+_BLOCK_SHARE = 0.95
+#: The probe holds while the compression changes by less than this per second [1/s] ...
+_HOLDING_RATE = 0.005
+#: ... over the last 10 blocks.
+_RATE_BLOCKS = 10
+
+
+class Means(NamedTuple):
+    """Means over the samples of a block."""
+
+    start_ns: int
+    end_ns: int
+    size: int
+    duration: float  #: from the first sample to the last and one step more [s]
+    compression: float  #: [1]
+    stress: float  #: [Pa]
+    force: float  #: [N]
+    has_free: bool  #: the tissue was free of the probe for part of it
+
+
+class BlockSums:
+    """Sums over the samples of a block, and when it is complete.
+
+    Parameters
+    ----------
+    duration : float
+        A block is complete after this [s] ...
+    compression : float
+        ... or when the compression has changed by more than this within [1].
+    """
+
+    def __init__(self, duration: float, compression: float) -> None:
+        self._duration_ns = round(_BLOCK_SHARE * duration * NANOSECONDS)
+        self._most_compression = compression
+        self._end_ns = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop the samples of the block that is not complete."""
+        self._count = 0
+        self._has_free = False
+        self._compression = self._stress = self._force = 0.0
+
+    def restart(self, stamp_ns: int) -> None:
+        """Begin a block at `stamp_ns`."""
+        self.clear()
+        self._end_ns = stamp_ns
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the next sample begins a block."""
+        return self._count == 0
+
+    def passes(self, stamp_ns: int) -> bool:
+        """Whether a block's duration has passed without samples; if so the next begins."""
+        if stamp_ns - self._end_ns < self._duration_ns:
+            return False
+        self._end_ns = stamp_ns
+        return True
+
+    def add(
+        self,
+        stamp_ns: int,
+        step: float,
+        compression: float,
+        stress: float,
+        force: float,
+        is_free: bool,
+    ) -> bool:
+        """Take a sample, `step` seconds after the last; return whether the block is complete."""
+        if self._count == 0:
+            self._start_ns, self._start_compression = stamp_ns, compression
+            self._first_step = step
+        self._has_free |= is_free
+        self._count += 1
+        self._compression += compression
+        self._stress += stress
+        self._force += force
+        return (
+            stamp_ns - self._end_ns >= self._duration_ns
+            or abs(compression - self._start_compression) > self._most_compression
+        )
+
+    def close(self, stamp_ns: int) -> Means:
+        """Return the means of the block, which ends at `stamp_ns`, and begin the next."""
+        count = self._count
+        means = Means(
+            start_ns=self._start_ns,
+            end_ns=stamp_ns,
+            size=count,
+            duration=(stamp_ns - self._start_ns) / NANOSECONDS + self._first_step,
+            compression=self._compression / count,
+            stress=self._stress / count,
+            force=self._force / count,
+            has_free=self._has_free,
+        )
+        self.restart(stamp_ns)
+        return means
+
+
+class PhaseMeter:
+    """What the probe does, from the compression of the last blocks."""
+
+    def __init__(self) -> None:
+        self._recent: deque[tuple[int, float]] = deque(maxlen=_RATE_BLOCKS)
+
+    def clear(self) -> None:
+        """Forget the blocks of the last contact."""
+        self._recent.clear()
+
+    def add(self, stamp_ns: int, compression: float) -> Phase:
+        """Take the mean compression of a block that ended at `stamp_ns`; return the phase."""
+        recent = self._recent
+        recent.append((stamp_ns, compression))
+        elapsed_ns = stamp_ns - recent[0][0]
+        if elapsed_ns == 0:
+            return Phase.LOADING
+        rate = (compression - recent[0][1]) * NANOSECONDS / elapsed_ns
+        if abs(rate) < _HOLDING_RATE:
+            return Phase.HOLDING
+        return Phase.LOADING if rate > 0.0 else Phase.UNLOADING

@@ -1,0 +1,251 @@
+"""The force in the air before a contact: its bias, its noise, its drift."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fden_ros.core.streams.samples import NANOSECONDS
+
+Array = NDArray[np.float64]
+
+
+class Chunk(NamedTuple):
+    """At least 20 ms and 3 samples of force: long enough to average, short enough to react."""
+
+    size: int
+    start_ns: int
+    end_ns: int
+    mean: float
+    square_sum: float  #: of deviations from the mean
+
+
+class Air(NamedTuple):
+    """What the force is in the air."""
+
+    mean: float  #: [N]
+    noise: float  #: standard deviation per sample, slow changes included [N]
+    fast_noise: float  #: the same without slow changes [N]
+    size: int  #: samples behind it
+
+
+class Level(NamedTuple):
+    """The force without contact, when the last chunk ended."""
+
+    value: float  #: [N]
+    sd: float  #: standard deviation of `value` [N]
+    noise: float  #: standard deviation per sample [N]
+    slope: float = 0.0  #: [N/s]
+    slope_sd: float = 0.0  #: [N/s]
+
+
+#: Fewer chunks than this give neither bias nor noise.
+MIN_CHUNKS = 5
+#: Bias and noise are known from 48 samples, or from 12 chunks of a slow sensor: from fewer the
+#: noise may come out so small that noise looks like a contact.
+_MIN_AIR_SAMPLES = 48
+_ENOUGH_CHUNKS = 12
+#: Chunks of the newest second [ns] may hold the beginning of a slow contact: they do not count.
+_LAG_NS = NANOSECONDS
+#: Bias and noise are measured anew after every 8 chunks.
+_AIR_EVERY = 8
+#: While the mean force of the last 0.4 s [ns] lies more than 6 of its standard deviations (and at
+#: least one of a sample) above the bias, a slow contact may be on: the baseline stands still and
+#: the air is remembered for 4 times the lookback.
+_RECENT_NS = 400_000_000
+_RISE_DEVIATIONS = 6.0
+_SLOW_LOOKBACKS = 4
+#: The noise counts as coloured when the variance of the chunks' means exceeds that of white noise
+#: by more than 4 of its standard deviations.
+_COLOUR_DEVIATIONS = 4.0
+#: A trend of the force in the air counts as drift from 4 of its standard deviations.
+_DRIFT_DEVIATIONS = 4.0
+
+
+class Baseline:
+    """Bias, drift and noise of the force, from chunks in the air.
+
+    Parameters
+    ----------
+    lookback : float
+        Chunks older than this are forgotten [s]; than 4 times this while a slow contact may be on.
+    force_noise : float
+        Standard deviation of the force per sample [N]; 0: measured.
+    noise_floor : float
+        Smallest standard deviation that is believed [N].
+    measure_bias : bool
+        False: the bias is 0.
+    """
+
+    def __init__(
+        self, lookback: float, force_noise: float, noise_floor: float, measure_bias: bool
+    ) -> None:
+        self._lookback_ns = round(lookback * NANOSECONDS)
+        self._force_noise = force_noise
+        self._noise_floor = noise_floor
+        self._measure_bias = measure_bias
+        self.means_sd = 0.0  #: standard deviation of the chunks' means [N]
+        self.is_suspected = False  #: a slow contact may be on
+        self._chunks: deque[Chunk] = deque()
+        self._count = 0
+        self._air: Air | None = None
+        self._trend = Level(0.0, 0.0, 0.0)
+        self._trend_end_ns = 0
+
+    @property
+    def drift(self) -> float:
+        """Trend of the force in the air [N/s]; 0 where it is not significant."""
+        return self._trend.slope
+
+    @property
+    def reach_ns(self) -> int:
+        """How far back the air is remembered [ns]."""
+        return self._lookback_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
+
+    def mean(self) -> float | None:
+        """Return the mean of the chunks [N]; None while there are fewer than 5."""
+        if len(self._chunks) < MIN_CHUNKS:
+            return None
+        return _air_of(tuple(self._chunks)).mean
+
+    def keep(self, chunk: Chunk) -> None:
+        """Take a chunk in the air."""
+        chunks = self._chunks
+        chunks.append(chunk)
+        self._count += 1
+        while chunk.start_ns - chunks[0].start_ns > self.reach_ns:
+            chunks.popleft()
+
+    def noise_of(self, air: Air) -> float:
+        """Return the noise per sample that is tested against [N]."""
+        return self._force_noise or max(air.fast_noise, self._noise_floor)
+
+    def is_rising(self, bias: float, noise: float) -> bool:
+        """Whether the mean force of the last 0.4 s lies significantly above the bias."""
+        newest_ns = self._chunks[-1].end_ns
+        size, total = 0, 0.0
+        for chunk in reversed(self._chunks):
+            if newest_ns - chunk.start_ns > _RECENT_NS:
+                break
+            size += chunk.size
+            total += chunk.size * chunk.mean
+        if size == 0:
+            return False
+        return total / size - bias > noise * max(1.0, _RISE_DEVIATIONS / math.sqrt(size))
+
+    def before(self, chunk: Chunk, *, is_limit_given: bool) -> Air | None:
+        """Return the force in the air before `chunk`; None while it is not known.
+
+        `is_limit_given`: a force threshold is configured, so with a given bias nothing needs to
+        be measured.
+        """
+        count = len(self._chunks)
+        if not self._is_known():
+            given = not self._measure_bias and (self._force_noise or is_limit_given)
+            return _air_of(tuple(self._chunks)) if given else None
+        # Not while a slow contact may be on, or the baseline would creep along with it.
+        if self._air is None or (not self.is_suspected and self._count % _AIR_EVERY == 0):
+            newest_ns = chunk.start_ns - _LAG_NS
+            old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
+            old = max(old, tuple(self._chunks)[: -(-count // 2)], key=len)
+            self._air = _air_of(old)
+            self._trend = _level_at_end(old, self._air, _noise_of_means(old, self._air))
+            self._trend_end_ns = old[-1].end_ns
+            self.means_sd = float(np.std(np.diff([c.mean for c in old]))) / math.sqrt(2.0)
+        return self._air
+
+    def bias_at(self, stamp_ns: int) -> float:
+        """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""
+        if not self._measure_bias:
+            return 0.0
+        elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
+        return self._trend.value + self._trend.slope * elapsed
+
+    def level(self, bias: float) -> Level:
+        """Return the force without contact at the end of the air; `bias` [N] if there is none."""
+        chunks = tuple(self._chunks)
+        air = _air_of(chunks)
+        noise = self._force_noise or max(_noise_of_means(chunks, air), self._noise_floor)
+        if not self._measure_bias:
+            return Level(0.0, 0.0, noise)
+        if air.size == 0:
+            return Level(bias, noise, noise)
+        return _level_at_end(chunks, air, noise)
+
+    def forget_since(self, stamp_ns: int) -> None:
+        """Drop the chunks that reach into a contact that began at `stamp_ns`."""
+        chunks = self._chunks
+        while chunks and chunks[-1].end_ns >= stamp_ns:
+            chunks.pop()
+        self._air = None
+
+    def forget_all_but(self, count: int) -> None:
+        """Drop all chunks but the newest `count`."""
+        recent = tuple(self._chunks)[-count:] if count else ()
+        self._air = None
+        self._chunks.clear()
+        self._chunks.extend(recent)
+
+    def _is_known(self) -> bool:
+        count = len(self._chunks)
+        if count < MIN_CHUNKS:
+            return False
+        return (
+            count >= _ENOUGH_CHUNKS
+            or sum(chunk.size for chunk in self._chunks) >= _MIN_AIR_SAMPLES
+        )
+
+
+def _air_of(chunks: tuple[Chunk, ...]) -> Air:
+    count = sum(chunk.size for chunk in chunks)
+    if count == 0:
+        return Air(0.0, 0.0, 0.0, 0)
+    mean = math.fsum(chunk.size * chunk.mean for chunk in chunks) / count
+    within = math.fsum(chunk.square_sum for chunk in chunks)
+    between = math.fsum(chunk.size * (chunk.mean - mean) ** 2 for chunk in chunks)
+    noise = math.sqrt((within + between) / max(count - 1, 1))
+    return Air(mean, noise, math.sqrt(within / max(count - len(chunks), 1)), count)
+
+
+def _noise_of_means(chunks: tuple[Chunk, ...], air: Air) -> float:
+    """Return the noise per sample [N] that means over some time show.
+
+    More than that within the chunks where the noise is coloured, since then averaging helps less:
+    half the variance of the differences of successive means (Allan), drift apart, at the scale
+    where it is largest.
+    """
+    if len(chunks) < MIN_CHUNKS:
+        return air.noise
+    noise = air.fast_noise
+    size = air.size / len(chunks)
+    means = np.array([chunk.mean for chunk in chunks])
+    while means.size >= MIN_CHUNKS:
+        at_scale = math.sqrt(0.5 * size * float(np.var(np.diff(means))))
+        if at_scale > noise * (1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / means.size)):
+            noise = at_scale
+        size *= 2.0
+        means = 0.5 * (means[: means.size // 2 * 2 : 2] + means[1::2])
+    return noise
+
+
+def _level_at_end(chunks: tuple[Chunk, ...], air: Air, noise: float) -> Level:
+    """Return the mean of the air's force or, where it drifts, its trend."""
+    level = Level(air.mean, noise / math.sqrt(air.size), noise)
+    if len(chunks) < 2 * MIN_CHUNKS:
+        return level
+    end_ns = chunks[-1].end_ns
+    time = np.array([0.5 * (c.start_ns + c.end_ns) - end_ns for c in chunks]) / NANOSECONDS
+    weight = np.array([float(c.size) for c in chunks])
+    force = np.array([c.mean for c in chunks])
+    centre = float(weight @ time / weight.sum())
+    spread = float(weight @ (time - centre) ** 2)
+    slope = float(weight @ ((time - centre) * (force - air.mean)) / spread)
+    slope_sd = noise / math.sqrt(spread)
+    if abs(slope) < _DRIFT_DEVIATIONS * slope_sd:
+        return level
+    sd = math.hypot(level.sd, slope_sd * centre)
+    return Level(air.mean - slope * centre, sd, noise, slope, slope_sd)

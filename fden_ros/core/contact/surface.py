@@ -1,0 +1,143 @@
+"""Where an approach met the tissue: the surface, found backwards from the detection."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gamma
+
+Array = NDArray[np.float64]
+
+
+class Surface(NamedTuple):
+    """Where an approach met the tissue."""
+
+    first: int  #: of the first sample in contact
+    displacement: float  #: [m]
+    displacement_sd: float  #: [m]
+    evidence: float  #: chi-squared by which a contact explains the force better than a drift does
+
+
+_MAX_BINS = 96
+_CANDIDATES = 40
+#: The first window is this long [s] and holds at least this many samples; it doubles until the
+#: onset lies well within it.
+_FIRST_WINDOW = 0.1
+_MIN_WINDOW_SAMPLES = 24
+_CONTACT_SHARE = 0.6
+#: Before the onset the force is less than this share of that at the detection.
+_AIR_SHARE = 0.1
+
+
+def find_surface(
+    time: Array, force: Array, displacement: Array, fractional_order: float
+) -> Surface:
+    r"""Find where the force begins to follow the displacement.
+
+    Least squares of the model's small-strain response :math:`k\,D^\alpha \max(d - d_0, 0)` over
+    the surface :math:`d_0`, the stiffness k and the force's bias eliminated; exact for any
+    approach, since the fractional derivative is that of the measured motion. The window reaches
+    back from the last sample just as far as it must.
+
+    Parameters
+    ----------
+    time, force, displacement : ndarray, shape (n,)
+        Samples [s], [N] less bias, [m]; the last ones in contact.
+    fractional_order : float
+        Rough alpha [1].
+    """
+    window = _FIRST_WINDOW
+    detected = float(force[-_MIN_WINDOW_SAMPLES // 2 :].mean())
+    while True:
+        start = min(
+            int(np.searchsorted(time, time[-1] - window)),
+            max(time.size - _MIN_WINDOW_SAMPLES, 0),
+        )
+        bins = _Bins.of(time, force, displacement, start, fractional_order)
+        onset_time = bins.best(
+            np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False)
+        )
+        inside = time[-1] - onset_time <= _CONTACT_SHARE * (time[-1] - time[start])
+        # A bend within the contact is no onset: before that, the force is the air's.
+        if start == 0 or (inside and bins.mean_force_until(onset_time) < _AIR_SHARE * detected):
+            break
+        window = 2.0 * max(window, float(time[-1] - time[start]))
+    spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
+    onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
+    surface = float(np.interp(onset_time, bins.time, bins.displacement))
+    index = int(np.searchsorted(time, onset_time))
+    return Surface(index, surface, bins.deviation(onset_time, spacing), bins.evidence(onset_time))
+
+
+@dataclass(frozen=True)
+class _Bins:
+    """Samples averaged into few bins, with the fractional derivative as a matrix on increments."""
+
+    time: Array
+    force: Array
+    displacement: Array
+    derivative: Array
+
+    @classmethod
+    def of(
+        cls, time: Array, force: Array, displacement: Array, start: int, fractional_order: float
+    ) -> _Bins:
+        size = time.size - start
+        per_bin = max(1, -(-size // _MAX_BINS))
+        count = size // per_bin
+        kept = slice(time.size - count * per_bin, None)
+
+        def mean(values: Array) -> Array:
+            averaged: Array = values[kept].reshape(count, per_bin).mean(axis=1)
+            return averaged
+
+        bin_time = mean(time)
+        exponent = 1.0 - fractional_order
+        lag = np.maximum(bin_time[:, None] - bin_time[None, :], 0.0) ** exponent
+        matrix = (lag[:, :-1] - lag[:, 1:]) / (np.diff(bin_time) * gamma(exponent + 1.0))
+        return cls(bin_time, mean(force), mean(displacement), matrix)
+
+    def misfit(self, onset_times: Array) -> Array:
+        """Sum of squared residuals [N^2] for each candidate onset, shape (candidates,)."""
+        surface = np.interp(onset_times, self.time, self.displacement)
+        depth = np.maximum(self.displacement[:, None] - surface, 0.0)
+        depth *= self.time[:, None] >= onset_times
+        response = self.derivative @ np.diff(depth, axis=0)
+        # Centred, because the force's bias is fitted too.
+        response -= response.mean(axis=0)
+        force = self.force - self.force.mean()
+        power = np.sum(response**2, axis=0)
+        gain = np.maximum(force @ response, 0.0)
+        explained = np.divide(gain**2, power, out=np.zeros_like(power), where=power > 0.0)
+        misfit: Array = force @ force - explained
+        return misfit
+
+    def mean_force_until(self, onset_time: float) -> float:
+        before = self.force[self.time <= onset_time]
+        return float(before.mean()) if before.size else 0.0
+
+    def best(self, onset_times: Array) -> float:
+        return float(onset_times[np.argmin(self.misfit(onset_times))])
+
+    def evidence(self, onset_time: float) -> float:
+        """Return the chi-squared by which a contact fits better than a line in time."""
+        contact = float(self.misfit(np.array([onset_time]))[0])
+        line = np.polynomial.Polynomial.fit(self.time, self.force, 1)
+        drift = float(np.sum((self.force - line(self.time)) ** 2))
+        noise = max(min(contact, drift), sys.float_info.min) / max(self.time.size - 3, 1)
+        return (drift - contact) / noise
+
+    def deviation(self, onset_time: float, spacing: float) -> float:
+        """Return the standard deviation of the surface [m] from the curvature of the misfit."""
+        near = onset_time + np.array([-spacing, 0.0, spacing])
+        low, middle, high = self.misfit(near)
+        noise = max(float(middle), 0.0) / max(self.time.size - 2, 1)
+        steps = np.interp(near, self.time, self.displacement)
+        step = max(0.5 * abs(float(steps[2] - steps[0])), sys.float_info.min)
+        curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)
+        return min(step * math.sqrt(2.0 * noise / curvature), float(np.ptp(self.displacement)))

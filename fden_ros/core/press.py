@@ -1,0 +1,292 @@
+"""One press of a site, from onset to release."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from fden_ros.core.block import Means
+from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, Labelling
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
+from fden_ros.core.estimation.estimate import Block, Estimate, Innovation
+from fden_ros.core.outputs import (
+    Classification,
+    ContactSummary,
+    DynamicModulus,
+    Flag,
+    Phase,
+    Signals,
+    Status,
+    TissueState,
+    apparent_stiffness_of,
+    order_source,
+)
+from fden_ros.core.site import Site
+from fden_ros.core.streams.guard import force_at_limit
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+
+#: Multiples of the release force: beyond the first the probe meets the tissue (it leaves it below
+#: 1, so that noise does neither); a first contact that stays below the second is faint.
+_CLEAR, _FAINT = 2.0, 4.0
+
+
+class Press:
+    """What one contact has of its own.
+
+    Parameters
+    ----------
+    contact_id : int
+    onset : Onset
+    site : Site
+    release_force : float
+        Force below which the probe is no longer pressing [N].
+    rejected : Counter
+        Counts of rejected samples so far.
+    labeller : Labeller
+    config : PipelineConfig
+
+    Attributes
+    ----------
+    has_ended : bool
+        It has been reported, after a gap or a failure; the probe has not left yet.
+    max_strain, max_stress, max_force : float
+        The largest so far [1, Pa, N]; the stress is that at the largest force.
+    """
+
+    def __init__(
+        self,
+        contact_id: int,
+        onset: Onset,
+        site: Site,
+        release_force: float,
+        rejected: Counter[str],
+        labeller: Labeller,
+        config: PipelineConfig,
+    ) -> None:
+        first = onset.samples[0]
+        self.contact_id = contact_id
+        self.start_ns = first.stamp_ns
+        self.position = first.position
+        self.flags = site.flags
+        self.has_ended = False
+        self.max_strain = self.max_stress = self.max_force = 0.0
+        self.sample_count = 0
+        self._config = config
+        self._site = site
+        self._library_name = labeller.library_name
+        self._labelling = Labelling(labeller, site.site_id, site.position, self.start_ns)
+        self._bias, self._drift = onset.bias, onset.drift
+        self._release_force = release_force
+        self._is_first = first.stamp_ns == site.start_ns
+        self._is_pressed = False
+        self._is_free = True
+        self._changes_before = 0
+        self._rejected_before = rejected.total()
+        self._at_limit_before = force_at_limit(rejected)
+
+    def begin(self, change_count: int) -> None:
+        """Begin with a site whose tissue has changed `change_count` times before."""
+        self._changes_before = change_count
+        self._labelling.begin(change_count)
+
+    @property
+    def is_faint(self) -> bool:
+        """Whether it is the site's first, below 4 release forces: perhaps noise."""
+        return self._is_first and self.max_force < _FAINT * self._release_force
+
+    def net_force(self, pair: Pair, *, drifts: bool = True) -> float:
+        """Return the force less its bias and, unless `drifts` is False, its drift [N]."""
+        if not drifts:
+            return pair.force - self._bias
+        elapsed = (pair.stamp_ns - self.start_ns) / NANOSECONDS
+        return pair.force - self._bias - self._drift * elapsed
+
+    def count(self, force: float) -> None:
+        """Count a sample of net force [N]."""
+        self.sample_count += 1
+        if force > self.max_force:
+            self.max_force = force
+            self.max_stress = force * self._config.geometry.stress_per_force
+
+    def leaves_tissue(self, step: float, force: float, compression: float) -> bool:
+        """Whether the tissue has left the probe, or has not met it yet, at the next sample.
+
+        The first touch says where the origin is, so there the law holds from the origin on; later
+        ones meet a surface that still recovers.
+        """
+        site, clear = self._site, _CLEAR * self._release_force
+        if self._is_first and not self._is_pressed:
+            self._is_free = False
+        elif abs(force) <= clear and step > 0.0 and site.is_known:
+            # Where noise hides the force, the law says where the surface is.
+            self._is_free = site.is_above_surface(step, compression)
+        else:
+            self._is_free = force <= (clear if self._is_free else self._release_force)
+        return self._is_free
+
+    def is_informative(self, means: Means, *, by_stress: bool) -> bool:
+        """Whether the law holds for a block: not behind the surface, nor while letting go.
+
+        `by_stress`: the stress is observed, not the fractional stress, which needs the compression
+        to be above the origin's deviation as well.
+        """
+        if by_stress:
+            self._is_pressed |= means.force > _CLEAR * self._release_force
+            return not means.has_free
+        return means.force > self._release_force and means.compression > self._site.origin_sd
+
+    def judge(self) -> None:
+        """Flag what the site's estimator has found since the touch."""
+        if self._site.change_count > self._changes_before:
+            self.flags |= Flag.TISSUE_CHANGED
+        if self._site.is_mismatch:
+            self.flags |= Flag.MODEL_MISMATCH
+
+    def see_missing(self, rejected: Counter[str]) -> None:
+        """Flag it if the force's sensor was at its end, or stuck, where samples are missing."""
+        if force_at_limit(rejected) > self._at_limit_before:
+            self.flags |= Flag.SATURATED
+
+    # Outputs
+
+    @property
+    def _estimate(self) -> Estimate | None:
+        return self._site.usable_estimate if not self.has_ended else None
+
+    def signals(self, block: Block, fractional_stress: float) -> Signals:
+        """Return a block's means, the strain from the estimate's origin, and keep the largest."""
+        strain = self._config.geometry.strain(block.compression - self._origin())
+        self.max_strain = max(self.max_strain, strain)
+        return Signals(strain, block.stress, fractional_stress)
+
+    def _origin(self) -> float:
+        estimate = self._estimate
+        return estimate.strain_origin if estimate is not None else 0.0
+
+    def state(
+        self,
+        stamp_ns: int,
+        signals: Signals,
+        compression: float,
+        phase: Phase,
+        innovation: Innovation | None,
+        input_flags: Flag,
+    ) -> TissueState:
+        """Return the state after a block."""
+        config, estimate = self._config, self._estimate
+        is_good = estimate is not None and estimate.converged and not self._site.is_doubtful
+        stiffness = None
+        if estimate is not None:
+            stiffness = apparent_stiffness_of(
+                estimate,
+                config.geometry,
+                compression - estimate.strain_origin,
+                config.apparent_stiffness_time_scale,
+            )
+        return TissueState(
+            stamp_ns=stamp_ns,
+            status=Status.CONVERGED if is_good else Status.CONVERGING,
+            flags=self.flags | input_flags,
+            site_id=self._site.site_id,
+            contact_id=self.contact_id,
+            phase=phase,
+            order_source=order_source(estimate, config.estimator),
+            estimate=estimate,
+            signals=signals,
+            innovation=innovation,
+            apparent_stiffness=stiffness,
+        )
+
+    def failed_state(self, stamp_ns: int, input_flags: Flag) -> TissueState:
+        """Return the state of a contact in which the estimation failed."""
+        return TissueState(
+            stamp_ns=stamp_ns,
+            status=Status.UNKNOWN,
+            flags=self.flags | input_flags,
+            site_id=self._site.site_id,
+            contact_id=self.contact_id,
+            phase=Phase.NONE,
+        )
+
+    def label(self, stamp_ns: int, block: int) -> Iterator[Answer]:
+        """Give what is to be said of the tissue after the block of a number."""
+        evidence = Evidence(
+            stamp_ns=stamp_ns,
+            block=block,
+            estimate=self._estimate,
+            max_strain=self.max_strain,
+            change_count=self._site.change_count,
+            is_mismatch=bool(self.flags & Flag.MODEL_MISMATCH),
+        )
+        return self._labelling.update(evidence)
+
+    def classification(self, stamp_ns: int, answer: Answer) -> Classification:
+        """Return an answer as an output."""
+        return Classification(
+            stamp_ns=stamp_ns,
+            decision=answer.decision,
+            site_id=self._site.site_id,
+            contact_id=self.contact_id,
+            flags=self.flags,
+            classes=answer.classes,
+            library_name=self._library_name,
+            decided=answer.decided,
+            comparison=answer.comparison,
+        )
+
+    def moduli(
+        self,
+        meter: ComplexModulusMeter,
+        stamp_ns: int,
+        compression: float,
+        stress: float,
+        is_free: bool,
+    ) -> list[DynamicModulus]:
+        """Return the complex moduli that end with a sample."""
+        if is_free or self.has_ended:
+            meter.reset()
+            return []
+        estimate = self._site.estimate
+        origin = estimate.strain_origin if estimate is not None else 0.0
+        strain = self._config.geometry.strain(compression - origin)
+        elapsed = (stamp_ns - self.start_ns) / NANOSECONDS
+        return [
+            DynamicModulus(
+                stamp_ns=stamp_ns,
+                start_ns=self.start_ns + round(modulus.start * NANOSECONDS),
+                site_id=self._site.site_id,
+                contact_id=self.contact_id,
+                modulus=modulus,
+            )
+            for modulus in meter.add(elapsed, strain, stress)
+        ]
+
+    def summary(self, end_ns: int, rejected: Counter[str], *, complete: bool) -> ContactSummary:
+        """End the contact and return its summary."""
+        self.has_ended = True
+        estimate = self._site.usable_estimate
+        answer = self._labelling.finish(end_ns, estimate, self.max_strain)
+        count = rejected.total() - self._rejected_before
+        return ContactSummary(
+            stamp_ns=end_ns,
+            start_ns=self.start_ns,
+            end_ns=end_ns,
+            site_id=self._site.site_id,
+            contact_id=self.contact_id,
+            flags=self.flags | (Flag.INPUT_REJECTED if count else Flag.NONE),
+            converged=estimate is not None and estimate.converged,
+            complete=complete,
+            position=self.position,
+            order_source=order_source(estimate, self._config.estimator),
+            estimate=estimate,
+            max_strain=self.max_strain,
+            max_stress=self.max_stress,
+            max_force=self.max_force,
+            sample_count=self.sample_count,
+            rejected_count=count,
+            classes=answer.classes,
+            decided=answer.decided,
+            comparison=answer.comparison,
+        )

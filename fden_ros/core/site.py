@@ -1,0 +1,334 @@
+"""One place on the tissue: its strain origin, its memory and its estimator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fden_ros.core.block import Means
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.estimate import Block, Estimate, Estimator, Innovation, Observation
+from fden_ros.core.estimation.fractional_stress_estimator import (
+    FractionalStressEstimator,
+    exact_orders,
+)
+from fden_ros.core.estimation.stress_estimator import StressEstimator
+from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
+from fden_ros.core.outputs import Flag
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, lateral_distance
+
+#: The orders of the integral from here on are those between which it is interpolated; before them
+#: stand the exact ones.
+_NODES = 3
+#: The tissue's relaxation between two contacts is followed in steps, the first of 1 ms [s], each
+#: longer by 4 %. (Eight steps a decade would bias Gn by a third of its error's bound.)
+_FIRST_REST, _REST_RATIO = 1e-3, 1.04
+#: The surface found at the touch starts the filter; its deviation is multiplied by this, since the
+#: filter sees those samples again.
+_ORIGIN_WIDENING = 3.0
+
+
+class Site:
+    """One place on the tissue, from the first touch on.
+
+    Parameters
+    ----------
+    site_id : int
+    onset : Onset
+        Of the first touch.
+    config : PipelineConfig
+
+    Attributes
+    ----------
+    origin : float
+        Nominal displacement at zero strain [m].
+    origin_sd : float
+        Its standard deviation, as compression [1].
+    is_usable : bool
+        The history has been seen from the first touch, without a gap.
+    estimate : Estimate or None
+        The newest.
+    """
+
+    def __init__(self, site_id: int, onset: Onset, config: PipelineConfig) -> None:
+        first = onset.samples[0]
+        self.site_id = site_id
+        self.start_ns = self.last_ns = first.stamp_ns
+        self.position = first.position
+        self.is_usable = True
+        self.flags = Flag.NONE
+        self.estimate: Estimate | None = None
+        self._config = config
+        if config.strain_origin is not None:
+            self.origin, self.origin_sd = config.strain_origin, 0.0
+        else:
+            self.origin = onset.displacement
+            self.origin_sd = _ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+        self._interpolation = order_interpolation()
+        self._integral = FractionalIntegral(_orders(config))
+        self._integral.start(0.0)
+        self._estimator: Estimator | None = None
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the computation failed here."""
+        return bool(self.flags & Flag.ESTIMATION_FAILED)
+
+    @property
+    def usable_estimate(self) -> Estimate | None:
+        """The newest estimate, where the history has been seen."""
+        return self.estimate if self.is_usable else None
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether blocks are of use."""
+        return self._estimator is not None and self.is_usable
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the estimate has converged and the model describes the tissue."""
+        return (
+            self.is_usable
+            and self.estimate is not None
+            and self.estimate.converged
+            and self._estimator is not None
+            and not self._estimator.is_mismatch
+        )
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the innovations are larger or slower than model and noise explain."""
+        return self._estimator is not None and self._estimator.is_mismatch
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the newest innovations are not explained yet."""
+        return self._estimator is not None and self._estimator.is_doubtful
+
+    @property
+    def change_count(self) -> int:
+        """How often the tissue was found to have changed under the probe."""
+        return self._estimator.change_count if self._estimator is not None else 0
+
+    # Touch
+
+    def is_elsewhere(self, pair: Pair) -> bool:
+        """Whether a touch is at another site than this."""
+        contact = self._config.contact
+        if self.position is None or pair.position is None:
+            return pair.stamp_ns - self.last_ns > round(contact.site_timeout * NANOSECONDS)
+        apart = lateral_distance(contact.approach_axis, self.position, pair.position)
+        return apart > contact.site_distance
+
+    def check_history(self, onset: Onset) -> None:
+        """Become unusable if the tissue may have been pressed unseen before a touch."""
+        first = onset.samples[0]
+        # A site that was pressed before needs no surface, only to be left alone in between.
+        is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
+        if not is_followed and not self._begins_at_origin(first):
+            self.is_usable = False
+            self.flags |= Flag.ORIGIN_UNCERTAIN
+
+    def _begins_at_origin(self, pair: Pair) -> bool:
+        """Whether the origin is given and a sample is there, so that no press came before it."""
+        origin = self._config.strain_origin
+        if origin is None:
+            return False
+        compression = (pair.displacement - origin) / self._config.geometry.length
+        return compression <= self._config.block_compression
+
+    def begin_contact(self, onset: Onset, motion_noise: float) -> None:
+        """Let the tissue relax until a touch, and start the estimator.
+
+        `motion_noise` is the variance of the displacement's noise per sample times the time
+        between samples [m^2 s].
+        """
+        scale = self._config.geometry.stress_per_force
+        if self.is_usable and self._estimator is None:
+            self._estimator = _new_estimator(
+                self._config, onset.noise_sd * scale, self.origin_sd, motion_noise
+            )
+        self._rest_until(onset.samples[0].stamp_ns)
+        self._integral.take_sum()
+        if self._estimator is not None:
+            self._estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
+
+    def _rest_until(self, stamp_ns: int) -> None:
+        """Let the tissue relax free of stress since the last sample in contact."""
+        step = self.seconds_to(stamp_ns)
+        if step < 4.0 * SHORTEST_STEP:
+            return
+        end = step - SHORTEST_STEP
+        first = min(_FIRST_REST, 0.5 * end)
+        count = 2 + math.ceil(math.log(end / first) / math.log(_REST_RATIO))
+        elapsed = np.geomspace(first, end, count if first == _FIRST_REST else 2)
+        steps = tuple(np.diff(elapsed, prepend=0.0).tolist())
+        free = self._integral.relax(steps)
+        if self._estimator is not None:
+            self._estimator.rest(steps, free[:, _NODES:])
+        self.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
+
+    # Samples
+
+    def seconds_to(self, stamp_ns: int) -> float:
+        """Return the time since the last sample in contact [s]."""
+        return (stamp_ns - self.last_ns) / NANOSECONDS
+
+    def compression(self, displacement: float) -> float:
+        """Return the compression from the nominal origin [1]."""
+        return (displacement - self.origin) / self._config.geometry.length
+
+    def add(
+        self, stamp_ns: int, compression: float, stress: float, *, is_free: bool, learns: bool
+    ) -> None:
+        """Take a sample of a contact; `is_free`: the tissue is not on the probe.
+
+        `learns`: the estimator takes it too, not only the memory.
+        """
+        step = self.seconds_to(stamp_ns)
+        estimator = self._estimator if learns else None
+        if not is_free:
+            if step > 0.0:
+                self._integral.add(step, stress)
+            if estimator is not None:
+                estimator.press(step, compression)
+        elif step > 0.0:
+            free = self._integral.advance(step, 0.0)
+            if estimator is not None:
+                estimator.rest((step,), free[None, _NODES:])
+        self.last_ns = stamp_ns
+
+    def is_above_surface(self, step: float, compression: float) -> bool:
+        """Whether the tissue would have to pull at the probe `step` seconds after the last sample.
+
+        By the newest estimate; without one False.
+        """
+        estimate = self.estimate
+        if estimate is None:
+            return False
+        weights, _ = self._interpolation(estimate.fractional_order)
+        free = float(weights @ self._integral.ahead(step)[_NODES:])
+        response = elastic_response(
+            self._config.geometry.strain(compression - estimate.strain_origin),
+            estimate.linear_stiffness,
+            estimate.nonlinear_stiffness,
+        )
+        return response.value <= free
+
+    # Blocks
+
+    def block_of(self, means: Means) -> Block:
+        """Return a block for the estimator: means, and the memory's means since the last."""
+        return Block(
+            compression=means.compression,
+            stress=means.stress,
+            memory_time=0.5 * (means.start_ns + means.end_ns - 2 * self.start_ns) / NANOSECONDS,
+            size=means.size,
+            duration=means.duration,
+            fractional_integrals=self._integral.take_sum() / means.size,
+        )
+
+    def fractional_stress(self, block: Block) -> float:
+        """Return D^-alpha of the stress of a block, at the newest alpha [Pa s^alpha]."""
+        integrals = block.fractional_integrals
+        order = prior = self._config.estimator.prior.fractional_order
+        if self.estimate is not None:
+            order = self.estimate.fractional_order
+        if order == prior:
+            return float(integrals[0])
+        return float(self._interpolation(order)[0] @ integrals[_NODES:])
+
+    def update(self, block: Block) -> Innovation:
+        """Learn from a block of a site that is learning.
+
+        Raises
+        ------
+        FloatingPointError
+            If the innovation is not finite.
+        """
+        assert self._estimator is not None
+        innovation = self._estimator.update(block)
+        _check_finite(innovation.innovation, innovation.variance)
+        return innovation
+
+    def skip(self) -> None:
+        """Let a block go by."""
+        assert self._estimator is not None
+        self._estimator.skip()
+
+    def refresh(self) -> None:
+        """Bring the estimate up to date.
+
+        Raises
+        ------
+        FloatingPointError
+            If it is not finite.
+        """
+        assert self._estimator is not None
+        self.estimate = _checked(self._estimator.estimate())
+
+    def relinearise(self) -> None:
+        """Do what takes long while nobody waits for an estimate."""
+        if self._estimator is not None:
+            self._estimator.relinearise()
+
+    def end_contact(self) -> None:
+        """Bring the estimate to its best at the end of a contact."""
+        if self._estimator is not None and self.is_usable and self.estimate is not None:
+            self._estimator.relinearise(fully=True)
+            self.refresh()
+
+    def fail(self) -> None:
+        """Become unusable after an exception."""
+        self.is_usable = False
+        self.flags |= Flag.ESTIMATION_FAILED
+        self._estimator = self.estimate = None
+
+
+def prepare(config: PipelineConfig) -> None:
+    """Compute the kernels' weights, which takes a moment: not only at the first touch."""
+    FractionalIntegral(_orders(config))
+    _new_estimator(config, 1.0, 1.0, 0.0)
+
+
+def _orders(config: PipelineConfig) -> tuple[float, ...]:
+    return (*exact_orders(config.estimator), *order_nodes())
+
+
+def _new_estimator(
+    config: PipelineConfig, noise_sd: float, origin_sd: float, motion_noise: float
+) -> Estimator:
+    geometry = config.geometry
+    if config.estimator.observation is Observation.STRESS:
+        return StressEstimator(
+            config.estimator, geometry, noise_sd, origin_sd, motion_noise / geometry.length**2
+        )
+    return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
+
+
+def _checked(estimate: Estimate) -> Estimate:
+    """Return an estimate that is finite throughout.
+
+    Raises
+    ------
+    FloatingPointError
+        If it is not.
+    """
+    _check_finite(
+        estimate.log_linear_stiffness,
+        estimate.log_nonlinear_stiffness,
+        estimate.fractional_order,
+        estimate.strain_origin,
+        estimate.strain_origin_sd,
+        float(estimate.covariance.sum()),
+    )
+    return estimate
+
+
+def _check_finite(*numbers: float) -> None:
+    if not math.isfinite(sum(numbers)):
+        raise FloatingPointError(f"the estimate is not finite: {numbers}")

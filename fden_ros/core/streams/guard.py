@@ -1,0 +1,256 @@
+"""One stream on its own: samples in order of their stamps are accepted, others rejected."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
+
+#: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
+_MIN_STEP_NS = 10_000
+#: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
+#: a jump of the clock; by less, a late sample.
+_BACKWARD_JUMP_NS = NANOSECONDS // 2
+#: A stamp more than 10 usual steps, or more than 1 s [ns], ahead waits for the next sample to
+#: confirm it.
+_FAR_STEPS = 10.0
+_FORWARD_JUMP_NS = NANOSECONDS
+#: 20 late samples in a row, in order among themselves, are a jump of the clock too.
+_LATE_RUN = 20
+#: Gain of the exponential means of the step between stamps and of the change between values.
+_GAIN = 1.0 / 32.0
+#: A value more than 12 mean changes away from its neighbours on both sides is a spike.
+_SPIKE_CHANGES = 12.0
+#: A change enters the mean change as at most 4 times the mean, so that a spike does not move it.
+_MOST_GROWTH = 4.0
+#: Mean step and mean change are used for tests once they rest on 32 samples.
+_USUAL_SAMPLES = 32
+#: Stamps closer than this [ns] are of a single sample: the integral's shortest step.
+#: a row and 5 times longer than its longest run before.
+_STUCK_SAMPLES = 5
+_STUCK_TIMES = 5
+#: A step between pairs is a gap when it is longer than 10 mean steps and than 20 ms [ns]; the mean
+#: step follows with this gain.
+_GAP_STEPS = 10.0
+_GAP_NS = 20_000_000
+_GAP_GAIN = 0.05
+
+
+def force_at_limit(rejected: Counter[str]) -> int:
+    """Return how many forces were rejected because the sensor was stuck or at its end."""
+    return rejected[f"force.{Reason.STUCK}"] + rejected[f"force.{Reason.OUT_OF_RANGE}"]
+
+
+class StreamGuard:
+    """Accept a stream's samples in order of their stamps; reject and count the others.
+
+    A stamp more than 0.5 s before or 10 usual steps after its predecessor is held back until the
+    next sample tells a jump of the clock from a stray stamp.
+    """
+
+    def __init__(self, limit: float, rejected: Counter[str], name: str) -> None:
+        self._limit = limit
+        self._rejected = rejected
+        self._name = name
+        self.epoch = 0
+        self.epoch_start_ns = 0
+        self._newest_ns: int | None = None
+        self._held: Sample | None = None
+        self._late_run = 0
+        self._late_newest_ns = 0
+        self._usual_step_ns = 0.0
+        self._step_count = 0
+        self._values = ValueGuard(limits_runs=name == "force")
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the signal repeats a value 5 times longer than it did before."""
+        return self._values.is_stuck
+
+    def reject(self, reason: str) -> None:
+        """Count one rejected sample."""
+        self._rejected[f"{self._name}.{reason}"] += 1
+
+    def accept(
+        self, stamp_ns: int, value: float, position: Position | None = None, load: float = 0.0
+    ) -> tuple[Sample, ...]:
+        """Check a sample; return those accepted now: none, this one, or a held one and this."""
+        if not math.isfinite(value + load) or not all(map(math.isfinite, position or ())):
+            self.reject(Reason.NON_FINITE)
+            return ()
+        if abs(value) > self._limit:
+            self.reject(Reason.OUT_OF_RANGE)
+            return ()
+        if stamp_ns <= 0:
+            self.reject(Reason.ZERO_STAMP)
+            return ()
+        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position, load))
+        return self._by_value(accepted) if accepted else ()
+
+    def _by_stamp(self, sample: Sample) -> tuple[Sample, ...]:
+        if self._newest_ns is None:
+            return self._take(sample)
+        if self._held is not None:
+            return self._after_held(self._held, sample)
+        return self._in_order(sample)
+
+    def _by_value(self, samples: tuple[Sample, ...]) -> tuple[Sample, ...]:
+        accepted: list[Sample] = []
+        for sample in samples:
+            for judged, reason in self._values.judge(sample):
+                if reason is None:
+                    accepted.append(judged)
+                else:
+                    self.reject(reason)
+        return tuple(accepted)
+
+    def _take(self, *samples: Sample) -> tuple[Sample, ...]:
+        if self._newest_ns is not None and samples[0].epoch == self.epoch:
+            step_ns = float(samples[-1].stamp_ns - self._newest_ns) / len(samples)
+            usual_ns = self._usual_step_ns or step_ns
+            self._step_count += 1
+            self._usual_step_ns = usual_ns + _GAIN * (step_ns - usual_ns)
+        self._newest_ns = samples[-1].stamp_ns
+        self._late_run = 0
+        return samples
+
+    def _in_order(self, sample: Sample) -> tuple[Sample, ...]:
+        assert self._newest_ns is not None
+        step = sample.stamp_ns - self._newest_ns
+        # Taken at once, a stray stamp a little ahead would make all that come after it late.
+        far: float = _FORWARD_JUMP_NS
+        if self._step_count >= _USUAL_SAMPLES:
+            far = min(_FAR_STEPS * self._usual_step_ns, far)
+        if _MIN_STEP_NS <= step <= far:
+            return self._take(sample)
+        if step > far or step < -_BACKWARD_JUMP_NS:
+            self._held = sample
+            return ()
+        if step > -_MIN_STEP_NS:
+            self.reject(Reason.DUPLICATE_STAMP)
+            return ()
+        return self._late(sample)
+
+    def _late(self, sample: Sample) -> tuple[Sample, ...]:
+        in_order = sample.stamp_ns > self._late_newest_ns
+        self._late_run = self._late_run + 1 if in_order or self._late_run == 0 else 1
+        self._late_newest_ns = sample.stamp_ns
+        if self._late_run < _LATE_RUN:
+            self.reject(Reason.LATE_STAMP)
+            return ()
+        return self._take(self._next_epoch(sample))
+
+    def _after_held(self, held: Sample, sample: Sample) -> tuple[Sample, ...]:
+        assert self._newest_ns is not None
+        self._held = None
+        if _MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= _FORWARD_JUMP_NS:
+            if held.stamp_ns > self._newest_ns:
+                return self._take(held, sample)
+            first = self._next_epoch(held)
+            return self._take(first, sample._replace(epoch=self.epoch))
+        future = held.stamp_ns > self._newest_ns
+        self.reject(Reason.FUTURE_STAMP if future else Reason.LATE_STAMP)
+        return self._in_order(sample)
+
+    def _next_epoch(self, sample: Sample) -> Sample:
+        self.join_epoch(self.epoch + 1, sample.stamp_ns)
+        return sample._replace(epoch=self.epoch)
+
+    def join_epoch(self, epoch: int, start_ns: int) -> None:
+        """Take the following samples to belong to `epoch`, which starts at `start_ns`."""
+        self.epoch = epoch
+        self.epoch_start_ns = start_ns
+
+
+class ValueGuard:
+    """Tell measured values from spikes and from those of a sensor that is stuck.
+
+    Parameters
+    ----------
+    limits_runs : bool
+        Whether a signal that stands still is suspicious; a displacement may well.
+    """
+
+    def __init__(self, limits_runs: bool) -> None:
+        self._limits_runs = limits_runs
+        self._last: Sample | None = None
+        self._held: Sample | None = None
+        self._usual_change = 0.0
+        self._changes = 0
+        self._run = 1
+        self._longest_run = 1
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the signal repeats a value 5 times longer than it did before."""
+        return (
+            self._limits_runs
+            and self._run >= max(_STUCK_SAMPLES, _STUCK_TIMES * self._longest_run)
+            and self._changes >= _USUAL_SAMPLES
+        )
+
+    def judge(self, sample: Sample) -> list[tuple[Sample, str | None]]:
+        """Return the samples that are now judged, each with the reason to reject it, or None.
+
+        A value more than 12 mean changes from the last is held back until the next tells a spike
+        from a step.
+        """
+        last, held = self._last, self._held
+        judged: list[tuple[Sample, str | None]] = []
+        if last is None or last.epoch != sample.epoch:
+            self._held = None
+            self._last = sample
+            self._run = 1
+            return [(held, None), (sample, None)] if held is not None else [(sample, None)]
+        change = abs(sample.value - last.value)
+        if held is not None:
+            self._held = None
+            if change >= 0.5 * abs(held.value - last.value):
+                return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
+            judged.append((held, Reason.SPIKE))
+        if self._changes >= _USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
+            self._held = sample
+            return judged
+        judged.append((sample, self._follow(last, sample)))
+        return judged
+
+    def _follow(self, last: Sample, sample: Sample) -> str | None:
+        self._last = sample
+        change = abs(sample.value - last.value)
+        if change > 0.0:
+            self._changes += 1
+            self._learn(change)
+            if not self.is_stuck:
+                self._longest_run = max(self._longest_run, self._run)
+            self._run = 1
+            return None
+        self._run += 1
+        return Reason.STUCK if self.is_stuck else None
+
+    def _learn(self, change: float) -> None:
+        # Only of changes: a coarse signal stands still most of the time.
+        usual = self._usual_change or change
+        self._usual_change = usual + _GAIN * (min(change, _MOST_GROWTH * usual) - usual)
+
+
+class GapGuard:
+    """Find gaps in a stream that has passed the other guards."""
+
+    def __init__(self) -> None:
+        self.newest_ns: int | None = None
+        self._usual_step_ns = 0.0
+
+    def step(self, stamp_ns: int) -> int:
+        """Take a stamp; return how long the gap before it lasted [ns], 0 without one."""
+        previous_ns, self.newest_ns = self.newest_ns, stamp_ns
+        if previous_ns is None:
+            return 0
+        step_ns = stamp_ns - previous_ns
+        usual_ns = self._usual_step_ns
+        if usual_ns and step_ns > max(_GAP_STEPS * usual_ns, _GAP_NS):
+            return step_ns
+        self._usual_step_ns = (
+            usual_ns + _GAP_GAIN * (step_ns - usual_ns) if usual_ns else 1.0 * step_ns
+        )
+        return 0

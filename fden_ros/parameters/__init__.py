@@ -1,0 +1,28 @@
+"""The parameters of the identifier: declared, checked, read from files, handed to the core.
+
+One table (:mod:`~fden_ros.parameters.table`) drives the node's declarations, the checks, the
+parameter files and the documentation. :func:`check` turns names and values into a frozen
+:class:`Parameters`; :func:`pipeline_config` turns that into the core's configuration.
+
+>>> check({"geometry.area": 2e-4}).geometry.area
+0.0002
+"""
+
+from fden_ros.parameters.files import read_parameter_file
+from fden_ros.parameters.parameter import Parameter, Value
+from fden_ros.parameters.pipeline import geometry_of, pipeline_config, tool_weight, unit_vector
+from fden_ros.parameters.table import NODE_PARAMETERS, PARAMETERS, Parameters, check
+
+__all__ = [
+    "NODE_PARAMETERS",
+    "PARAMETERS",
+    "Parameter",
+    "Parameters",
+    "Value",
+    "check",
+    "geometry_of",
+    "pipeline_config",
+    "read_parameter_file",
+    "tool_weight",
+    "unit_vector",
+]

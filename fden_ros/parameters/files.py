@@ -1,0 +1,238 @@
+"""Parameter files, read as ROS 2 reads them: sections by node name, wildcards, plain YAML.
+
+The node and ``fden replay`` refuse the same files with the same words, because the node lets this
+module look at its files first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from fden_ros.errors import InputError
+from fden_ros.parameters.table import Parameters, check, node_parameter_named
+
+#: The node whose sections count where no other is named.
+NODE = "/identifier"
+_KEY = "ros__parameters"
+
+
+@dataclass(frozen=True)
+class Section:
+    """The parameters for the nodes of one name, which may hold wildcards."""
+
+    node: str
+    values: Mapping[str, object]  #: by dotted name
+
+    def is_for(self, node: str) -> bool:
+        """Return whether the fully qualified name `node` is meant.
+
+        ``*`` stands for one part of a name, ``**`` for any number of them.
+        """
+        parts = {"*": r"/\w+", "**": r"(/\w+)*"}
+        pattern = "".join(
+            parts.get(part, "/" + re.escape(part)) for part in _qualified(self.node)[1:].split("/")
+        )
+        return re.fullmatch(pattern, _qualified(node)) is not None
+
+
+def read_parameter_file(path: str | Path, node: str = NODE) -> Parameters:
+    """Read the parameters of one node from a ROS 2 parameter file.
+
+    Of the sections that are for the node, by name or wildcard, the later outdoes the earlier.
+
+    Parameters
+    ----------
+    path : path
+    node : str
+        Its name, with its namespace: ``/arm/identifier``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no section for the node, or holds in it an unknown name or
+        a value that is not allowed.
+    """
+    sections = read_sections(path)
+    try:
+        return check(identifier_values(values_for(sections, node)))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def values_for(sections: list[Section], node: str) -> dict[str, object]:
+    """Return the values of the sections that are for `node`.
+
+    Raises
+    ------
+    InputError
+        If none is.
+    """
+    chosen = [section.values for section in sections if section.is_for(node)]
+    if not chosen:
+        named = ", ".join(dict.fromkeys(_qualified(section.node) for section in sections))
+        raise InputError(
+            f"there is no section for the node {_qualified(node)}, only for {named}: `/**` is for "
+            "every node"
+        )
+    return {name: value for values in chosen for name, value in values.items()}
+
+
+def identifier_values(values: Mapping[str, object]) -> dict[str, object]:
+    """Return the values that are the identification's; those of the node alone are checked.
+
+    Raises
+    ------
+    InputError
+        If one of the node's is not allowed.
+    """
+    own: dict[str, object] = {}
+    for name, value in values.items():
+        if name.startswith("qos_overrides."):
+            continue
+        parameter = node_parameter_named(name)
+        if parameter is None:
+            own[name] = value
+        else:
+            parameter.check(value)
+    return own
+
+
+def read_sections(path: str | Path) -> list[Section]:
+    """Return every section of a parameter file, in its order.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is no parameter file.
+    """
+    try:
+        content = parse_yaml(Path(path).read_text(encoding="utf-8"))
+        if not isinstance(content, Mapping):
+            raise InputError(_NO_KEY)
+        return list(_sections(content, ""))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a text file"
+        raise InputError(f"{path}: cannot read the parameter file: {reason}") from error
+    except (yaml.YAMLError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not valid YAML: {reason}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: not valid YAML: nested too deep") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+_NO_KEY = (
+    f"no mapping {_KEY}: parameters stand below `/**:`, or the node's name, and `{_KEY}:`; "
+    "`fden parameters` prints a file"
+)
+
+
+def _sections(tree: Mapping[object, object], node: str) -> Iterator[Section]:
+    if not tree:
+        raise InputError(_NO_KEY)
+    for key, below in tree.items():
+        if not isinstance(below, Mapping):
+            raise InputError(_NO_KEY)
+        if key == _KEY:
+            yield Section(node, dict(_leaves(below, "")))
+        else:
+            yield from _sections(below, f"{node}/{str(key).strip('/')}")
+
+
+def _leaves(tree: Mapping[object, object], prefix: str) -> Iterator[tuple[str, object]]:
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{name}.")
+            continue
+        if value is None:
+            raise InputError(f"parameter {name} has no value")
+        check_types(name, value)
+        yield name, value
+
+
+def check_types(name: str, value: object) -> None:
+    """Refuse a list that ROS 2 does not read: of values of several types.
+
+    Raises
+    ------
+    InputError
+        In one line that says how to write it.
+    """
+    if isinstance(value, list) and len({type(v) for v in value}) > 1:
+        hint = ""
+        if all(type(v) in (int, float) for v in value):
+            hint = f": write {[float(v) for v in value]}"
+        raise InputError(
+            f"parameter {name} is {value}, which ROS 2 does not read, because whole numbers and "
+            f"others, or other types, are mixed{hint}"
+        )
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the value of a text as a parameter file has it.
+
+    Raises
+    ------
+    yaml.YAMLError, ValueError
+        If it is not valid.
+    """
+    loader = _Loader(text)
+    try:
+        return loader.get_single_data()
+    finally:
+        loader.dispose()
+
+
+def _qualified(node: str) -> str:
+    return "/" + node.strip("/")
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain YAML with the numbers and truth values of ROS 2's own reader: 1e-4 is a number."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Refuse aliases, as ROS 2 does."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("ROS 2 reads no aliases (*)")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
+        """Refuse a name that stands twice, of which one would be lost."""
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for name in names:
+            if names.count(name) > 1:
+                raise yaml.YAMLError(f"{name} stands twice in one mapping")
+        return super().construct_mapping(node, deep)
+
+    def construct_truth(self, node: yaml.ScalarNode) -> bool:
+        """Return a truth value: y and n are among ROS 2's."""
+        return str(node.value)[0] in "yYtT" or str(node.value).lower() == "on"
+
+
+for _tag, _pattern in (
+    (
+        "bool",
+        r"y|Y|yes|Yes|YES|true|True|TRUE|on|On|ON|n|N|no|No|NO|false|False|FALSE|off|Off|OFF",
+    ),
+    ("int", r"[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)"),
+    (
+        "float",
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+    ),
+    ("null", r"|~|null|Null|NULL"),
+):
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), None
+    )
+_Loader.add_constructor("tag:yaml.org,2002:bool", _Loader.construct_truth)

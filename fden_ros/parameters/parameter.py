@@ -1,0 +1,169 @@
+"""One parameter: its default, unit, meaning and range, and the check of a value."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fden_ros.errors import InputError
+
+Value = bool | int | float | str | list[float]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of the identifier.
+
+    Parameters
+    ----------
+    name : str
+    default : bool, int, float, str or list of float
+        Also fixes the type.
+    unit : str
+        SI unit, "1" where there is none.
+    description : str
+    minimum, maximum : float
+        Inclusive range of a number.
+    choices : tuple of str
+        What a text may be; empty: anything.
+    most : int
+        How many numbers a list may have; 0: it is a vector, of three that are not all 0.
+    """
+
+    name: str
+    default: Value
+    unit: str
+    description: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+    may_be_zero: bool = False  #: of a vector
+    most: int = 0
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type, as a user would say it."""
+        names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+        count = f"1 to {self.most}" if self.most else "three"
+        return names.get(type(self.default), f"a list of {count} numbers")
+
+    @property
+    def constraint(self) -> str:
+        """What values are allowed, in words; empty if anything of the type is."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if isinstance(self.default, list) and not self.most:
+            return "three numbers" if self.may_be_zero else "three numbers, not all 0"
+        low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
+        if low and high:
+            each = f"1 to {self.most} numbers, each " if self.most else ""
+            return f"{each}{self.minimum:g} to {self.maximum:g}"
+        return f"at least {self.minimum:g}" if low else f"at most {self.maximum:g}" if high else ""
+
+    def check(self, value: object) -> Value:
+        """Return `value` in the parameter's type.
+
+        Raises
+        ------
+        InputError
+            If it is of another type or not allowed.
+        """
+        default = self.default
+        if isinstance(default, bool) or isinstance(value, bool):
+            if isinstance(default, bool) and isinstance(value, bool):
+                return value
+        elif isinstance(default, str):
+            if isinstance(value, str):
+                return self._choice(value)
+        elif isinstance(default, list):
+            if isinstance(value, Sequence) and not isinstance(value, str):
+                if self.most and 1 <= len(value) <= self.most:
+                    return [float(self._number(v)) for v in value]
+                if not self.most and len(value) == 3:
+                    return self._vector(value)
+        elif isinstance(value, (int, float)) and (
+            isinstance(default, float) or isinstance(value, int)
+        ):
+            return self._number(value)
+        raise InputError(f"parameter {self.name} is {value!r}, must be {self.type_name}")
+
+    def _choice(self, value: str) -> str:
+        if self.choices and value not in self.choices:
+            raise InputError(f"parameter {self.name} is {value!r}, must be {self.constraint}")
+        return value
+
+    def _vector(self, value: Sequence[object]) -> list[float]:
+        if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in value):
+            raise InputError(
+                f"parameter {self.name} is {list(value)!r}, must be {self.constraint}"
+            )
+        vector = [float(v) for v in value]  # type: ignore[arg-type]
+        if not any(vector) and not self.may_be_zero:
+            raise InputError(f"parameter {self.name} is {vector!r}, must be {self.constraint}")
+        return vector
+
+    def _number(self, value: Any) -> int | float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"parameter {self.name} is {value!r}, must be {self.type_name}")
+        if not math.isfinite(value) or not self.minimum <= value <= self.maximum:
+            raise InputError(f"parameter {self.name} is {value!r}, must be {self.constraint}")
+        return value if isinstance(self.default, int) else float(value)
+
+
+#: Least value of a parameter that must be above 0.
+TINY = 1e-9
+
+# Fields of the dataclasses that make the table. Typed as Any, as `dataclasses.field` is in effect.
+
+
+def number(
+    default: float,
+    unit: str,
+    description: str,
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
+) -> Any:
+    """Return the field of a number in an inclusive range."""
+    return _field(default, unit, description, minimum=minimum, maximum=maximum)
+
+
+def whole_number(default: int, unit: str, description: str, minimum: int, maximum: int) -> Any:
+    """Return the field of a whole number in an inclusive range."""
+    return _field(default, unit, description, minimum=minimum, maximum=maximum)
+
+
+def numbers(
+    default: tuple[float, ...],
+    unit: str,
+    description: str,
+    minimum: float,
+    maximum: float,
+    *,
+    most: int,
+) -> Any:
+    """Return the field of a list of 1 to `most` numbers, each in an inclusive range."""
+    return _field(default, unit, description, minimum=minimum, maximum=maximum, most=most)
+
+
+def vector(default: Vector, unit: str, description: str, *, may_be_zero: bool = False) -> Any:
+    """Return the field of three numbers."""
+    return _field(default, unit, description, may_be_zero=may_be_zero)
+
+
+def flag(default: bool, description: str) -> Any:
+    """Return the field of true or false."""
+    return _field(default, "1", description)
+
+
+def text(default: str, description: str, *, choices: tuple[str, ...] = ()) -> Any:
+    """Return the field of a text, one of `choices` where there are any."""
+    return _field(default, "1", description, choices=choices)
+
+
+def _field(default: Any, unit: str, description: str, **constraint: Any) -> Any:
+    metadata = {"unit": unit, "description": description, **constraint}
+    return dataclasses.field(default=default, metadata=metadata)

@@ -1,0 +1,121 @@
+"""The core's configuration from checked parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from fden_ros.core.classification.decision import DecisionConfig
+from fden_ros.core.classification.relative import RelativeConfig
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.detector import ContactConfig
+from fden_ros.core.estimation.estimate import EstimatorConfig, Observation, Prior
+from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.streams.synchronize import SynchronizeConfig
+from fden_ros.core.streams.tool_weight import ToolWeight
+from fden_ros.parameters.table import Parameters
+from fden_ros.tissues.library import library_for
+
+
+def unit_vector(values: Sequence[float]) -> tuple[float, float, float]:
+    """Return `values`, three numbers, scaled to length 1."""
+    length = math.hypot(*values)
+    x, y, z = (v / length for v in values)
+    return x, y, z
+
+
+def pipeline_config(parameters: Parameters) -> PipelineConfig:
+    """Return the core's configuration for checked parameters.
+
+    Raises
+    ------
+    InputError
+        If the tissue library cannot be read, or is in other units than the estimates.
+    """
+    geometry = geometry_of(parameters)
+    prior = Prior(
+        linear_stiffness=parameters.prior.linear_stiffness,
+        linear_stiffness_log_sd=parameters.prior.linear_stiffness_log_sd,
+        nonlinear_stiffness=parameters.prior.nonlinear_stiffness,
+        nonlinear_stiffness_log_sd=parameters.prior.nonlinear_stiffness_log_sd,
+        fractional_order=parameters.prior.alpha,
+        fractional_order_sd=parameters.prior.alpha_sd,
+    )
+    return PipelineConfig(
+        library=library_for(parameters.classifier.library, geometry),
+        geometry=geometry,
+        synchronize=SynchronizeConfig(
+            displacement_delay=parameters.displacement.delay,
+            max_gap=parameters.synchronize.max_gap,
+            pairing_window=parameters.synchronize.window,
+            force_limit=parameters.force.limit,
+            displacement_limit=parameters.displacement.limit,
+        ),
+        contact=ContactConfig(
+            force_threshold=parameters.force.threshold,
+            measure_bias=parameters.force.measure_bias,
+            force_noise=parameters.force.noise,
+            noise_floor=parameters.force.noise_floor,
+            lookback=parameters.contact.lookback,
+            site_distance=parameters.site.distance,
+            site_timeout=parameters.site.timeout,
+            approach_axis=unit_vector(parameters.displacement.axis),
+            series_compliance=parameters.displacement.compliance,
+        ),
+        estimator=EstimatorConfig(
+            prior=prior,
+            observation=Observation(parameters.estimator.observation),
+            fractional_order_given=not parameters.alpha.learn,
+            converged_log_sd=parameters.converged.log_sd,
+            converged_probability=parameters.converged.probability,
+        ),
+        strain_origin=(
+            parameters.origin.displacement if parameters.origin.source == "given" else None
+        ),
+        block_duration=parameters.estimate.period,
+        apparent_stiffness_time_scale=parameters.estimate.time_scale,
+        decision=DecisionConfig(
+            probability=parameters.classification.probability,
+            release=parameters.classification.release,
+            dwell=parameters.classification.dwell,
+            significance=parameters.classification.significance,
+        ),
+        relative=(
+            RelativeConfig(
+                ratio=parameters.classification.ratio,
+                strain=parameters.classification.strain,
+                time_scale=parameters.estimate.time_scale,
+                distance=parameters.classification.distance,
+            )
+            if parameters.classification.mode == "relative"
+            else None
+        ),
+        dither_frequencies=tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0})),
+        dither_periods=parameters.dither.periods,
+    )
+
+
+def tool_weight(parameters: Parameters) -> ToolWeight | None:
+    """Return the tool whose weight is to be taken off; None where there is none."""
+    if not parameters.tool.mass:
+        return None
+    return ToolWeight(
+        parameters.tool.mass,
+        parameters.tool.centre_of_mass,
+        parameters.tool.gravity,
+        unit_vector(parameters.force.axis),
+        is_torque=parameters.geometry.kind == "torsional_rheometer",
+    )
+
+
+def geometry_of(parameters: Parameters) -> Geometry:
+    """Return how force and displacement become stress and strain."""
+    kind = parameters.geometry.kind
+    if kind == "sphere":
+        return Sphere(parameters.geometry.radius)
+    if kind == "torsional_rheometer":
+        return TorsionalRheometer(parameters.geometry.radius, parameters.geometry.thickness)
+    if kind == "pass_through":
+        return PassThrough()
+    poisson_ratio = parameters.geometry.poisson_ratio if parameters.geometry.hayes else None
+    return FlatPunch(parameters.geometry.area, parameters.geometry.thickness, poisson_ratio)

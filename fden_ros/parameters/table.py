@@ -1,0 +1,610 @@
+"""The one table of parameters, as dataclasses: a field is a parameter, its group a class.
+
+``force.axis`` of a parameter file is ``parameters.force.axis`` here. To add a parameter, add a
+field: declaration, check, parameter file and documentation follow from it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fden_ros.errors import InputError
+from fden_ros.parameters.parameter import (
+    TINY,
+    Parameter,
+    Value,
+    flag,
+    number,
+    numbers,
+    text,
+    vector,
+    whole_number,
+)
+
+
+@dataclass(frozen=True)
+class ForceParameters:
+    """The force: where it is in its messages, and how noisy it is."""
+
+    axis: tuple[float, float, float] = vector(
+        (0.0, 0.0, 1.0),
+        "1",
+        "Direction in the wrench's frame in which the measured force grows when the probe "
+        "presses; normalised.",
+    )
+    message: str = text(
+        "wrench",
+        "Type of the live force topic: geometry_msgs/WrenchStamped or sensor_msgs/JointState. A "
+        "bag says its own.",
+        choices=("wrench", "joint_state"),
+    )
+    inverted: bool = flag(
+        False,
+        "true where a joint's effort falls as the probe presses.",
+    )
+    name: str = text(
+        "",
+        "Joint whose effort is the force, where the force topic carries joint states; empty: the "
+        "first.",
+    )
+    threshold: float = number(
+        0.0,
+        "N",
+        "Force above its bias that is a contact; 0: four standard deviations of the measured "
+        "noise.",
+        0.0,
+        1000.0,
+    )
+    noise: float = number(
+        0.0,
+        "N",
+        "Standard deviation of the force's noise per sample; 0: measured in the air before each "
+        "contact.",
+        0.0,
+        1000.0,
+    )
+    noise_floor: float = number(
+        1e-05,
+        "N",
+        "Least noise that is believed, so that a quantised signal does not look perfect.",
+        TINY,
+        1000.0,
+    )
+    measure_bias: bool = flag(
+        True,
+        "Take the force's bias from each approach through the air; false: trust the force after "
+        "any tare.",
+    )
+    limit: float = number(
+        100000.0,
+        "N",
+        "Forces of larger magnitude are rejected.",
+        TINY,
+        1000000000.0,
+    )
+
+
+@dataclass(frozen=True)
+class DisplacementParameters:
+    """The displacement: where it is in its messages, and how it is related to the force."""
+
+    axis: tuple[float, float, float] = vector(
+        (0.0, 0.0, 1.0),
+        "1",
+        "Direction into the tissue, in the frame of the position messages; normalised.",
+    )
+    message: str = text(
+        "joint_state",
+        "Type of the live displacement topic: sensor_msgs/JointState, or "
+        "geometry_msgs/PoseStamped, TransformStamped or PointStamped. A bag says its own.",
+        choices=("joint_state", "pose", "transform", "point"),
+    )
+    name: str = text(
+        "",
+        "Joint whose position is the displacement, where its topic carries joint states; empty: "
+        "the first.",
+    )
+    inverted: bool = flag(
+        False,
+        "true where a joint's position falls as the probe goes into the tissue.",
+    )
+    delay: float = number(
+        0.0,
+        "s",
+        "How much later than the force the displacement is stamped for the same instant.",
+        -10.0,
+        10.0,
+    )
+    limit: float = number(
+        10.0,
+        "m",
+        "Displacements of larger magnitude are rejected.",
+        TINY,
+        1000000000.0,
+    )
+    compliance: float = number(
+        0.0,
+        "m/N",
+        "Compliance of tool and robot in series with the tissue; its share is taken off the "
+        "displacement.",
+        0.0,
+        1.0,
+    )
+
+
+@dataclass(frozen=True)
+class ToolParameters:
+    """The tool that the force sensor carries, where it turns."""
+
+    mass: float = number(
+        0.0,
+        "kg",
+        "Mass of all that the force sensor carries, where the tool turns: its weight is taken "
+        "off the force, by the orientation in the displacement's pose or transform, which must "
+        "be the sensor's; 0: not.",
+        0.0,
+        1000.0,
+    )
+    centre_of_mass: tuple[float, float, float] = vector(
+        (0.0, 0.0, 0.0),
+        "m",
+        "Its centre in the sensor's frame; counts for a torque.",
+        may_be_zero=True,
+    )
+    gravity: tuple[float, float, float] = vector(
+        (0.0, 0.0, -9.80665),
+        "m/s^2",
+        "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
+        "the other way round for one that measures what the tool does.",
+    )
+
+
+@dataclass(frozen=True)
+class SynchronizeParameters:
+    """How the samples of the two streams find each other."""
+
+    max_gap: float = number(
+        0.25,
+        "s",
+        "Displacement samples further apart are not interpolated between; a contact with a "
+        "longer gap is given up.",
+        0.0001,
+        10.0,
+    )
+    window: float = number(
+        5.0,
+        "s",
+        "How long a sample waits, in stamps, for the other stream.",
+        0.01,
+        60.0,
+    )
+
+
+@dataclass(frozen=True)
+class GeometryParameters:
+    """How force and displacement become stress and strain."""
+
+    kind: str = text(
+        "flat_punch",
+        "How force and displacement become stress and strain.",
+        choices=("flat_punch", "sphere", "torsional_rheometer", "pass_through"),
+    )
+    area: float = number(
+        0.0001,
+        "m^2",
+        "flat_punch: area of the probe's face.",
+        TINY,
+        1.0,
+    )
+    thickness: float = number(
+        0.02,
+        "m",
+        "flat_punch: thickness of the tissue; torsional_rheometer: height of the sample.",
+        1e-06,
+        1.0,
+    )
+    radius: float = number(
+        0.005,
+        "m",
+        "sphere: radius of the tip; torsional_rheometer: radius of the sample.",
+        1e-06,
+        1.0,
+    )
+    hayes: bool = flag(
+        False,
+        "flat_punch: divide by Hayes' factor, for a probe smaller than the tissue around it.",
+    )
+    poisson_ratio: float = number(
+        0.5,
+        "1",
+        "Poisson's ratio for Hayes' factor.",
+        0.0,
+        0.5,
+    )
+
+
+@dataclass(frozen=True)
+class OriginParameters:
+    """Where the strain is zero."""
+
+    source: str = text(
+        "touch",
+        "Strain origin: found from the force at the touch and refined, or given as a "
+        "displacement.",
+        choices=("touch", "given"),
+    )
+    displacement: float = number(
+        0.0,
+        "m",
+        "Displacement at zero strain where it is given.",
+        -10.0,
+        10.0,
+    )
+
+
+@dataclass(frozen=True)
+class ContactParameters:
+    """How a contact is detected."""
+
+    lookback: float = number(
+        5.0,
+        "s",
+        "How far before its detection the onset of a contact is looked for.",
+        0.1,
+        60.0,
+    )
+
+
+@dataclass(frozen=True)
+class SiteParameters:
+    """When a touch is a new site."""
+
+    distance: float = number(
+        0.005,
+        "m",
+        "A touch further to the side than this is a new site, where positions are known.",
+        0.0,
+        1.0,
+    )
+    timeout: float = number(
+        2.0,
+        "s",
+        "A touch after a longer time in the air is a new site, where no positions are known.",
+        0.0,
+        100000.0,
+    )
+
+
+@dataclass(frozen=True)
+class AlphaParameters:
+    """Whether the order alpha is learned."""
+
+    learn: bool = flag(
+        True,
+        "Learn the order alpha together with G and Gn, from prior.alpha and prior.alpha_sd on; "
+        "false: alpha is given by them, and counts with that standard deviation.",
+    )
+
+
+@dataclass(frozen=True)
+class EstimatorParameters:
+    """What the filter observes."""
+
+    observation: str = text(
+        "stress",
+        "What the filter looks at: the stress, which learns alpha as well, or the fractional "
+        "stress, the paper's way.",
+        choices=("stress", "fractional_stress"),
+    )
+
+
+@dataclass(frozen=True)
+class PriorParameters:
+    """The tissue before the touch: medians and standard deviations."""
+
+    linear_stiffness: float = number(
+        520.0,
+        "Pa s^alpha",
+        "Median of G before the touch.",
+        0.001,
+        1000000000.0,
+    )
+    linear_stiffness_log_sd: float = number(
+        0.3,
+        "1",
+        "Standard deviation of ln G.",
+        0.001,
+        5.0,
+    )
+    nonlinear_stiffness: float = number(
+        8.4,
+        "1",
+        "Median of Gn before the touch.",
+        0.1,
+        100.0,
+    )
+    nonlinear_stiffness_log_sd: float = number(
+        0.2,
+        "1",
+        "Standard deviation of ln Gn.",
+        0.01,
+        2.0,
+    )
+    alpha: float = number(
+        0.131,
+        "1",
+        "Median of alpha before the touch, or alpha itself where alpha.learn is false.",
+        0.02,
+        0.6,
+    )
+    alpha_sd: float = number(
+        0.011,
+        "1",
+        "Standard deviation of alpha.",
+        0.0,
+        0.3,
+    )
+
+
+@dataclass(frozen=True)
+class ConvergedParameters:
+    """When an estimate is converged."""
+
+    log_sd: float = number(
+        0.05,
+        "1",
+        "Converged only while the standard deviation of ln Gn is below this.",
+        0.0001,
+        1.0,
+    )
+    probability: float = number(
+        0.99,
+        "1",
+        "Converged only while the strain has passed 1/Gn with this probability.",
+        0.5,
+        1.0,
+    )
+
+
+@dataclass(frozen=True)
+class EstimateParameters:
+    """How often there is an estimate, and on which time scale its stiffness is."""
+
+    period: float = number(
+        0.01,
+        "s",
+        "One estimate per this time.",
+        0.001,
+        1.0,
+    )
+    time_scale: float = number(
+        0.1,
+        "s",
+        "Time scale tau of the apparent stiffness.",
+        0.0001,
+        10000.0,
+    )
+
+
+@dataclass(frozen=True)
+class DitherParameters:
+    """A small oscillation of the probe at which the complex modulus is measured."""
+
+    frequencies: tuple[float, ...] = numbers(
+        (0.0,),
+        "Hz",
+        "Frequencies of a small oscillation of the probe at which the complex modulus is "
+        "measured; 0: there is none.",
+        0.0,
+        1000.0,
+        most=8,
+    )
+    periods: int = whole_number(
+        4,
+        "1",
+        "One complex modulus per so many periods of the lowest frequency.",
+        1,
+        1000,
+    )
+
+
+@dataclass(frozen=True)
+class ClassifierParameters:
+    """The tissues that are told apart."""
+
+    library: str = text(
+        "",
+        "Path of a tissue library (YAML); empty: the one that comes along.",
+    )
+
+
+@dataclass(frozen=True)
+class ClassificationParameters:
+    """How a class is decided on."""
+
+    mode: str = text(
+        "library",
+        "Tell the tissues of the library apart, or how much stiffer each site is than those "
+        "around it that were touched before.",
+        choices=("library", "relative"),
+    )
+    probability: float = number(
+        0.7,
+        "1",
+        "A class is named when it is at least so probable.",
+        0.34,
+        1.0,
+    )
+    release: float = number(
+        0.5,
+        "1",
+        "It stays named while it is at least so probable.",
+        0.0,
+        1.0,
+    )
+    dwell: float = number(
+        0.2,
+        "s",
+        "How long another answer must stand before it replaces the one that is named.",
+        0.0,
+        60.0,
+    )
+    significance: float = number(
+        0.06,
+        "1",
+        "library: a contact is unknown where less than this share of the contacts with the best "
+        "fitting tissue lies as far from it.",
+        0.0,
+        0.5,
+    )
+    ratio: float = number(
+        1.5,
+        "1",
+        "relative: stiffer, or softer, by this.",
+        1.0,
+        1000.0,
+    )
+    strain: float = number(
+        0.1,
+        "1",
+        "relative: strain of the comparison.",
+        0.0,
+        2.0,
+    )
+    distance: float = number(
+        0.0,
+        "m",
+        "relative: surroundings are sites within this distance; 0: all.",
+        0.0,
+        10.0,
+    )
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """All parameters of the identifier; made by :func:`check`."""
+
+    force: ForceParameters = ForceParameters()
+    displacement: DisplacementParameters = DisplacementParameters()
+    tool: ToolParameters = ToolParameters()
+    synchronize: SynchronizeParameters = SynchronizeParameters()
+    geometry: GeometryParameters = GeometryParameters()
+    origin: OriginParameters = OriginParameters()
+    contact: ContactParameters = ContactParameters()
+    site: SiteParameters = SiteParameters()
+    alpha: AlphaParameters = AlphaParameters()
+    estimator: EstimatorParameters = EstimatorParameters()
+    prior: PriorParameters = PriorParameters()
+    converged: ConvergedParameters = ConvergedParameters()
+    estimate: EstimateParameters = EstimateParameters()
+    dither: DitherParameters = DitherParameters()
+    classifier: ClassifierParameters = ClassifierParameters()
+    classification: ClassificationParameters = ClassificationParameters()
+
+    def as_dict(self) -> dict[str, Value]:
+        """Return every value by the parameter's name, lists as a parameter file has them."""
+        return {name: _plain(value) for name, _, value in _leaves(self)}
+
+    def changed(self, values: Mapping[str, object]) -> Parameters:
+        """Return these parameters with others in place of some.
+
+        Raises
+        ------
+        InputError
+            As :func:`check`.
+        """
+        return check({**self.as_dict(), **values})
+
+
+def _leaves(parameters: Parameters) -> Iterator[tuple[str, dataclasses.Field[Any], Any]]:
+    for group in dataclasses.fields(parameters):
+        values = getattr(parameters, group.name)
+        for leaf in dataclasses.fields(values):
+            yield f"{group.name}.{leaf.name}", leaf, getattr(values, leaf.name)
+
+
+def _plain(value: Any) -> Value:
+    return list(value) if isinstance(value, tuple) else value
+
+
+PARAMETERS: tuple[Parameter, ...] = tuple(
+    Parameter(name, _plain(value), **leaf.metadata) for name, leaf, value in _leaves(Parameters())
+)
+
+_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+#: Parameters of the node alone, or of every node: not the identification's, in the same file.
+NODE_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(
+        "autostart",
+        False,
+        "1",
+        "Configure and activate at start-up, without a lifecycle manager.",
+    ),
+    Parameter(
+        "stale_timeout",
+        0.5,
+        "s",
+        "Time without a usable pair of samples after which the estimate is stale.",
+        0.01,
+        60.0,
+    ),
+    Parameter("use_sim_time", False, "1", "Take the time from the topic /clock."),
+    Parameter("start_type_description_service", True, "1", "Offer the type description service."),
+)
+_NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
+
+#: Names of before, and what stands in their place.
+_RENAMED = {
+    "alpha.source": "alpha.learn: true for prior, false for given",
+    "alpha.value": "prior.alpha, with alpha.learn: false",
+    "alpha.sd": "prior.alpha_sd, with alpha.learn: false",
+}
+
+
+def check(values: Mapping[str, object]) -> Parameters:
+    """Return all parameters: `values` checked, the others at their defaults.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value not allowed.
+    """
+    defaults = Parameters()
+    groups: dict[str, dict[str, Any]] = {group.name: {} for group in dataclasses.fields(defaults)}
+    for name, value in values.items():
+        checked = parameter_named(name).check(value)
+        group, _, leaf = name.partition(".")
+        groups[group][leaf] = tuple(checked) if isinstance(checked, list) else checked
+    return Parameters(
+        **{
+            name: dataclasses.replace(getattr(defaults, name), **given)
+            for name, given in groups.items()
+        }
+    )
+
+
+def parameter_named(name: str) -> Parameter:
+    """Return the parameter of a name.
+
+    Raises
+    ------
+    InputError
+        If there is none; the line names the new name of an old one, or the nearest.
+    """
+    if name in _BY_NAME:
+        return _BY_NAME[name]
+    if name in _RENAMED:
+        raise InputError(f"there is no parameter {name} any more: use {_RENAMED[name]}")
+    near = difflib.get_close_matches(name, [*_BY_NAME, *_NODE_BY_NAME], n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise InputError(f"there is no parameter {name}{hint}")
+
+
+def node_parameter_named(name: str) -> Parameter | None:
+    """Return the parameter of the node alone; None where there is none of this name."""
+    return _NODE_BY_NAME.get(name)

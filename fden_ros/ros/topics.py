@@ -1,0 +1,155 @@
+"""The one table of what comes out: topic, type, QoS, and the message made of an output.
+
+The node publishes by it, and a bag of results is written by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from fden_ros.core.outputs import (
+    Classification,
+    ContactSummary,
+    DynamicModulus,
+    Output,
+    TissueState,
+)
+from fden_ros.ros.markers import StiffnessMap
+from fden_ros.ros.messages import (
+    classification_message,
+    estimate_message,
+    modulus_message,
+    summary_message,
+)
+
+#: Of the inputs. Deep: one lost sample is lost to the fractional integral for good.
+INPUT_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=2000,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+#: Deadline and lease are offered, so that those who ask for them are told when the node freezes.
+ESTIMATE_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    deadline=Duration(seconds=0.05),
+    liveliness=LivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=0.2),
+)
+
+
+def _latched(depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames that the measurements are in."""
+
+    force: str
+    displacement: str
+
+
+@dataclass(frozen=True)
+class OutputTopic:
+    """One topic, below the node's name, and what is published there."""
+
+    name: str
+    message_type: type
+    qos: QoSProfile
+    output: type  #: of the core, that brings a message about
+    #: The message of an output, in these frames, with the map of the sites; None: there is none.
+    make: Callable[[Any, Frames, StiffnessMap], Any]
+
+
+#: In the order in which the messages of one output come. Who comes late still learns of the last
+#: classification, of the last 100 contacts and of the map as it is.
+OUTPUT_TOPICS = (
+    OutputTopic(
+        "estimate",
+        TissueEstimate,
+        ESTIMATE_QOS,
+        TissueState,
+        lambda state, frames, sites: estimate_message(state, frames.force),
+    ),
+    OutputTopic(
+        "classification",
+        TissueClassification,
+        _latched(1),
+        Classification,
+        lambda output, frames, sites: classification_message(output, frames.force),
+    ),
+    OutputTopic(
+        "palpation",
+        PalpationSummary,
+        _latched(100),
+        ContactSummary,
+        lambda summary, frames, sites: summary_message(summary, frames.force),
+    ),
+    OutputTopic(
+        "complex_modulus",
+        ComplexModulus,
+        ESTIMATE_QOS,
+        DynamicModulus,
+        lambda output, frames, sites: modulus_message(output, frames.force),
+    ),
+    OutputTopic(
+        "markers",
+        MarkerArray,
+        _latched(1),
+        ContactSummary,
+        lambda summary, frames, sites: (
+            sites.markers(frames.displacement) if summary in sites else None
+        ),
+    ),
+    OutputTopic(
+        "stiffness_map",
+        PointCloud2,
+        _latched(1),
+        ContactSummary,
+        lambda summary, frames, sites: (
+            sites.cloud(frames.displacement) if summary in sites else None
+        ),
+    ),
+)
+_BY_OUTPUT: dict[type, tuple[OutputTopic, ...]] = {
+    kind: tuple(topic for topic in OUTPUT_TOPICS if topic.output is kind)
+    for kind in (TissueState, Classification, ContactSummary, DynamicModulus)
+}
+
+
+class OutputMessages:
+    """Makes the messages of a pipeline's outputs; holds the map of the sites."""
+
+    def __init__(self) -> None:
+        self._sites = StiffnessMap()
+
+    def of(self, output: Output, frames: Frames) -> Iterator[tuple[OutputTopic, Any]]:
+        """Yield each topic that an output has a message for, and the message."""
+        if isinstance(output, ContactSummary):
+            self._sites.add(output)
+        for topic in _BY_OUTPUT[type(output)]:
+            message = topic.make(output, frames, self._sites)
+            if message is not None:
+                yield topic, message

@@ -1,0 +1,436 @@
+"""The pipeline as a whole: the life of contacts and sites, gaps, resets, and the order of outputs.
+
+The truth comes from the simulation, which shares nothing with the core. Faults of the input are in
+``test_faults.py``, accuracy over many seeds in ``test_core_pipeline_accuracy.py``.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+from fault_helpers import TISSUE, Outcome, is_wrong, outcome_of
+from pipeline_helpers import Item, items_of, parameters_of
+
+from fden_ros.core.outputs import (
+    Classification,
+    ContactSummary,
+    Flag,
+    Output,
+    Phase,
+    Status,
+    TissueState,
+)
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.simulation.scenario import DisplacementSensor, Site, ramp_scenario
+from fden_ros.simulation.simulate import simulate
+from fden_ros.simulation.trajectory import Approach, Palpation, RampHold, Trajectory
+
+SECOND = 1_000_000_000
+RATE = 250.0
+FIRM = RampHold(0.3, 0.26, 0.3)
+#: Three presses of one place, 0.9 s apart: sooner than `site.timeout`.
+THREE = (Palpation(0.3, 0.26, 0.3, presses=3, lift_m=0.002, pause_s=0.3),)
+#: The release is seen after this, two chunks of 20 ms and one sample at most [ns].
+RELEASE_NS = 64_000_000
+
+
+@dataclass(frozen=True)
+class Presses:
+    """Samples of presses on the same tissue, and the truth behind them."""
+
+    items: tuple[Item, ...]
+    parameters: dict[str, object]
+    site: dict[str, Any]
+    contacts: tuple[dict[str, Any], ...]
+
+    def at(self, number: int, share: float) -> int:
+        """Stamp at this share of a contact's duration; below 0 or above 1: in the air by it."""
+        start, end = (self.contacts[number][key] for key in ("start_ns", "end_ns"))
+        return int(start + share * (end - start))
+
+    def between(self, begin: float, end: float) -> list[Item]:
+        return [item for item in self.items if begin <= item.stamp_ns < end]
+
+
+@functools.cache
+def presses(
+    kinds: tuple[Trajectory, ...] = THREE,
+    sites: int = 1,
+    message: str = "joint_state",
+    pause_s: float = 3.0,
+) -> Presses:
+    recording = simulate(
+        replace(
+            ramp_scenario(rate_hz=RATE, seed=3),
+            approach=Approach(distance_m=0.004, start_pause_s=1.0, site_pause_s=pause_s),
+            sites=tuple(Site(TISSUE, kinds, (0.02 * k, 0.0)) for k in range(sites)),
+            displacement=DisplacementSensor(rate_hz=RATE, message=message, noise_m=1e-6),
+        )
+    )
+    return Presses(
+        tuple(items_of(recording)),
+        parameters_of(recording),
+        recording.truth["sites"][0],
+        tuple(recording.truth["contacts"]),
+    )
+
+
+def outcome(data: Presses, items: Sequence[Any] | None = None, **parameters: object) -> Outcome:
+    own = {name.replace("__", "."): value for name, value in parameters.items()}
+    return outcome_of(data.items if items is None else items, data.parameters | own)
+
+
+def with_call(data: Presses, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:
+    return [*data.between(0, stamp_ns), call, *data.between(stamp_ns, math.inf)]
+
+
+def sd_of(output: Any) -> float:
+    return math.sqrt(output.estimate.covariance[1, 1])
+
+
+def states_in(result: Outcome, contact_id: int) -> list[TissueState]:
+    """States from one contact, without those in the air after it."""
+    return [
+        state
+        for state in result.states
+        if state.contact_id == contact_id and state.phase is not Phase.APPROACH
+    ]
+
+
+def ids(outputs: Sequence[Any]) -> list[tuple[int, int]]:
+    return [(output.site_id, output.contact_id) for output in outputs]
+
+
+def without_ids(output: Output) -> bytes:
+    return pickle.dumps(replace(output, site_id=0, contact_id=0))
+
+
+# Several contacts of one site
+
+
+def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> None:
+    data = presses()
+    result = outcome(data)
+    assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
+    assert all(s.complete and s.converged and not s.flags for s in result.summaries)
+    deviations = [sd_of(summary) for summary in result.summaries]
+    assert deviations[1] < 0.9 * deviations[0] and deviations[2] < 0.9 * deviations[1]
+    assert not any(is_wrong(summary, data.site) for summary in result.summaries)
+    for before, after in itertools.pairwise(result.summaries):
+        # A contact begins with what was known at the end of the one before.
+        first = states_in(result, after.contact_id)[0]
+        assert sd_of(first) == pytest.approx(sd_of(before), rel=0.1)
+        assert first.status is Status.CONVERGED
+
+
+def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
+    data = presses()
+    result = outcome(data)
+    begin, end = result.summaries[0].stamp_ns + RELEASE_NS, data.contacts[1]["start_ns"]
+    between = [state for state in result.states if begin < state.stamp_ns < end]
+    assert len(between) > 20
+    for state in between:
+        assert state.status is Status.NO_CONTACT and state.phase is Phase.APPROACH
+        assert (state.site_id, state.contact_id) == (1, 1)
+        assert state.estimate is not None and state.signals is None and state.innovation is None
+    before = [state for state in result.states if state.stamp_ns < data.contacts[0]["start_ns"]]
+    assert all(s.estimate is None and (s.site_id, s.contact_id) == (0, 0) for s in before)
+
+
+# Gaps in contact
+
+
+def gap(data: Presses, duration_s: float) -> tuple[list[Item], int]:
+    """Leave out both streams in the first ramp; return the rest and the stamp where it begins."""
+    begin = data.at(0, 0.4)
+    end = round(begin + duration_s * SECOND)
+    return [item for item in data.items if not begin <= item.stamp_ns < end], begin
+
+
+@pytest.mark.parametrize(("duration_s", "max_gap"), [(0.1, 0.25), (0.2, 0.25), (0.2, 0.21)])
+def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory(
+    duration_s: float, max_gap: float
+) -> None:
+    data = presses()
+    result = outcome(data, gap(data, duration_s)[0], synchronize__max_gap=max_gap)
+    assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
+    for summary in result.summaries:
+        # The memory of the site spans the gap from then on.
+        assert summary.complete and summary.converged and summary.flags & Flag.GAP
+        assert not is_wrong(summary, data.site)
+    assert sd_of(result.summaries[1]) < 0.9 * sd_of(result.summaries[0])
+
+
+@pytest.mark.parametrize(("duration_s", "max_gap"), [(0.3, 0.25), (0.2, 0.19), (0.1, 0.05)])
+def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more(
+    duration_s: float, max_gap: float
+) -> None:
+    data = presses()
+    items, begin = gap(data, duration_s)
+    result = outcome(data, items, synchronize__max_gap=max_gap)
+    first, *later = result.summaries
+    assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
+    # It ends with the last pair before the gap, and is reported once.
+    assert not first.complete and first.flags & Flag.GAP
+    assert begin - SECOND / RATE - 1 <= first.end_ns < begin
+    assert first.estimate is not None and not is_wrong(first, data.site)
+    # The probe presses on: the states go on, without a number.
+    after = [s for s in states_in(result, 1) if s.stamp_ns > first.end_ns]
+    assert len(after) > 20
+    assert all(s.estimate is None and s.status is Status.CONVERGING for s in after)
+    assert all(s.flags & Flag.GAP and s.signals is not None for s in after)
+    # What the tissue remembers of the gap is not known, so later contacts there say nothing.
+    for summary in later:
+        assert summary.complete and summary.flags & Flag.GAP
+        assert summary.estimate is None and not summary.converged and summary.classes is None
+
+
+def test_the_site_after_a_lost_one_is_estimated() -> None:
+    data = presses((FIRM,), sites=2, message="pose")
+    result = outcome(data, gap(data, 0.3)[0])
+    lost, found = result.summaries
+    assert not lost.complete and found.complete
+    assert ids(result.summaries) == [(1, 1), (2, 2)]
+    assert found.converged and not found.flags
+    assert not is_wrong(found, data.site)
+
+
+def test_a_long_gap_in_the_air_loses_nothing() -> None:
+    data = presses()
+    begin = data.at(0, 1.0) + SECOND // 4
+    items = [item for item in data.items if not begin <= item.stamp_ns < begin + 0.3 * SECOND]
+    result = outcome(data, items)
+    assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
+    assert all(s.complete and s.converged and not s.flags for s in result.summaries)
+
+
+# Faint contacts
+
+
+@pytest.mark.parametrize(("strain", "site_id"), [(0.018, 2), (0.05, 1)])
+def test_a_first_contact_fainter_than_four_release_thresholds_makes_no_site(
+    strain: float, site_id: int
+) -> None:
+    data = presses((RampHold(0.3, strain, 0.2), FIRM))
+    result = outcome(data)
+    first, second = result.summaries
+    assert first.complete and first.contact_id == 1
+    assert ids([second]) == [(site_id, 2)]
+    assert second.converged and not is_wrong(second, data.site)
+    in_between = [
+        state
+        for state in result.states
+        if data.at(0, 1.0) + RELEASE_NS < state.stamp_ns < data.at(1, 0.0)
+    ]
+    assert set(ids(in_between)) == ({(0, 0)} if site_id == 2 else {(1, 1)})
+
+
+def test_a_faint_contact_of_a_known_site_leaves_the_site() -> None:
+    data = presses((FIRM, RampHold(0.3, 0.044, 0.2), FIRM))
+    result = outcome(data)
+    assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
+    forces = [summary.max_force for summary in result.summaries]
+    assert forces[1] < 0.08 * forces[0]  # four release thresholds are 0.094
+    assert sd_of(result.summaries[2]) < sd_of(result.summaries[0])
+    assert not is_wrong(result.summaries[2], data.site)
+
+
+# Resets: what makes the pipeline forget, and what goes on
+
+
+def clock_back(data: Presses, stamp_ns: int) -> list[Item]:
+    return [
+        item._replace(stamp_ns=item.stamp_ns - 100 * SECOND) if item.stamp_ns >= stamp_ns else item
+        for item in data.items
+    ]
+
+
+def in_the_air(data: Presses) -> int:
+    return data.at(0, 1.0) + SECOND // 4
+
+
+def beside() -> Presses:
+    """Three sites, one press each, half a second apart; without positions they look like one."""
+    return presses((FIRM,), sites=3, pause_s=0.5)
+
+
+FORGETTING: dict[str, Callable[[], Outcome]] = {
+    "reset": lambda: outcome(beside(), with_call(beside(), in_the_air(beside()), Pipeline.reset)),
+    "clock_back": lambda: outcome(beside(), clock_back(beside(), in_the_air(beside()))),
+    "timeout": lambda: outcome(beside(), site__timeout=0.5),
+    "moved": lambda: outcome(presses((FIRM,), sites=3, message="pose", pause_s=0.5)),
+}
+
+
+def test_without_a_reset_the_second_contact_begins_with_what_the_first_has_taught() -> None:
+    result = outcome(beside())
+    first, second = (states_in(result, contact_id)[0] for contact_id in (1, 2))
+    assert sd_of(second) < 0.1 * sd_of(first)
+    assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
+
+
+@pytest.mark.parametrize("name", FORGETTING)
+def test_nothing_that_was_learned_passes_a_reset(name: str) -> None:
+    result = FORGETTING[name]()
+    first, second = (states_in(result, contact_id)[0] for contact_id in (1, 2))
+    assert sd_of(second) == pytest.approx(sd_of(first), rel=0.1)
+    assert first.status is second.status is Status.CONVERGING
+    assert ids(result.summaries[:2]) == [(1, 1), (2, 2)]
+    assert all(s.complete and s.converged and not s.flags for s in result.summaries[:2])
+    assert not any(is_wrong(summary, beside().site) for summary in result.summaries[:2])
+    assert result.pipeline.contact_count == len(result.summaries)
+    assert result.pipeline.site_count == result.summaries[-1].site_id
+    jumped = [words for words in result.pipeline.warnings if "clock jumped back" in words]
+    assert len(jumped) == (name == "clock_back")
+
+
+def test_after_a_reset_everything_is_as_in_a_new_pipeline_but_ids_and_counts() -> None:
+    data = presses()
+    stamp_ns = in_the_air(data)
+    items = with_call(data, stamp_ns, Pipeline.reset)
+    spoiled = items[20]._replace(value=math.nan)
+    result = outcome(data, [*items[:20], spoiled, *items[20:]])
+    fresh = outcome(data, data.between(stamp_ns, math.inf))
+    start = next(k for k, output in enumerate(result.outputs) if output.stamp_ns >= stamp_ns)
+    after = result.outputs[start:]
+    assert [without_ids(o) for o in after] == [without_ids(o) for o in fresh.outputs]
+    assert ids(result.summaries) == [(1, 1), (2, 2), (2, 3)]
+    assert ids(fresh.summaries) == [(1, 1), (1, 2)]
+    before = outcome(data, data.between(0, stamp_ns))
+    assert result.pipeline.pair_count == before.pipeline.pair_count + fresh.pipeline.pair_count
+    assert result.pipeline.rejected.total() == 1 and not fresh.pipeline.rejected
+
+
+def test_a_reset_in_contact_reports_it_once_as_incomplete() -> None:
+    data = presses()
+    stamp_ns = data.at(1, 0.5)
+    result = outcome(data, with_call(data, stamp_ns, Pipeline.reset))
+    first, cut, *_ = result.summaries
+    assert first.complete and not cut.complete
+    assert ids([first, cut]) == [(1, 1), (1, 2)]
+    assert stamp_ns - 2 * SECOND / RATE <= cut.end_ns < stamp_ns
+    assert cut.converged and not is_wrong(cut, data.site)
+    rest = [o for o in result.outputs if o.stamp_ns >= stamp_ns and o.contact_id == 2]
+    assert not rest
+
+
+def test_after_a_clock_jumps_back_in_contact_the_state_is_unknown_until_the_probe_leaves() -> None:
+    data = beside()
+    stamp_ns = data.at(1, 0.5)
+    result = outcome(data, clock_back(data, stamp_ns))
+    first, cut, last = result.summaries
+    assert first.complete and not cut.complete and last.complete
+    assert ids(result.summaries) == [(1, 1), (1, 2), (2, 3)]
+    assert stamp_ns - 2 * SECOND / RATE <= cut.end_ns < stamp_ns
+    jump = next(
+        k for k, (a, b) in enumerate(itertools.pairwise(result.states)) if b.stamp_ns < a.stamp_ns
+    )
+    after = result.states[jump + 1 :]
+    pressed = [s for s in after if s.stamp_ns + 100 * SECOND < data.at(1, 0.9)]
+    assert len(pressed) > 20
+    assert all(s.status is Status.UNKNOWN and s.estimate is None for s in pressed)
+    lifted = data.at(1, 1.0) + RELEASE_NS
+    air = [s for s in after if lifted < s.stamp_ns + 100 * SECOND < data.at(2, 0.0)]
+    assert air and all(s.status is Status.NO_CONTACT for s in air)
+    assert last.converged and not is_wrong(last, data.site)
+
+
+def test_a_second_pipeline_knows_nothing_of_the_first() -> None:
+    """Activating a node makes a new one."""
+    data = presses()
+    first, second = outcome(data), outcome(data)
+    assert pickle.dumps(first.outputs) == pickle.dumps(second.outputs)
+    assert ids(second.summaries) == [(1, 1), (1, 2), (1, 3)]
+
+
+# The end
+
+
+def test_an_open_contact_is_reported_once_at_the_end_with_all_that_was_learned() -> None:
+    data = presses()
+    items = data.between(0, data.at(1, 0.6))
+    result = outcome(data, items)
+    done, cut = result.summaries
+    assert done.complete and not cut.complete
+    assert ids([done, cut]) == [(1, 1), (1, 2)]
+    assert cut.end_ns == cut.stamp_ns == result.pipeline.newest_ns
+    assert result.outputs[-1] is cut
+    assert cut.converged and not is_wrong(cut, data.site)
+    last = states_in(result, 2)[-1]
+    assert sd_of(cut) == pytest.approx(sd_of(last), rel=1e-3)
+    repeated = outcome(data, [*items, Pipeline.finish, Pipeline.finish, Pipeline.reset])
+    assert pickle.dumps(repeated.outputs) == pickle.dumps(result.outputs)
+
+
+# Order of outputs, and counts
+
+
+def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_its_state() -> (
+    None
+):
+    data = presses()
+    outputs = outcome(data).outputs
+    open_contact = 0
+    for before, output in itertools.pairwise(outputs):
+        if isinstance(output, TissueState):
+            assert output.stamp_ns > before.stamp_ns
+        elif isinstance(output, Classification):
+            # A label follows the state that it was made from.
+            assert isinstance(before, TissueState) and before.stamp_ns == output.stamp_ns
+            assert ids([before]) == ids([output])
+            assert output.contact_id == open_contact + 1
+        else:
+            assert isinstance(output, ContactSummary)
+            assert output.contact_id == open_contact + 1
+            open_contact = output.contact_id
+            # The end is where the force was gone, before that was certain.
+            assert before.stamp_ns - RELEASE_NS < output.end_ns <= before.stamp_ns
+            assert output.stamp_ns == output.end_ns > output.start_ns
+    assert open_contact == 3
+    assert ids(outputs) == sorted(ids(outputs))
+    # A contact begins undetermined, before its first label, and ends with the summary's.
+    for summary in outcome(data).summaries:
+        own = [
+            o
+            for o in outputs
+            if isinstance(o, Classification) and o.contact_id == summary.contact_id
+        ]
+        assert own and summary.classes is not None
+        assert own[-1].classes is not None
+        assert own[-1].classes.label == summary.classes.label == "liver"
+
+
+def test_counts_are_those_of_the_samples() -> None:
+    data = presses()
+    force = [k for k, item in enumerate(data.items) if item.stream == 0]
+    inside = [k for k in force if data.at(1, 0.2) < data.items[k].stamp_ns < data.at(1, 0.8)]
+    spoiled = set(inside[::40])
+    items = [
+        item._replace(value=math.nan) if k in spoiled else item
+        for k, item in enumerate(data.items)
+    ]
+    result = outcome(data, items)
+    assert result.pipeline.rejected == {"force.non_finite": len(spoiled)}
+    assert result.pipeline.pair_count == len(force) - len(spoiled)
+    assert [s.rejected_count for s in result.summaries] == [0, len(spoiled), 0]
+    assert [bool(s.flags & Flag.INPUT_REJECTED) for s in result.summaries] == [False, True, False]
+    flagged = [state for state in result.states if state.flags & Flag.INPUT_REJECTED]
+    # A state says so once for what was rejected since the state before.
+    assert len(flagged) == len(spoiled)
+    assert {state.contact_id for state in flagged} == {2}
+    for summary in result.summaries:
+        stamps = [
+            data.items[k].stamp_ns
+            for k in force
+            if k not in spoiled and data.items[k].stamp_ns >= summary.start_ns
+        ]
+        least = sum(stamp <= summary.end_ns for stamp in stamps)
+        most = sum(stamp <= summary.end_ns + RELEASE_NS for stamp in stamps)
+        assert least <= summary.sample_count <= most

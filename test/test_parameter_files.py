@@ -1,0 +1,365 @@
+"""Parameter files: the node and `fden replay` read them alike, and refuse them in one line."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
+from rclpy.context import Context
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from sensor_msgs.msg import JointState
+
+from fden_ros.cli import main
+from fden_ros.nodes.identifier import Identifier
+from fden_ros.parameters import Parameters, read_parameter_file
+
+BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
+NO_KEY = (
+    "no mapping ros__parameters: parameters stand below `/**:`, or the node's name, and "
+    "`ros__parameters:`; `fden parameters` prints a file"
+)
+
+
+def any_node(text: str) -> str:
+    return f"/**:\n  ros__parameters: {{{text}}}\n"
+
+
+def written(folder: Path, text: str | bytes) -> Path:
+    path = folder / "probe.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    context = Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+def live_values(path: Path, node: str, context: Context) -> dict[str, Any]:
+    """Every parameter of the identifier as a running node of this name has it."""
+    namespace, _, name = node.rpartition("/")
+    arguments = ["--ros-args", "--params-file", str(path)]
+    arguments += ["-r", f"__ns:={namespace or '/'}", "-r", f"__node:={name}"]
+    running = Identifier(context=context, cli_args=arguments)
+    try:
+        assert running.get_fully_qualified_name() == node
+        names = Parameters().as_dict()
+        values = {name: running.get_parameter(name).value for name in names}
+        return {n: list(v) if hasattr(v, "tolist") else v for n, v in values.items()}
+    finally:
+        running.destroy_node()
+
+
+# What is accepted, and what it means
+
+ACCEPTED: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "dotted": (any_node("geometry.area: 2.0e-4"), "/identifier", {"geometry.area": 2e-4}),
+    "nested": (any_node("geometry: {area: 2.0e-4}"), "/identifier", {"geometry.area": 2e-4}),
+    "1e-4 is a number": (
+        any_node("force.noise: 1e-4, force.limit: 1E3, site.timeout: 5., prior.alpha: .2"),
+        "/identifier",
+        {"force.noise": 1e-4, "force.limit": 1e3, "site.timeout": 5.0, "prior.alpha": 0.2},
+    ),
+    "whole numbers for numbers": (
+        any_node("force.axis: [0, 0, -1], force.limit: 10, dither.frequencies: [2]"),
+        "/identifier",
+        {"force.axis": [0.0, 0.0, -1.0], "force.limit": 10.0, "dither.frequencies": [2.0]},
+    ),
+    "words for true and false": (
+        any_node("geometry.hayes: on, alpha.learn: n, force.inverted: Yes"),
+        "/identifier",
+        {"geometry.hayes": True, "alpha.learn": False, "force.inverted": True},
+    ),
+    "a date is a text": (
+        any_node("force.name: 2026-01-01"),
+        "/identifier",
+        {"force.name": "2026-01-01"},
+    ),
+    "by name": (
+        "identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
+        "/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "by name and namespace": (
+        "/arm/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n"
+        "identifier:\n  ros__parameters: {geometry.area: 3e-4}\n",
+        "/arm/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "by nested namespace": (
+        "arm:\n  identifier:\n    ros__parameters: {geometry.area: 2e-4}\n",
+        "/arm/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "by another name": (
+        "probe:\n  ros__parameters: {geometry.area: 2e-4}\n",
+        "/probe",
+        {"geometry.area": 2e-4},
+    ),
+    "one star is one part": (
+        "/*:\n  ros__parameters: {geometry.area: 3e-4}\n"
+        "/*/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
+        "/arm/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "one star alone": (
+        "/*:\n  ros__parameters: {geometry.area: 3e-4}\n",
+        "/identifier",
+        {"geometry.area": 3e-4},
+    ),
+    "two stars are any number of parts": (
+        "/**/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n"
+        "/arm/**:\n  ros__parameters: {geometry.thickness: 0.03}\n",
+        "/arm/left/identifier",
+        {"geometry.area": 2e-4, "geometry.thickness": 0.03},
+    ),
+    "two stars are no part too": (
+        "/**/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
+        "/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "the later section outdoes the earlier": (
+        "identifier:\n  ros__parameters: {geometry.area: 3e-4}\n"
+        + any_node("geometry.area: 2e-4"),
+        "/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "among others": (
+        "other:\n  ros__parameters: {geometry.area: 3e-4, none.of.ours: 1}\n"
+        + any_node("geometry.area: 2e-4"),
+        "/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "with the node's own": (
+        any_node("use_sim_time: true, autostart: true, stale_timeout: 1, geometry.area: 2e-4"),
+        "/identifier",
+        {"geometry.area": 2e-4},
+    ),
+    "with an override of quality of service": (
+        any_node("qos_overrides: {/force: {subscription: {reliability: reliable, depth: 7}}}"),
+        "/identifier",
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ACCEPTED)
+def test_node_and_replay_read_a_file_alike(case: str, tmp_path: Path, context: Context) -> None:
+    text, node, meant = ACCEPTED[case]
+    path = written(tmp_path, text)
+    expected = Parameters().as_dict() | meant
+    assert read_parameter_file(path, node).as_dict() == expected
+    assert live_values(path, node, context) == expected
+
+
+# What is refused, and with which words
+
+REFUSED: dict[str, tuple[str | bytes, str]] = {
+    "misspelt key": (
+        any_node("geometry.thicknes: 0.03"),
+        "there is no parameter geometry.thicknes; did you mean geometry.thickness?",
+    ),
+    "old name": (
+        any_node("alpha: {source: given, value: 0.2}"),
+        "there is no parameter alpha.source any more: use alpha.learn: true for prior, false for "
+        "given",
+    ),
+    "misspelt key of the node": (
+        any_node("stale_timout: 1.0"),
+        "there is no parameter stale_timout; did you mean stale_timeout?",
+    ),
+    "out of range": (
+        any_node("geometry.area: 2"),
+        "parameter geometry.area is 2, must be 1e-09 to 1",
+    ),
+    "out of the node's range": (
+        any_node("stale_timeout: 0.0"),
+        "parameter stale_timeout is 0.0, must be 0.01 to 60",
+    ),
+    "text for a number": (
+        any_node("geometry.area: large"),
+        "parameter geometry.area is 'large', must be a number",
+    ),
+    "number for a truth value": (
+        any_node("alpha.learn: 1"),
+        "parameter alpha.learn is 1, must be true or false",
+    ),
+    "text for the node's truth value": (
+        any_node("autostart: maybe"),
+        "parameter autostart is 'maybe', must be true or false",
+    ),
+    "not a number": (
+        any_node("geometry.area: .nan"),
+        "parameter geometry.area is nan, must be 1e-09 to 1",
+    ),
+    "empty list": (
+        any_node("force.axis: []"),
+        "parameter force.axis is [], must be a list of three numbers",
+    ),
+    "mixed list": (
+        any_node("force.axis: [0, 0.5, -1]"),
+        "parameter force.axis is [0, 0.5, -1], which ROS 2 does not read, because whole numbers "
+        "and others, or other types, are mixed: write [0.0, 0.5, -1.0]",
+    ),
+    "no value": (any_node("geometry.area: "), "parameter geometry.area has no value"),
+    "no mapping ros__parameters": ("geometry.area: 2.0e-4\n", NO_KEY),
+    "parameters at once below the node": ("/**: {geometry.area: 2.0e-4}\n", NO_KEY),
+    "ros__parameters with a number": ("/**:\n  ros__parameters: 3\n", NO_KEY),
+    "ros__parameters with nothing": ("/**:\n  ros__parameters:\n", NO_KEY),
+    "nothing": ("", NO_KEY),
+    "a list": ("- 1\n- 2\n", NO_KEY),
+    "unparsable": (
+        "/**: [\n",
+        "not valid YAML: while parsing a flow node expected the node content, but found "
+        "'<stream end>'",
+    ),
+    "an alias": (any_node("force.noise: &x 1.0, force.limit: *x"), "ROS 2 reads no aliases (*)"),
+    "a name twice": (
+        "/**:\n  ros__parameters:\n    prior: {alpha: 0.2}\n    prior: {alpha_sd: 0.02}\n",
+        "not valid YAML: prior stands twice in one mapping",
+    ),
+    "no text": (b"\xff\xfe\x00", "cannot read the parameter file: it is not a text file"),
+    "for another node": (
+        "/arm/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
+        "there is no section for the node /identifier, only for /arm/identifier: `/**` is for "
+        "every node",
+    ),
+}
+
+
+def end_of_node(*arguments: str) -> str:
+    """The one line with which a node of its own process refuses to start."""
+    command = [sys.executable, "-m", "fden_ros.nodes.identifier", "--ros-args", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30.0)
+    assert done.returncode == 1, done.stderr
+    (line,) = (done.stdout + done.stderr).splitlines()
+    assert line.startswith("identifier: ")
+    return line
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_node_and_replay_refuse_a_file_with_the_same_line(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, words = REFUSED[case]
+    path = written(tmp_path, text)
+    # Without autostart too: nothing waits to be configured with what was not meant.
+    assert words in end_of_node("--params-file", str(path))
+    assert main(["replay", str(BAG), "--config", str(path)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{path}: " in line and words in line
+
+
+def test_file_that_is_not_there_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "none.yaml"
+    words = f"{path}: cannot read the parameter file: No such file or directory"
+    assert end_of_node("--params-file", str(path)).endswith(words)
+    assert main(["replay", str(BAG), "--config", str(path)]) == 1
+    assert capsys.readouterr().err.rstrip().endswith(words)
+
+
+def test_replay_reads_the_sections_of_the_node_that_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, "/arm/identifier:\n  ros__parameters: {geometry.aera: 2e-4}\n")
+    assert main(["replay", str(BAG), "--config", str(path), "--node", "arm/identifier"]) == 1
+    assert "there is no parameter geometry.aera" in capsys.readouterr().err
+
+
+QOS = "qos_overrides./force.subscription"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ("--log-level", "loud"),
+            "there is no log level loud: it must be one of debug, info, warn, error, fatal, unset",
+        ),
+        (("-p", "geometry.area=1"), "-p geometry.area=1 is no parameter: expected -p NAME:=VALUE"),
+        (("-p", "force.axis:=[1, 2"), "-p force.axis:=[1, 2: not valid YAML"),
+        (("-p", "force.axis:=[0, 0.5, 1]"), "write [0.0, 0.5, 1.0]"),
+        (("-p", "geometry.thicknes:=0.1"), "did you mean geometry.thickness?"),
+        (
+            ("-p", f"{QOS}.reliability:=perhaps"),
+            f"parameter {QOS}.reliability is 'perhaps', must be one of ",
+        ),
+        (
+            ("-p", f"{QOS}.depth:=0"),
+            f"parameter {QOS}.depth is 0, must be a whole number, at least 1",
+        ),
+        (
+            ("-p", f"{QOS}.deadline:=1"),
+            f"parameter {QOS}.deadline: deadline cannot be overridden, only history, depth, "
+            "reliability, durability",
+        ),
+        (
+            ("-p", "qos_overrides./forze.subscription.depth:=9"),
+            "there is no /forze.subscription; did you mean /force.subscription?",
+        ),
+        (
+            ("-r", "force:=ft", "-p", f"{QOS}.depth:=9"),
+            "there is no /force.subscription; did you mean ",
+        ),
+        (
+            ("-p", "qos_overrides./identifier/estimate.subscription.depth:=9"),
+            "did you mean /identifier/estimate.publisher?",
+        ),
+    ],
+)
+def test_mistake_on_the_command_line_ends_the_node_with_one_line(
+    arguments: tuple[str, ...], words: str
+) -> None:
+    assert words in end_of_node(*arguments)
+
+
+def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context: Context) -> None:
+    name = "qos_overrides./ft.subscription.depth"
+    node = Identifier(
+        context=context, cli_args=["--ros-args", "-r", "force:=ft", "-p", f"{name}:=7"]
+    )
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        assert node.get_parameter(name).value == 7
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("values", "force", "displacement"),
+    [
+        ({}, WrenchStamped, JointState),
+        (
+            {"force.message": "joint_state", "displacement.message": "pose"},
+            JointState,
+            PoseStamped,
+        ),
+        ({"displacement.message": "transform"}, WrenchStamped, TransformStamped),
+        ({"displacement.message": "point"}, WrenchStamped, PointStamped),
+    ],
+)
+def test_node_listens_to_the_types_that_the_parameters_name(
+    values: dict[str, str], force: type, displacement: type, context: Context
+) -> None:
+    overrides = [RosParameter(name, value=value) for name, value in values.items()]
+    node = Identifier(context=context, parameter_overrides=overrides)
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        types = {one.topic_name: one.msg_type for one in node.subscriptions}
+        assert (types["/force"], types["/displacement"]) == (force, displacement)
+    finally:
+        node.destroy_node()
