@@ -79,6 +79,20 @@ class ForceParameters:
         "Take the force's bias from each approach through the air; false: trust the force after "
         "any tare.",
     )
+    drift_sd: float = number(
+        0.005,
+        "N",
+        "Standard deviation of the drift of the force's zero in one second of contact; 0: none.",
+        0.0,
+        1000.0,
+    )
+    friction_sd: float = number(
+        0.007,
+        "N",
+        "Standard deviation of the friction against the motion of the probe; 0: none.",
+        0.0,
+        1000.0,
+    )
     limit: float = number(
         100000.0,
         "N",
@@ -131,6 +145,48 @@ class DisplacementParameters:
         "m/N",
         "Compliance of tool and robot in series with the tissue; its share is taken off the "
         "displacement.",
+        0.0,
+        1.0,
+    )
+    compliance_sd: float = number(
+        0.00015,
+        "m/N",
+        "Standard deviation of the compliance that displacement.compliance leaves; 0: none.",
+        0.0,
+        1.0,
+    )
+    delay_sd: float = number(
+        0.0025,
+        "s",
+        "Standard deviation of the delay that displacement.delay leaves; 0: none.",
+        0.0,
+        1.0,
+    )
+
+
+@dataclass(frozen=True)
+class SurfaceParameters:
+    """The tissue's surface where nobody touches it."""
+
+    motion_sd: float = number(
+        0.0002,
+        "m",
+        "Standard deviation of its motion in one second, by breathing and heartbeat; 0: it rests.",
+        0.0,
+        0.1,
+    )
+
+
+@dataclass(frozen=True)
+class ModelErrorParameters:
+    """How far tissue is from the FDEN law."""
+
+    sd: float = number(
+        0.2,
+        "1",
+        "Relative standard deviation of the stress-strain curve from the law over a factor e of "
+        "stress; the relaxation's is a quarter of it. Whether the tissue has this error or none, "
+        "the data decide; 0: the law is exact.",
         0.0,
         1.0,
     )
@@ -217,6 +273,13 @@ class GeometryParameters:
     hayes: bool = flag(
         False,
         "flat_punch: divide by Hayes' factor, for a probe smaller than the tissue around it.",
+    )
+    thickness_sd: float = number(
+        0.02,
+        "1",
+        "Relative standard deviation of the thickness, or of a sphere's radius; 0: exact.",
+        0.0,
+        1.0,
     )
     poisson_ratio: float = number(
         0.5,
@@ -355,7 +418,7 @@ class ConvergedParameters:
     """When an estimate is converged."""
 
     log_sd: float = number(
-        0.05,
+        0.1,
         "1",
         "Converged only while the standard deviation of ln Gn is below this.",
         0.0001,
@@ -490,6 +553,8 @@ class Parameters:
 
     force: ForceParameters = ForceParameters()
     displacement: DisplacementParameters = DisplacementParameters()
+    surface: SurfaceParameters = SurfaceParameters()
+    model_error: ModelErrorParameters = ModelErrorParameters()
     tool: ToolParameters = ToolParameters()
     synchronize: SynchronizeParameters = SynchronizeParameters()
     geometry: GeometryParameters = GeometryParameters()

@@ -115,6 +115,7 @@ class StressEstimator:
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
         self._best = self._bank[-1]
+        self._prior_covariance = self._best.covariance.copy()
         self._excluded = np.zeros(len(self._bank), dtype=bool)
         self._age = LoadingAge()
         self._last_compression = math.nan
@@ -130,8 +131,8 @@ class StressEstimator:
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the model's error is beyond that of tissue."""
-        return False
+        """Whether the innovations contradict a law that is said to be exact."""
+        return self._change.is_mismatch
 
     @property
     def change_count(self) -> int:
@@ -143,6 +144,7 @@ class StressEstimator:
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
         self._motion.interrupt()
+        self._change.begin_contact()
         self._age.interrupt()
         self._last_compression = math.nan
         self._contact_start = None
@@ -215,7 +217,7 @@ class StressEstimator:
             is_beyond_all_nodes=functools.partial(
                 best.is_beyond_all_nodes, response, innovation.variance
             ),
-            is_beyond_model_error=self._is_tissue_known
+            is_beyond_model_error=(len(self._bank) == 1 or self._is_tissue_known)
             and all(
                 residual**2 > CHANGE_DEVIATIONS**2 * (noise + spread) or excluded
                 for (_, _, residual, _, spread), excluded in zip(
@@ -338,6 +340,11 @@ class StressEstimator:
         covariance = (self._weights[:, None] * centred).T @ centred
         for weight, posterior in zip(self._weights, self._bank, strict=True):
             covariance += weight * posterior.covariance
+        if len(self._bank) == 1:
+            # The law is said to be exact: where it is not, nothing accounts for it but this.
+            covariance *= self._change.inflation
+            if self.is_mismatch:
+                covariance += self._prior_covariance
         thickness = config.uncertainty.thickness_sd
         # Strain goes with 1/h: ln G and ln Gn are off together.
         covariance[:_ORDER, :_ORDER] += thickness**2

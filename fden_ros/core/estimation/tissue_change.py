@@ -1,4 +1,4 @@
-"""Whether the tissue under the probe has changed within a contact."""
+"""Whether the tissue under the probe has changed, or was never what the model says."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 #: An innovation whose variance is below this many times the noise's [1] is the noise's, not the
 #: state's: only such are tested.
 _MOST_NOISE_SHARE = 2.0
+#: Innovations [1] after which a mismatch is reported, unless a change of the tissue explains it: a
+#: change shows within the longest window of change.
+_MISMATCH_DELAY = LONGEST_CHANGE_WINDOW
 #: An innovation beyond this many standard deviations [1] makes the estimate doubtful for this many
 #: blocks [1]: by then the tests have decided what it was.
 _SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
@@ -47,6 +50,7 @@ class TissueChange:
         #: Changes found so far.
         self.count = 0
         self._monitor = InnovationMonitor()
+        self._was_mismatch = False
         self._surprises = 0
         self._first_surprise = 0.0
         self._blind_until = -math.inf
@@ -55,8 +59,22 @@ class TissueChange:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether a surprise of late is not explained yet."""
-        return self._doubtful_blocks > 0
+        """Whether a surprise or a mismatch of late is not explained yet."""
+        return self._doubtful_blocks > 0 or 0 < self._monitor.mismatch_count <= _MISMATCH_DELAY
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the innovations are larger or slower than an exact law and noise explain."""
+        return self._was_mismatch or self._monitor.mismatch_count > _MISMATCH_DELAY
+
+    @property
+    def inflation(self) -> float:
+        """Factor by which the variance of the estimate is too small, at least 1."""
+        return self._monitor.inflation
+
+    def begin_contact(self) -> None:
+        """Let a new contact begin: the mismatch before an earlier change is forgotten."""
+        self._was_mismatch = False
 
     @property
     def is_suspected(self) -> bool:
@@ -141,6 +159,8 @@ class TissueChange:
 
     def _begin_anew(self, block: Block, change: Change) -> Change:
         self._blind_until = block.memory_time + _BLIND_TIME
+        # A mismatch before the change is not explained by it.
+        self._was_mismatch = self.is_mismatch
         self._surprises = 0
         self._monitor = InnovationMonitor()
         self._recent_states.clear()
