@@ -34,7 +34,7 @@ from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold
 Array = NDArray[np.float64]
 
 #: Summaries and states with another flag than these say that something is wrong.
-_HARMLESS = Flag.NONE | Flag.INPUT_REJECTED | Flag.GAP
+_HARMLESS = Flag.INPUT_REJECTED
 #: An error counts from this many stated deviations ...
 _DEVIATIONS = 5.0
 #: ... and these sizes of ln G, ln Gn, alpha.
@@ -224,7 +224,7 @@ CASES = (
         "force_steps_10mN",
         "force in 10 mN",
         disturbances=Disturbances(force_step_n=0.01),
-        noise_n=0.003,
+        noise_n=0.001,
         detection=True,
     ),
     Case("grid_3mm", "3 mm grid, virgin", (_PRESS,), sites=10, pitch_m=0.003, detection=True),

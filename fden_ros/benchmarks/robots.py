@@ -73,7 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify and judge."""
     cases = _chosen(args.cases, args.quick)
-    contacts = args.contacts or (_QUICK_CONTACTS if args.quick else _CONTACTS)
+    usual = _QUICK_CONTACTS if args.quick else _CONTACTS
+    contacts = usual if args.contacts is None else args.contacts
     if contacts < 1 or args.jobs < 1:
         raise InputError("--contacts and --jobs must be at least 1")
     parameters = read_parameter_file(args.parameters) if args.parameters else {}
