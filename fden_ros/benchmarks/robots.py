@@ -42,7 +42,7 @@ examples:
   fden benchmark robots --json | jq '.figures.cases[] | {name, silent, live}'
 
 Tissue: G log-uniform from 2,000 to 8,000, Gn 6 to 10, alpha 0.08 to 0.32, 20 mm thick; a punch of
-10 mm radius, so that a press to 25 % takes 0.3 to 0.9 N (20 mm where the noise is largest: moving
+10 mm radius, so that a press to 25 % takes 0.2 to 0.9 N (20 mm where the noise is largest: moving
 vibration, liver). 500 Hz, 10 mN and 5 um of noise.
 """
 
