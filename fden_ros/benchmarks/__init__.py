@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 #: Name of every benchmark, which is that of its module, and what it measures in a line.
 BENCHMARKS: dict[str, str] = {
     "accuracy": "errors over the Cramér-Rao bound, honesty of the intervals; simulated contacts",
+    "robots": "what a real rig adds: breathing, compliance, friction, hum; silent errors",
     "replay": "speed and memory of replay and batch, beside merely decoding the same messages",
     "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
     "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",

@@ -24,6 +24,7 @@ import yaml
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import FdenModel, FloatArray
 from fden_ros.simulation.contact import Stiffening
+from fden_ros.simulation.disturbance import Disturbances
 from fden_ros.simulation.trajectory import (
     TRAJECTORIES,
     Approach,
@@ -180,6 +181,31 @@ class Geometry:
             strain > 0.0, np.cbrt(np.maximum(strain, 0.0)) ** 2, strain
         )
 
+    def strain_of_depth(self, depth: float) -> float:
+        """Return the strain at a displacement into the tissue in m, the inverse of the above."""
+        share = depth / self.length_m
+        return math.sqrt(share**3) if self.kind == "sphere" and share > 0.0 else share
+
+
+@dataclass(frozen=True)
+class Preload:
+    """The recording begins in contact: the probe has rested on the first site already.
+
+    Attributes
+    ----------
+    depth_m
+        Where it rests; 0: it begins in the air. It goes no higher between the first site's
+        presses, and leaves the tissue after the last of them.
+    time_s
+        How long it has rested there when the recording begins.
+    """
+
+    depth_m: float = 0.0
+    time_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, "depth_m", "time_s")
+
 
 @dataclass(frozen=True)
 class ForceSensor:
@@ -322,12 +348,19 @@ class Scenario:
     force: ForceSensor = field(default_factory=ForceSensor)
     displacement: DisplacementSensor = field(default_factory=DisplacementSensor)
     dropouts: tuple[Dropout, ...] = ()
+    disturbances: Disturbances = field(default_factory=Disturbances)
+    preload: Preload = field(default_factory=Preload)
 
     def __post_init__(self) -> None:
         if not self.sites:
             raise InputError("scenario: sites is empty; name at least one site")
         if self.seed < 0:
             raise InputError(f"scenario: seed is {self.seed}; it must be 0 or positive")
+        if self.disturbances.moves_tissue and any(site.stiffening for site in self.sites):
+            raise InputError(
+                "scenario: a stiffening does not go with surface motion, compliance, backlash or "
+                "plastic set; leave one of them out"
+            )
 
     @property
     def force_noise_n(self) -> float:
@@ -500,6 +533,10 @@ def _convert(value: object, hint: Any, where: str) -> Any:
         return _convert_list(value, typing.get_args(hint), where)
     if hint is float:
         return _number(value, where)
+    if hint is bool:
+        if isinstance(value, bool):
+            return value
+        raise InputError(f"{where} is {_short(value)}; it must be true or false")
     if hint is int:
         if isinstance(value, int) and not isinstance(value, bool):
             return value

@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 
 from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move
 from fden_ros.simulation.contact import ContactHistory, contacts_of_moves
+from fden_ros.simulation.disturbance import Disturbances, Phases, low_pass, quantised
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
     Dropout,
     ForceSensor,
     Geometry,
+    Preload,
     Scenario,
     Site,
 )
+from fden_ros.simulation.stepped_contact import SteppedHistory, stepped_contacts
 from fden_ros.simulation.trajectory import Approach, Path
 
 StampArray = NDArray[np.int64]
@@ -30,7 +33,7 @@ END_PAUSE_S = 0.5
 _MAX_JITTER_PERIODS = 0.45
 
 # One generator a purpose: what one of them draws never changes the others.
-_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS = range(3)
+_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS = range(4)
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class _Visit:
     start: float
     stop: float
     moves: tuple[Move, ...]
-    contacts: ContactHistory
+    contacts: ContactHistory | SteppedHistory
 
 
 def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
@@ -95,9 +98,10 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
         Instead of the scenario's own.
     """
     seed = scenario.seed if seed is None else seed
-    visits = _visits(scenario, _generator(seed, _TISSUE_DRAWS))
+    phases = Phases.draw(_generator(seed, _PHASE_DRAWS))
+    visits = _visits(scenario, _generator(seed, _TISSUE_DRAWS), phases)
     duration = visits[-1].stop
-    force = _force_stream(scenario, visits, duration, _generator(seed, _FORCE_DRAWS))
+    force = _force_stream(scenario, visits, duration, _generator(seed, _FORCE_DRAWS), phases)
     displacement = _displacement_stream(
         scenario, visits, duration, _generator(seed, _DISPLACEMENT_DRAWS)
     )
@@ -151,47 +155,109 @@ def _generator(seed: int, purpose: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, purpose])))
 
 
-def _visits(scenario: Scenario, generator: np.random.Generator) -> list[_Visit]:
+def _visits(scenario: Scenario, generator: np.random.Generator, phases: Phases) -> list[_Visit]:
     visits: list[_Visit] = []
     start = 0.0
     for index, site in enumerate(scenario.sites):
         is_last = index == len(scenario.sites) - 1
         approach = scenario.approach
-        pause = approach.site_pause_s if visits else approach.start_pause_s
         path = _path_over(
-            site, scenario.geometry, approach, pause, END_PAUSE_S if is_last else 0.0
+            site,
+            scenario.geometry,
+            approach,
+            scenario.preload if index == 0 else Preload(),
+            approach.site_pause_s if visits else approach.start_pause_s,
+            END_PAUSE_S if is_last else 0.0,
         )
-        contacts = contacts_of_moves(path.moves, site.tissue.model(generator), site.stiffening)
+        model = site.tissue.model(generator)
+        contacts = _contacts(scenario, site, path.moves, model, start, phases)
         visits.append(_Visit(site, start, start + path.time, tuple(path.moves), contacts))
         start += path.time
     return visits
 
 
+def _contacts(
+    scenario: Scenario,
+    site: Site,
+    moves: Sequence[Move],
+    model: FdenModel,
+    start: float,
+    phases: Phases,
+) -> ContactHistory | SteppedHistory:
+    """Return the contacts of planned moves whose times count from `start`."""
+    disturbances = scenario.disturbances
+    if not disturbances.moves_tissue:
+        return contacts_of_moves(moves, model, site.stiffening)
+
+    def surface(times: FloatArray) -> FloatArray:
+        return disturbances.surface(times + start, phases)
+
+    return stepped_contacts(moves, model, scenario.geometry, disturbances, surface)
+
+
 def _path_over(
-    site: Site, geometry: Geometry, approach: Approach, pause_s: float, end_pause_s: float
+    site: Site,
+    geometry: Geometry,
+    approach: Approach,
+    preload: Preload,
+    pause_s: float,
+    end_pause_s: float,
 ) -> Path:
     path = Path(-approach.distance_m / geometry.length_m, geometry.length_m)
+    if preload.depth_m > 0.0:
+        path.floor = geometry.strain_of_depth(preload.depth_m)
+        # Not in the recording, which begins at 0.
+        path.time = -preload.time_s - (path.floor - path.strain) * path.length_m / (
+            approach.speed_m_per_s
+        )
+        path.go(path.floor, approach.speed_m_per_s / path.length_m)
+        path.rest(-path.time)
     path.rest(pause_s)
-    for press in site.presses:
+    for press in site.presses[:-1]:
         press.press(path, approach)
+    path.floor = -np.inf
+    site.presses[-1].press(path, approach)
     path.rest(end_pause_s)
     return path
 
 
 def _force_stream(
-    scenario: Scenario, visits: Sequence[_Visit], duration: float, generator: np.random.Generator
+    scenario: Scenario,
+    visits: Sequence[_Visit],
+    duration: float,
+    generator: np.random.Generator,
+    phases: Phases,
 ) -> Stream:
-    sensor = scenario.force
+    sensor, disturbances = scenario.force, scenario.disturbances
     elapsed_ns, times = _sampling(sensor, duration, generator)
-    stress = np.zeros_like(times)
+    stress, velocity = np.zeros_like(times), np.zeros_like(times)
     for visit in visits:
         during = slice(*np.searchsorted(times, [visit.start, visit.stop]))
         stress[during] = visit.contacts.stress(times[during] - visit.start)
+        velocity[during] = _velocity(visit, times[during], scenario.geometry)
     noise = scenario.force_noise_n * generator.standard_normal(times.size)
     error = sensor.bias_n + sensor.drift_n_per_s * times + noise
+    contacts = [
+        (visit.start + contact.start, visit.start + contact.stop)
+        for visit in visits
+        for contact in visit.contacts.contacts
+    ]
+    error += disturbances.force_error(times, velocity, contacts, phases)
     force = stress * scenario.geometry.force_per_stress + error
+    force = quantised(low_pass(times, force, disturbances.filter_hz), disturbances.force_step_n)
     kept = _kept(elapsed_ns, scenario.dropouts, "force")
     return _stream(sensor, elapsed_ns[kept], force[kept], None)
+
+
+def _velocity(visit: _Visit, times: FloatArray, geometry: Geometry) -> FloatArray:
+    """Return the planned velocity into the tissue in m/s, as in the air."""
+    velocity = np.zeros_like(times)
+    for move in visit.moves:
+        during = slice(
+            *np.searchsorted(times, [visit.start + move.start, visit.start + move.stop])
+        )
+        velocity[during] = geometry.length_m * move.strain_rate_at(times[during] - visit.start)
+    return velocity
 
 
 def _displacement_stream(
@@ -200,13 +266,14 @@ def _displacement_stream(
     sensor = scenario.displacement
     elapsed_ns, times = _sampling(sensor, duration, generator)
     reading = sensor.surface_m + scenario.geometry.depth_of_strain(_strain(visits, times))
+    step = scenario.disturbances.displacement_step_m
     noise = sensor.noise_m * generator.standard_normal((times.size, 3))
     stamps = elapsed_ns + round(sensor.delay_s * 1e9)
     kept = _kept(stamps, scenario.dropouts, "displacement")
     if sensor.message == "joint_state":
-        return _stream(sensor, stamps[kept], (reading + noise[:, 2])[kept], None)
+        return _stream(sensor, stamps[kept], quantised(reading + noise[:, 2], step)[kept], None)
     axis = np.array(sensor.axis)
-    position = np.outer(reading, axis) + _lateral(visits, times, axis) + noise
+    position = quantised(np.outer(reading, axis) + _lateral(visits, times, axis) + noise, step)
     return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
 
 
@@ -315,7 +382,7 @@ def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str,
         }
         for count, (number, visit, contact) in enumerate(met, start=1)
     ]
-    return {
+    truth = {
         "scenario": scenario.name,
         "description": scenario.description,
         "seed": seed,
@@ -326,3 +393,8 @@ def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str,
         "sites": sites,
         "contacts": contacts,
     }
+    if scenario.disturbances != Disturbances():
+        truth["disturbances"] = asdict(scenario.disturbances)
+    if scenario.preload.depth_m > 0.0:
+        truth["preload"] = asdict(scenario.preload)
+    return truth

@@ -19,7 +19,7 @@ the probe is in contact where its own :math:`\varphi` is larger.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,6 +171,13 @@ class Tissue:
         self._remember(first, self._free(first))
         rest = self._prepared((1.0 - share) * self.step)
         return self._advance(rest, self._free(rest), strain, column)
+
+    def response(self, column: int = 0) -> Callable[[float], float]:
+        """Return the stress in Pa after the next whole step, as a function of its strain."""
+        free = float(self._free(self._whole)[column])
+        slope = float(self._whole.slope[column])
+        phi = self.columns[column].phi
+        return lambda strain: slope * max(phi(strain) - free, 0.0)
 
     def _advance(self, step: _Step, phi: FloatArray, strain: float, column: int) -> float:
         """Take one step in which the columns would move freely to `phi`; return the stress."""

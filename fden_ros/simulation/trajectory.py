@@ -45,10 +45,16 @@ class Path:
         Where it starts, at time 0.
     length_m
         Length of a strain of 1 in the air, in m.
+
+    Attributes
+    ----------
+    floor
+        Least strain that :meth:`go` goes back to.
     """
 
     def __init__(self, strain: float, length_m: float) -> None:
         self.time = 0.0
+        self.floor = -math.inf
         self.strain = strain
         self.length_m = length_m
         self.moves: list[Move] = []
@@ -60,6 +66,7 @@ class Path:
 
     def go(self, strain: float, strain_rate: float) -> None:
         """Move to `strain` at a constant rate (1/s, its sign does not matter)."""
+        strain = max(strain, self.floor)
         if strain != self.strain:
             duration = abs(strain - self.strain) / abs(strain_rate)
             self._add(LinearMove(self.time, self.time + duration, self.strain, strain))

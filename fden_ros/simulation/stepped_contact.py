@@ -1,0 +1,158 @@
+r"""Contacts of a probe whose motion in the tissue is not the planned one, step by step.
+
+The surface moves, the tool gives way under the very force that the tissue answers with, the drive
+has play, and each press leaves a dent. The strain that the tissue sees is
+
+.. math:: x = \mathrm{strain}(u_{tip} - c\\,f - s(t) - p) ,
+
+with the tip behind the play, the compliance c, the surface s and the dent p so far. The force f of
+the hereditary law depends on x of the same instant, so each step of
+:class:`~fden_ros.simulation.tissue.Tissue` is solved for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+
+from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move
+from fden_ros.simulation.disturbance import Disturbances, with_backlash
+from fden_ros.simulation.tissue import Column, Tissue
+
+if TYPE_CHECKING:
+    from fden_ros.simulation.scenario import Geometry
+
+#: Time step [s].
+STEP_S = 1e-3
+#: A touch shorter than this [s] is no press and leaves no dent.
+_SHORTEST_PRESS = 0.1
+
+
+@dataclass(frozen=True)
+class SteppedContact:
+    """One stretch of time in which the probe presses, in s, and the largest strain in it."""
+
+    start: float
+    stop: float
+    largest_strain: float
+
+    def max_strain(self, model: FdenModel) -> float:
+        """Return the largest strain of the contact."""
+        return self.largest_strain
+
+
+@dataclass(frozen=True)
+class SteppedHistory:
+    """The contacts of a disturbed motion with one site of the tissue, in the order of time.
+
+    Attributes
+    ----------
+    contacts
+        What :class:`~fden_ros.simulation.contact.ContactHistory` has, too.
+    model
+        The tissue.
+    times, strains, stresses
+        Of every step, in s, 1 and Pa, shape (n,); the stress is 0 out of contact.
+    """
+
+    contacts: tuple[SteppedContact, ...]
+    model: FdenModel
+    times: FloatArray
+    strains: FloatArray
+    stresses: FloatArray
+
+    def stress(self, times: ArrayLike) -> FloatArray:
+        """Return the stress in Pa at `times`, linear between the steps."""
+        stress: FloatArray = np.interp(
+            np.asarray(times, dtype=float), self.times, self.stresses, 0.0, 0.0
+        )
+        return stress
+
+
+def stepped_contacts(
+    moves: Sequence[Move],
+    model: FdenModel,
+    geometry: Geometry,
+    disturbances: Disturbances,
+    surface: Callable[[FloatArray], FloatArray],
+    step: float = STEP_S,
+) -> SteppedHistory:
+    """Follow a disturbed probe over fresh tissue and return the contacts it makes.
+
+    Parameters
+    ----------
+    moves
+        Consecutive planned moves, which are what the axis reports; in strain.
+    model
+        The tissue, at rest at the beginning.
+    geometry
+        From strain to depth and from stress to force.
+    disturbances
+        Of the motion; others are not looked at.
+    surface
+        How far the surface has moved away from the probe [m], of times [s], both (n,).
+    step
+        In s.
+    """
+    start, stop = moves[0].start, moves[-1].stop
+    count = max(int(np.ceil((stop - start) / step - 1e-9)), 1)
+    times: FloatArray = start + step * np.arange(count + 1, dtype=np.float64)
+    planned = geometry.depth_of_strain(strain_of_moves(moves, times))
+    depths = with_backlash(planned, disturbances.backlash_m) - surface(times)
+    tissue = Tissue([Column(model)], step)
+    strains, stresses = np.empty_like(times), np.zeros_like(times)
+    strains[0] = geometry.strain_of_depth(float(depths[0]))
+    contacts: list[SteppedContact] = []
+    touch, dent = None, 0.0
+    for n, depth in enumerate(depths[1:].tolist(), start=1):
+        strain = _strain_under(tissue, depth - dent, geometry, disturbances.compliance_m_per_n)
+        stress = tissue.press(strain)
+        strains[n], stresses[n] = strain, stress
+        if stress > 0.0 and touch is None:
+            touch = n - 1
+        if touch is not None and (stress == 0.0 or n == count):
+            contacts.append(
+                SteppedContact(
+                    float(times[touch]), float(times[n]), float(strains[touch : n + 1].max())
+                )
+            )
+            if (n - touch) * step >= _SHORTEST_PRESS:
+                dent += disturbances.plastic_set_m
+            touch = None
+    return SteppedHistory(tuple(contacts), model, times, strains, stresses)
+
+
+def strain_of_moves(moves: Sequence[Move], times: FloatArray) -> FloatArray:
+    """Return the planned strain at ascending `times` (n,), held after the last move."""
+    edges = np.searchsorted(times, [move.start for move in moves[1:]])
+    strain = np.empty_like(times)
+    bounds = [0, *edges.tolist(), times.size]
+    for move, first, last in zip(moves, bounds[:-1], bounds[1:], strict=True):
+        strain[first:last] = move.strain_at(np.minimum(times[first:last], move.stop))
+    return strain
+
+
+def _strain_under(tissue: Tissue, depth: float, geometry: Geometry, compliance: float) -> float:
+    """Return the strain at which the tool, bent by the tissue's force, reaches `depth`."""
+    unbent = geometry.strain_of_depth(depth)
+    if compliance == 0.0:
+        return unbent
+    response = tissue.response()
+    scale = compliance * geometry.force_per_stress
+    if response(unbent) <= 0.0:
+        return unbent
+
+    def excess(strain: float) -> float:
+        place = float(geometry.depth_of_strain(np.array([strain]))[0])
+        return place + scale * response(strain) - depth
+
+    # Without any force the tip would be too high: at the free surface, where the force is 0.
+    low = unbent
+    while excess(low) > 0.0:
+        low -= 0.02
+    return float(brentq(excess, low, unbent, xtol=1e-10))
