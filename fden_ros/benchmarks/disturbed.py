@@ -28,7 +28,7 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import START_NS, Recording, simulate
+from fden_ros.simulation.simulate import EXACT, START_NS, Recording, simulate
 from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ _FAST: Press = Ramp(0.4, 0.25, 0.4)
 
 #: So wide that the data decide.
 PRIOR: Mapping[str, Any] = {
-    "alpha.source": "prior",
+    "alpha.learn": True,
     "prior.linear_stiffness": 4000.0,
     "prior.linear_stiffness_log_sd": 1.0,
     "prior.nonlinear_stiffness": 8.0,
@@ -365,6 +365,9 @@ def _identified(
     recording: Recording, parameters: Mapping[str, Any]
 ) -> tuple[Pipeline, list[Output]]:
     own = {**recording.truth["identifier_parameters"], **PRIOR}
+    for name in EXACT:
+        # A user does not know that a rig is not disturbed.
+        own.pop(name, None)
     # Nobody has told the identifier of the delay, nor of alpha.
     for name in ("displacement.delay", "alpha.value", "alpha.sd"):
         own.pop(name, None)

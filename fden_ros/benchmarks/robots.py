@@ -77,7 +77,9 @@ def run(args: argparse.Namespace) -> Report:
     contacts = usual if args.contacts is None else args.contacts
     if contacts < 1 or args.jobs < 1:
         raise InputError("--contacts and --jobs must be at least 1")
-    parameters = read_parameter_file(args.parameters) if args.parameters else {}
+    parameters: dict[str, Any] = {}
+    if args.parameters:
+        parameters = dict(read_parameter_file(args.parameters).as_dict())
     rows = [measure(case, own) for case, own in _trials(cases, contacts, parameters, args.jobs)]
     estimates = [row for row in rows if not row.case.detection]
     return Report(

@@ -21,7 +21,6 @@ from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.parameters.table import Parameters
 from fden_ros.tissues.library import library_for
 
-
 #: The relaxation's relative error over that of the stress-strain curve [1], as on beef: 0.05
 #: against 0.2 predict the hold of 78 presses within their intervals.
 _KERNEL_SHARE = 0.25

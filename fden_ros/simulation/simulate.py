@@ -141,8 +141,9 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
         "displacement.message": displacement.message,
         "displacement.axis": list(displacement.axis),
         "displacement.delay": displacement.delay_s,
-        **EXACT,
     }
+    if scenario.disturbances == Disturbances():
+        parameters |= EXACT
     orders = {model.fractional_order for model in models}
     if len(orders) == 1:
         parameters["alpha.learn"] = False
