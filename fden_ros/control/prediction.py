@@ -9,21 +9,27 @@ is to come. With f linear between the points of the plan this is one lower trian
 solved for f it gives the force, multiplied out the motion. The constant c makes the plan begin at
 what is measured now, so it takes up the origin's and the sensor's error.
 
+Where the tissue is not exactly that of the law, c is the fractional stress of a stress that the
+law leaves out and that stays as it is: it grows as :math:`((A + t)/A)^\alpha`, with A the age of
+the loading.
+
 The interval is first-order: derivatives by (ln G, ln Gn, alpha, c) under the estimate's covariance
-and the variance of the last innovation.
+and the variance of the last innovation; to it comes the error of the relaxation, which grows with
+ln A (:mod:`fden_ros.core.estimation.unmodelled`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.estimation.unmodelled import KERNEL_SHARE, kernel_error_variance
 from fden_ros.core.law.characteristic import phi, strain_of_phi
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import Geometry, Sphere
@@ -32,6 +38,8 @@ from fden_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
+#: Model error [1] below which the tissue is taken for that of the law.
+_LEAST_MODEL_ERROR = 0.01
 #: Points of a plan are this close at most, as a share of its length.
 _FINEST_SHARE = 40
 _DERIVATIVE_STEP = 1e-4
@@ -118,12 +126,15 @@ class Predictor:
 
         def forces(logs: Array, order: float, shift: float) -> Array:
             known, gains = self._known(grid, order)
-            rest = phi(strains, *np.exp(logs)) + self._shift(logs, order) + shift - known
+            left_out = self._left_out(logs, order, grid)
+            rest = phi(strains, *np.exp(logs)) + left_out + shift - known
             stress = solve_triangular(gains, rest, lower=True)
             # Contact pushes and does not pull.
             return np.maximum(np.interp(wanted, grid, stress), 0.0) * scale
 
-        return self._with_deviation(wanted, forces)
+        prediction = self._with_deviation(wanted, forces)
+        left_out = prediction.value**2 * self._relaxation_variance(wanted)
+        return replace(prediction, sd=np.sqrt(prediction.sd**2 + left_out))
 
     def motion(self, times: ArrayLike, forces: ArrayLike) -> Prediction:
         """Return the way further into the tissue that makes a planned force.
@@ -150,7 +161,7 @@ class Predictor:
 
         def moves(logs: Array, order: float, shift: float) -> Array:
             known, gains = self._known(grid, order)
-            elastic = known + gains @ stress - self._shift(logs, order) - shift
+            elastic = known + gains @ stress - self._left_out(logs, order, grid) - shift
             strain = strain_of_phi(np.interp(wanted, grid, elastic), *np.exp(logs))
             start = _compression(self.geometry, np.array([self.strain]))
             return (_compression(self.geometry, strain) - start) * self.geometry.length
@@ -161,6 +172,27 @@ class Predictor:
         """Return D^-order f of what is known (n,), and the gains of the stress to come (n, n)."""
         gains = _gains(np.append(0.0, grid), order)
         return self.memory.remembered(grid, order) + gains[:, 0] * self.stress, gains[:, 1:]
+
+    def _left_out(self, logs: Array, order: float, times: Array) -> Array:
+        """Return the fractional stress that the law leaves out at times to come, shape (n,)."""
+        age = self.estimate.loading_age
+        growth = ((age + times) / age) ** order if self._has_model_error else np.ones_like(times)
+        result: Array = self._shift(logs, order) * growth
+        return result
+
+    @property
+    def _has_model_error(self) -> bool:
+        estimate = self.estimate
+        return estimate.model_error > _LEAST_MODEL_ERROR and estimate.loading_age > 0.0
+
+    def _relaxation_variance(self, times: Array) -> Array:
+        """Return the relative variance of a force to come by the kernel's error, shape (n,)."""
+        if not self._has_model_error:
+            return np.zeros_like(times)
+        age = self.estimate.loading_age
+        ageing = np.log((age + times) / age)
+        kernel_sd = KERNEL_SHARE * self.estimate.model_error
+        return np.array([kernel_error_variance(kernel_sd, float(grown)) for grown in ageing])
 
     def _shift(self, logs: Array, order: float) -> float:
         """Return c: measured less modelled fractional stress at the present."""

@@ -15,15 +15,12 @@ from fden_ros.core.estimation.estimate import (
     Prior,
     Uncertainty,
 )
+from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.parameters.table import Parameters
 from fden_ros.tissues.library import library_for
-
-#: The relaxation's relative error over that of the stress-strain curve [1], as on beef: 0.05
-#: against 0.2 predict the hold of 78 presses within their intervals.
-_KERNEL_SHARE = 0.25
 
 
 def unit_vector(values: Sequence[float]) -> tuple[float, float, float]:
@@ -78,7 +75,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             converged_log_sd=parameters.converged.log_sd,
             converged_probability=parameters.converged.probability,
             uncertainty=Uncertainty(
-                kernel_sd=_KERNEL_SHARE * parameters.model_error.sd,
+                kernel_sd=KERNEL_SHARE * parameters.model_error.sd,
                 characteristic_sd=parameters.model_error.sd,
                 surface_motion_sd=parameters.surface.motion_sd,
                 force_drift_sd=parameters.force.drift_sd,

@@ -153,6 +153,8 @@ def _fill_parameters(
     message.covariance = estimate.covariance.ravel()
     message.strain_origin = estimate.strain_origin
     message.strain_origin_sd = estimate.strain_origin_sd
+    message.model_error = estimate.model_error
+    message.loading_age = estimate.loading_age
     message.alpha_source = int(source)
 
 
@@ -251,6 +253,8 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         covariance=np.array(message.covariance).reshape(3, 3),
         strain_origin=message.strain_origin,
         strain_origin_sd=message.strain_origin_sd,
+        model_error=message.model_error,
+        loading_age=message.loading_age,
         probability_beyond_boundary=math.nan,
         converged=converged,
         sample_count=sample_count,

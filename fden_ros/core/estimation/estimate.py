@@ -185,6 +185,11 @@ class Estimate(NamedTuple):
     probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
     converged: bool
     sample_count: int
+    #: Relative standard deviation of the stress-strain curve from the law over a factor e of
+    #: stress, averaged by the evidence [1]; 0: the data are those of the law.
+    model_error: float = 0.0
+    #: Mean time since the present elastic response was built up [s]; 0: not known.
+    loading_age: float = 0.0
 
     @property
     def mean(self) -> Array:

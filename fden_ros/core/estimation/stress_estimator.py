@@ -363,7 +363,14 @@ class StressEstimator:
             and beyond >= config.converged_probability
             and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
             sample_count=self._sample_count,
+            model_error=self._model_error,
+            loading_age=self._age.age,
         )
+
+    @property
+    def _model_error(self) -> float:
+        errors = [posterior.uncertainty.characteristic_sd for posterior in self._bank]
+        return math.sqrt(float(self._weights @ np.square(errors)))
 
     def _probability_beyond_boundary(self, mean: Array) -> float:
         compression = self._max_compression - float(mean[_ORIGIN])
