@@ -23,6 +23,7 @@ from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
+from fden_ros.simulation.simulate import EXACT
 from fden_ros.simulation.tissue import Column, Inclusion
 
 Array = NDArray[np.float64]
@@ -181,7 +182,8 @@ def _close_loop(
     rig = Rig(rig_config)
     controller = ForceController(config)
     parameters = check(
-        {"geometry.area": rig_config.area, "geometry.thickness": rig_config.thickness}
+        # The stepped rig is rigid, and its tissue that of the law.
+        {**EXACT, "geometry.area": rig_config.area, "geometry.thickness": rig_config.thickness}
     )
     pipeline_settings = pipeline_config(parameters)
     live = LiveTissue(pipeline_settings.geometry)

@@ -78,6 +78,8 @@ _WIDE = Prior(1.0, 3.0, 8.4, 0.8, 0.2, 0.15)
 _LEAST_ORDER_SD = 0.005
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY_DEVIATION = 1e-9
+#: Deviation of ln Gn of a converged estimate [1], as by default.
+_CONVERGED_LOG_SD = 0.1
 #: A testing machine: its rig leaves nothing out, the law does as on any tissue.
 _MACHINE = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
 _TWO_SIDED_95 = 1.96
@@ -340,7 +342,12 @@ def _config(test: Test, prior: Prior, given: bool) -> PipelineConfig:
         geometry=FlatPunch(area=1.0, thickness=test.thickness),
         # The recording begins in contact, so bias and noise cannot be measured in the air.
         contact=ContactConfig(measure_bias=False, force_noise=_FORCE_NOISE),
-        estimator=EstimatorConfig(prior=prior, fractional_order_given=given, converged_log_sd=0.1, uncertainty=_MACHINE),
+        estimator=EstimatorConfig(
+            prior=prior,
+            fractional_order_given=given,
+            converged_log_sd=_CONVERGED_LOG_SD,
+            uncertainty=_MACHINE,
+        ),
         strain_origin=0.0,
     )
 
