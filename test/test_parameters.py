@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import astuple, replace
 from importlib import resources
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from geometry_msgs.msg import PointStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation.estimate import Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.errors import InputError
 from fden_ros.parameters import (
@@ -19,10 +21,12 @@ from fden_ros.parameters import (
     Parameters,
     check,
     pipeline_config,
+    read_parameter_file,
     tool_weight,
     unit_vector,
 )
 from fden_ros.ros.inputs import Inputs
+from fden_ros.simulation.simulate import EXACT
 from fden_ros.tissues.library import load_library
 
 
@@ -168,10 +172,37 @@ def test_geometry_is_made_of_its_parameters(values, geometry):
 def test_defaults_of_the_table_are_those_of_the_core():
     config = pipeline_config(Parameters())
     core = PipelineConfig(library=load_library())
-    for part in ("geometry", "synchronize", "contact", "estimator"):
+    for part in ("geometry", "synchronize", "contact"):
         assert getattr(config, part) == getattr(core, part)
     assert config.strain_origin is None
     assert config.block_duration == core.block_duration
+    # Different on purpose: see the next test.
+    own = {name: getattr(core.estimator, name) for name in ("uncertainty", "converged_log_sd")}
+    assert replace(config.estimator, **own) == core.estimator
+
+
+def test_the_table_states_a_typical_arm_where_the_core_leaves_nothing_out():
+    arm, core = pipeline_config(Parameters()).estimator, PipelineConfig(load_library()).estimator
+    assert core.uncertainty == Uncertainty()
+    assert set(astuple(core.uncertainty)) == {0.0}
+    assert min(astuple(arm.uncertainty)) > 0.0
+    # What an arm leaves open costs deviation: with the core's limit it would seldom converge.
+    assert (arm.converged_log_sd, core.converged_log_sd) == (0.1, 0.05)
+
+
+def test_the_parameters_of_a_bench_leave_out_the_model_s_error_only():
+    path = Path(__file__).parent.parent / "config" / "bench.yaml"
+    bench = pipeline_config(read_parameter_file(path)).estimator
+    arm = pipeline_config(Parameters()).estimator
+    assert bench.uncertainty == Uncertainty(
+        kernel_sd=arm.uncertainty.kernel_sd, characteristic_sd=arm.uncertainty.characteristic_sd
+    )
+    assert bench.converged_log_sd == 0.05
+
+
+def test_what_simulated_bags_state_leaves_nothing_out():
+    exact = pipeline_config(check(EXACT)).estimator
+    assert exact == PipelineConfig(load_library()).estimator
 
 
 def test_alpha_is_learned_from_the_prior_or_given_by_it():
@@ -202,10 +233,26 @@ ARRIVES = {
     "force.noise": (0.01, {}, lambda c: c.contact.force_noise, 0.01),
     "force.noise_floor": (1e-3, {}, lambda c: c.contact.noise_floor, 1e-3),
     "force.measure_bias": (False, {}, lambda c: c.contact.measure_bias, False),
+    "force.drift_sd": (0.01, {}, lambda c: c.estimator.uncertainty.force_drift_sd, 0.01),
+    "force.friction_sd": (0.0, {}, lambda c: c.estimator.uncertainty.friction_sd, 0.0),
     "force.limit": (10.0, {}, lambda c: c.synchronize.force_limit, 10.0),
     "displacement.delay": (0.02, {}, lambda c: c.synchronize.displacement_delay, 0.02),
     "displacement.limit": (1.0, {}, lambda c: c.synchronize.displacement_limit, 1.0),
     "displacement.compliance": (1e-4, {}, lambda c: c.contact.series_compliance, 1e-4),
+    "displacement.compliance_sd": (
+        1e-3,
+        {},
+        lambda c: c.estimator.uncertainty.compliance_sd,
+        1e-3,
+    ),
+    "displacement.delay_sd": (0.01, {}, lambda c: c.estimator.uncertainty.delay_sd, 0.01),
+    "surface.motion_sd": (1e-3, {}, lambda c: c.estimator.uncertainty.surface_motion_sd, 1e-3),
+    "model_error.sd": (
+        0.4,
+        {},
+        lambda c: (c.estimator.uncertainty.characteristic_sd, c.estimator.uncertainty.kernel_sd),
+        (0.4, 0.1),
+    ),
     "synchronize.max_gap": (0.1, {}, lambda c: c.synchronize.max_gap, 0.1),
     "synchronize.window": (2.0, {}, lambda c: c.synchronize.pairing_window, 2.0),
     "geometry.kind": ("sphere", {}, lambda c: c.geometry, Sphere(0.005)),
@@ -219,6 +266,7 @@ ARRIVES = {
         lambda c: c.geometry,
         FlatPunch(1e-4, 0.02, 0.45),
     ),
+    "geometry.thickness_sd": (0.1, {}, lambda c: c.estimator.uncertainty.thickness_sd, 0.1),
     "origin.source": ("given", {}, lambda c: c.strain_origin, 0.0),
     "origin.displacement": (-0.1, GIVEN, lambda c: c.strain_origin, -0.1),
     "contact.lookback": (2.0, {}, lambda c: c.contact.lookback, 2.0),
@@ -247,7 +295,7 @@ ARRIVES = {
     ),
     "prior.alpha": (0.3, {}, lambda c: c.estimator.prior.fractional_order, 0.3),
     "prior.alpha_sd": (0.1, {}, lambda c: c.estimator.prior.fractional_order_sd, 0.1),
-    "converged.log_sd": (0.1, {}, lambda c: c.estimator.converged_log_sd, 0.1),
+    "converged.log_sd": (0.05, {}, lambda c: c.estimator.converged_log_sd, 0.05),
     "converged.probability": (0.9, {}, lambda c: c.estimator.converged_probability, 0.9),
     "estimate.period": (0.02, {}, lambda c: c.block_duration, 0.02),
     "estimate.time_scale": (1.0, {}, lambda c: c.apparent_stiffness_time_scale, 1.0),
