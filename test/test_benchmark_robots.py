@@ -129,7 +129,9 @@ def test_quick_run_of_two_rows_finds_what_is_disturbed(tmp_path, capsys):
 
 def test_parameters_come_from_a_file_and_tables_can_be_pasted(tmp_path, capsys):
     path = tmp_path / "mine.yaml"
-    path.write_text("displacement.compliance: 0.0005\n")
+    path.write_text(
+        "/**:\n  ros__parameters:\n    displacement: {compliance: 0.0005, compliance_sd: 0.0}\n"
+    )
     arguments = ("--cases", "compliance_0.5", "--contacts", 1, "--jobs", 1, "-o", tmp_path)
     benchmark(capsys, *arguments)
     plain = json.loads((tmp_path / "robots.json").read_text())["figures"]["cases"][0]

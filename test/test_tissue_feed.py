@@ -29,6 +29,7 @@ from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
+from fden_ros.simulation.simulate import EXACT
 from fden_ros.simulation.tissue import Column
 from fden_ros.tissue_feed import TissueFeed
 
@@ -46,7 +47,9 @@ class Press:
         rig = Rig(RigConfig((Column(model),), seed=seed))
         self.states: list[TissueState] = []
         pipeline = Pipeline(
-            pipeline_config(check({"geometry.area": AREA, "geometry.thickness": THICKNESS})),
+            pipeline_config(
+                check({**EXACT, "geometry.area": AREA, "geometry.thickness": THICKNESS})
+            ),
             lambda out: self.states.append(out) if isinstance(out, TissueState) else None,
         )
         kept = []
