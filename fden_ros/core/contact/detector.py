@@ -14,10 +14,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fden_ros.core.contact.air import MIN_CHUNKS, Baseline, Chunk
-from fden_ros.core.contact.surface import find_surface
+from fden_ros.core.contact.surface import Surface, find_surface
 from fden_ros.core.streams.samples import Pair, Position
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,10 @@ _RELEASE_CHUNKS = 2
 #: line in time does is a drift; it is tested again when it has grown by the factor.
 _MIN_EVIDENCE = 12.0
 _RETRY = 1.25
+#: A probe has come to the surface through the air when its way there is more than this many
+#: deviations of the surface [1], and than this many usual steps of the displacement [1]: noise
+#: alone reaches six.
+_APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: After 10 chunks in a row that lie below the bias by more than the threshold the baseline is
 #: measured anew.
 _BELOW_BASELINE_CHUNKS = 10
@@ -223,6 +230,21 @@ class ContactDetector:
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
 
+    def _has_approached(self, displacement: Array, surface: Surface) -> bool:
+        """Whether the probe came to the surface through the air.
+
+        A probe that rested there until the force rose may have pressed already: its bias would
+        hide the preload.
+        """
+        if not self._config.measure_bias:
+            return True
+        steps = np.diff(displacement[: surface.first])
+        noise = float(np.median(np.abs(steps))) if steps.size else 0.0
+        way = surface.displacement - float(displacement[: surface.first].min())
+        return way > max(
+            _APPROACH_DEVIATIONS * surface.displacement_sd, _APPROACH_STEPS * noise
+        )
+
     def _begin(self, bias: float, threshold: float, now_ns: int) -> Onset | None:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
@@ -238,7 +260,7 @@ class ContactDetector:
         self._baseline.forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
         level = self._baseline.level(bias)
         air_seen = float(force[0]) < threshold
-        seen = surface.first > 0 and air_seen
+        seen = surface.first > 0 and air_seen and self._has_approached(displacement, surface)
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
         onset = Onset(
