@@ -58,9 +58,6 @@ _SCALES = (0.0, 1.0)
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
 _RARELY = 40
-#: Logarithm of the odds [1] at which a scale is excluded, so that a change of the tissue, whose
-#: odds in any one block are of this order, explains a surprise better than that scale would.
-_EXCLUDED = 1e9
 #: Share of the prior's deviation of ln G [1] below which the data have said something.
 _KNOWN_SHARE = 0.5
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
@@ -116,7 +113,6 @@ class StressEstimator:
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
-        self._excluded = np.zeros(len(self._bank), dtype=bool)
         self._age = LoadingAge()
         self._last_compression = math.nan
         self._max_compression = 0.0
@@ -219,12 +215,10 @@ class StressEstimator:
             ),
             is_beyond_model_error=(len(self._bank) == 1 or self._is_tissue_known)
             and all(
-                residual**2 > CHANGE_DEVIATIONS**2 * (noise + spread) or excluded
-                for (_, _, residual, _, spread), excluded in zip(
-                    taken, self._excluded, strict=True
-                )
+                residual**2 > CHANGE_DEVIATIONS**2 * (noise + spread)
+                for _, _, residual, _, spread in taken
             ),
-            is_exact=best is self._bank[0] and bool(np.all(self._excluded[1:])),
+            is_exact=len(self._bank) == 1,
         )
         if change is not None:
             self._start_anew(change, innovation, block)
@@ -304,7 +298,6 @@ class StressEstimator:
                 posterior.covariance = self._best.covariance.copy()
             posterior.start_anew(innovation.predicted_fractional_stress)
         self._weights.fill(1.0 / len(self._bank))
-        self._excluded.fill(False)
         self._max_compression = -math.inf
 
     def relinearise(self, *, fully: bool = False) -> None:
@@ -327,7 +320,6 @@ class StressEstimator:
         weights = np.exp(evidence - evidence.max())
         self._weights = weights / weights.sum()
         self._best = self._bank[int(np.argmax(self._weights))]
-        self._excluded = evidence < evidence.max() - _EXCLUDED
 
     # Result
 

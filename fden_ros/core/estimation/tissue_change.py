@@ -116,7 +116,7 @@ class TissueChange:
             Whether the innovation is a surprise for every likely ln Gn; asked where the posterior
             is not normal.
         is_beyond_model_error : bool
-            Whether it is a surprise at every scale of the model's error that is not excluded.
+            Whether it is a surprise at every scale of the model's error.
         is_exact : bool
             Whether the law holds without a model's error: only then is a deviation that came
             slowly a change too.
