@@ -228,7 +228,7 @@ def jittered_times(rng, duration, mean_step, knots):
 
 
 def test_ramp_and_hold_of_1000_s_on_jittered_steps_is_within_1e_9_of_the_peak():
-    # The promise of the issue: full-memory product integration, jittered steps, every order.
+    # The promise: full-memory product integration, jittered steps, every order.
     rng = np.random.default_rng(5)
     times = jittered_times(rng, 1000.0, 0.01, [100.0, 1000.0])
     values = np.interp(times, [0.0, 100.0, 1000.0], [0.0, 2.0, 2.0])
