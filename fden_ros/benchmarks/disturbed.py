@@ -365,11 +365,8 @@ def _identified(
     recording: Recording, parameters: Mapping[str, Any]
 ) -> tuple[Pipeline, list[Output]]:
     own = {**recording.truth["identifier_parameters"], **PRIOR}
-    for name in EXACT:
-        # A user does not know that a rig is not disturbed.
-        own.pop(name, None)
-    # Nobody has told the identifier of the delay, nor of alpha.
-    for name in ("displacement.delay", "alpha.value", "alpha.sd"):
+    # A user knows neither the delay nor that a rig is not disturbed.
+    for name in ("displacement.delay", *EXACT):
         own.pop(name, None)
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check({**parameters, **own})), outputs.append)

@@ -229,12 +229,6 @@ class NormalEquations:
         self._columns[place, place] = own
         self.forget(index)
 
-    def own(self, index: int) -> float:
-        """Return the summed square of a linear column, over the variances of the blocks."""
-        self._add_up()
-        column = self._column(index)
-        return float(self._columns[column, column])
-
     @staticmethod
     def _column(index: int) -> int:
         return index - _NONLINEAR + _ORDERS

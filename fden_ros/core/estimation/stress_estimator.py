@@ -32,7 +32,11 @@ from fden_ros.core.estimation.unmodelled import (
     model_error_variance,
     rig_error_variance,
 )
-from fden_ros.core.law.characteristic import ElasticResponse, elastic_response
+from fden_ros.core.law.characteristic import (
+    ElasticResponse,
+    apparent_stiffness_factor,
+    elastic_response,
+)
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation
@@ -244,7 +248,7 @@ class StressEstimator:
         """Return the elastic response at a block, and E at the time scale of the surface."""
         strain = self._geometry.strain(block.compression - float(state[_ORIGIN]))
         elastic = elastic_response(strain, math.exp(state[_LOG_G]), math.exp(state[_LOG_GN]))
-        return elastic, _relaxed(float(state[_ORDER]), _SURFACE_TIME)
+        return elastic, apparent_stiffness_factor(float(state[_ORDER]), _SURFACE_TIME)
 
     def _respond(
         self, block: Block, state: Array, slope: float
@@ -265,7 +269,7 @@ class StressEstimator:
         if not math.isnan(self._last_compression) and block.duration > 0.0:
             rate = (block.compression - self._last_compression) / block.duration
             speed = rate * geometry.length
-            relaxed = _relaxed(float(state[_ORDER]), _DELAY_TIME)
+            relaxed = apparent_stiffness_factor(float(state[_ORDER]), _DELAY_TIME)
             linear[StateIndex.DELAY] = uncertainty.delay_sd * slope * relaxed * rate
             linear[StateIndex.FRICTION] = (
                 uncertainty.friction_sd
@@ -391,8 +395,3 @@ def _at_scales(config: EstimatorConfig) -> list[EstimatorConfig]:
         )
         for scale in _SCALES
     ]
-
-
-def _relaxed(order: float, time: float) -> float:
-    """Return E(t) = t^-alpha / Gamma(1 - alpha) [s^-alpha]."""
-    return float(time**-order / math.gamma(1.0 - order))
