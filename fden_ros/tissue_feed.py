@@ -27,10 +27,11 @@ from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPo
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
+from fden_ros.core.estimation.estimate import NOTHING_UNKNOWN
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
-from fden_ros.parameters import geometry_of, read_parameter_file
+from fden_ros.parameters import geometry_of, read_parameter_file, uncertainty_of
 from fden_ros.ros.messages import state_of
 
 #: What the identifier offers; a feed cannot ask for less.
@@ -55,7 +56,8 @@ class TissueFeed:
     identifier : str
         Name of the identifier node.
     parameters : path or None
-        The identifier's parameter file, for the geometry: predictions in N and m need it.
+        The identifier's parameter file: predictions need the geometry, and what is not known of
+        the rig counts in their deviations.
     geometry : Geometry or None
         The geometry itself, instead of a file.
     deadline : float
@@ -96,8 +98,10 @@ class TissueFeed:
                 f"deadline is {deadline} s; the identifier promises an estimate every "
                 f"{OFFERED_DEADLINE} s, so it must be at least that"
             )
+        uncertainty = NOTHING_UNKNOWN
         if parameters is not None:
-            geometry = geometry_of(read_parameter_file(parameters, identifier))
+            checked = read_parameter_file(parameters, identifier)
+            geometry, uncertainty = geometry_of(checked), uncertainty_of(checked)
         self._node = node
         self._topic = f"{identifier}/estimate"
         self._deadline = deadline
@@ -105,6 +109,7 @@ class TissueFeed:
         self._lock = threading.RLock()
         self._live = LiveTissue(
             geometry,
+            uncertainty=uncertainty,
             deadline=deadline,
             change=change,
             real_time=real_time,

@@ -35,7 +35,8 @@ from fden_ros.benchmarks.peers import (
     LinearFractional,
     Peer,
 )
-from fden_ros.control.prediction import Predictor, StressMemory
+from fden_ros.control.prediction import Predictor
+from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Prior, Uncertainty
@@ -358,16 +359,17 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
     whole, last = identify(test, prior, test.times.size, given)
     estimate, state = identify(test, prior, seen, given)
     now = test.times[seen - 1]
-    memory = StressMemory()
-    memory.start(float(test.forces[0]))
-    for step, force in zip(np.diff(test.times[:seen]), test.forces[1:seen], strict=True):
-        memory.advance(float(step), float(force))
-    strain = test.displacements[seen - 1] / test.thickness - estimate.strain_origin
+    geometry = FlatPunch(area=1.0, thickness=test.thickness)
+    memory = TissueMemory(geometry)
+    strains = test.displacements[:seen] / test.thickness - estimate.strain_origin
+    for step, strain, force in zip(
+        np.diff(test.times[:seen]), strains[1:], test.forces[1:seen], strict=True
+    ):
+        memory.press(float(step), float(strain), float(force))
     predictor = Predictor(
-        FlatPunch(area=1.0, thickness=test.thickness),
+        geometry,
         estimate,
         memory,
-        float(strain),
         float(test.forces[seen - 1]),
         state.innovation.variance if state.innovation is not None else _FORCE_NOISE**2,
     )

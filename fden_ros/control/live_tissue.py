@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from fden_ros.control.prediction import Prediction, Predictor, StressMemory
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.control.prediction import Prediction, Predictor
+from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.core.estimation.estimate import NOTHING_UNKNOWN, Estimate, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.outputs import Flag, Status, TissueState
@@ -87,6 +88,8 @@ class LiveTissue:
     ----------
     geometry : Geometry
         As the identifier's: for forces and displacements of predictions.
+    uncertainty : Uncertainty
+        As the identifier's: what is not known of the rig counts in predictions.
     deadline : float
         An estimate older than this is refused [s].
     refused_flags : Flag
@@ -104,6 +107,7 @@ class LiveTissue:
         self,
         geometry: Geometry | None = None,
         *,
+        uncertainty: Uncertainty = NOTHING_UNKNOWN,
         deadline: float = 0.1,
         refused_flags: Flag = REFUSED_FLAGS,
         change: float = 0.05,
@@ -112,6 +116,7 @@ class LiveTissue:
         on_loss: Callable[[Refusal], None] | None = None,
     ) -> None:
         self.geometry = geometry if geometry is not None else FlatPunch(area=1e-4, thickness=0.02)
+        self._uncertainty = uncertainty
         self.deadline = deadline
         self.on_change = on_change
         self.on_loss = on_loss
@@ -128,7 +133,7 @@ class LiveTissue:
         self._forget()
 
     def _forget(self) -> None:
-        self._memory = StressMemory()
+        self._memory = TissueMemory(self.geometry)
         self._memory_site: int | None = None
         self._memory_ns = 0
         self._memory_whole = False
@@ -222,9 +227,9 @@ class LiveTissue:
             self.geometry,
             reading.estimate,
             self._memory.copy(),
-            signals.strain,
             signals.stress,
             innovation.variance if innovation is not None else 0.0,
+            self._uncertainty,
         )
 
     def predict_force(
@@ -278,8 +283,7 @@ class LiveTissue:
         if state.site_id != self._memory_site:
             # Heard from the air on, nothing of a new site is missed.
             heard = self._memory_site is not None or state.status is Status.NO_CONTACT
-            self._memory = StressMemory()
-            self._memory.start(0.0)
+            self._memory = TissueMemory(self.geometry)
             self._memory_site = state.site_id
             self._memory_whole = heard and (
                 state.site_id == 0 or self._memory_ns > 0 or state.contact_id == 0
@@ -291,10 +295,16 @@ class LiveTissue:
         if step < SHORTEST_STEP:
             return
         in_contact = state.status in (Status.CONVERGING, Status.CONVERGED)
-        if step > _LONGEST_STEP and (in_contact or self._memory.last_value > 0.0):
+        if step > _LONGEST_STEP and (in_contact or self._memory.strain > 0.0):
             self._memory_whole = False
-        stress = state.signals.stress if state.signals is not None and in_contact else 0.0
-        self._memory.advance(step, stress)
+        signals, estimate = state.signals, state.estimate
+        is_free = signals is None or not in_contact
+        if signals is not None and estimate is not None:
+            is_free |= self._memory.is_free(step, signals.strain, estimate)
+        if signals is None or is_free:
+            self._memory.rest(step)
+        else:
+            self._memory.press(step, signals.strain, signals.stress)
         self._memory_ns = state.stamp_ns
 
 

@@ -1,21 +1,19 @@
 r"""Force of a planned motion, and motion for a planned force, with their intervals.
 
-From the law :math:`\varphi(x) = D^{-\alpha} f`, at a time t after the present:
+The law at a time t after the present, with the motion so far remembered and the one to come
+between the points of the plan linear in :math:`\varphi`:
 
-.. math:: \varphi(x(t)) + c = M(t) + \frac{1}{\Gamma(\alpha)} \int_0^t (t-s)^{\alpha-1} f(s)\,ds
+.. math:: f(t) = M(t) + \sum_j g_j(t)\,\Delta\varphi_j + v, \qquad
+    g_j(t) = \frac{(t-t_{j-1})^{1-\alpha} - (t-t_j)^{1-\alpha}}{\Gamma(2-\alpha)\,(t_j-t_{j-1})}
 
-M is what the past force still says, one exponential sum of the memory; the integral is over what
-is to come. With f linear between the points of the plan this is one lower triangular system:
-solved for f it gives the force, multiplied out the motion. The constant c makes the plan begin at
-what is measured now, so it takes up the origin's and the sensor's error.
+M is what the law makes of the past motion (:mod:`fden_ros.control.tissue_memory`). The stress v is
+what law and rig leave out at present: the plan begins at what is measured now, and what the law
+leaves out stays as it is. The motion for a planned force is the same triangular system solved for
+:math:`\Delta\varphi`.
 
-Where the tissue is not exactly that of the law, c is the fractional stress of a stress that the
-law leaves out and that stays as it is: it grows as :math:`((A + t)/A)^\alpha`, with A the age of
-the loading.
-
-The interval is first-order: derivatives by (ln G, ln Gn, alpha, c) under the estimate's covariance
-and the variance of the last innovation; to it comes the error of the relaxation, which grows with
-ln A (:mod:`fden_ros.core.estimation.unmodelled`).
+The interval is first-order: derivatives by (ln G, ln Gn, alpha, v) under the estimate's covariance
+and the variance of the last innovation. To it comes the variance by which what is left out may
+grow while the plan lasts (:mod:`fden_ros.core.estimation.unmodelled`).
 """
 
 from __future__ import annotations
@@ -28,43 +26,37 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from fden_ros.core.estimation.estimate import Estimate, StateIndex
-from fden_ros.core.estimation.unmodelled import KERNEL_SHARE, kernel_error_variance
-from fden_ros.core.law.characteristic import phi, strain_of_phi
-from fden_ros.core.law.fractional_integral import FractionalIntegral
-from fden_ros.core.law.geometry import Geometry, Sphere
-from fden_ros.core.law.kernel import integral_weights, order_interpolation
+from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.core.estimation.estimate import (
+    NOTHING_UNKNOWN,
+    Estimate,
+    StateIndex,
+    Uncertainty,
+)
+from fden_ros.core.estimation.unmodelled import (
+    KERNEL_SHARE,
+    SURFACE_TIME,
+    LoadingAge,
+    model_error_variance,
+    rig_error_variance,
+)
+from fden_ros.core.law.characteristic import (
+    apparent_stiffness_factor,
+    elastic_responses,
+    phi,
+    strain_of_phi,
+)
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
-#: Model error [1] below which the tissue is taken for that of the law.
-_LEAST_MODEL_ERROR = 0.01
+#: Just after the present [s]: the first instant of which the memory knows the whole past.
+_AT_ONCE = 1e-5
 #: Points of a plan are this close at most, as a share of its length.
 _FINEST_SHARE = 40
 _DERIVATIVE_STEP = 1e-4
 _ORDER_STEP = 0.005
-
-
-class StressMemory(FractionalIntegral):
-    """The whole past of the stress at one site, for every order at once."""
-
-    def __init__(self) -> None:
-        super().__init__([0.131])
-
-    def copy(self) -> StressMemory:
-        """Return the memory as it is now."""
-        other = StressMemory()
-        other._memory = self._memory.copy()
-        other.last_value = self.last_value
-        return other
-
-    def remembered(self, elapsed: Array, order: float) -> Array:
-        """Return D^-order of the past alone, shape of `elapsed` (n,), so many seconds from now."""
-        # Interpolated over the orders: their weights are found once, and alpha may be learned.
-        weights = order_interpolation()(order)[0] @ integral_weights()
-        result: Array = np.exp(-np.outer(elapsed, self._rates)) @ (weights * self._memory)
-        return result
 
 
 @dataclass(frozen=True)
@@ -82,26 +74,28 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Predictor:
-    """The tissue as it is now: parameters, memory, present strain and stress.
+    """The tissue as it is now: parameters, memory and present stress.
 
     Parameters
     ----------
     geometry : Geometry
     estimate : Estimate
-    memory : StressMemory
-        The stress of the site up to now.
-    strain, stress : float
-        Present values [1], [Pa].
+    memory : TissueMemory
+        The motion at the site up to now.
+    stress : float
+        Present value [Pa].
     innovation_variance : float
         Of the stress or the fractional stress, which differ little over seconds [Pa^2].
+    uncertainty : Uncertainty
+        What is not known of the rig; the model's error is the estimate's.
     """
 
     geometry: Geometry
     estimate: Estimate
-    memory: StressMemory
-    strain: float
+    memory: TissueMemory
     stress: float
     innovation_variance: float = 0.0
+    uncertainty: Uncertainty = NOTHING_UNKNOWN
 
     def force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction:
         """Return the force on the tissue while the probe follows a plan.
@@ -121,20 +115,24 @@ class Predictor:
         wanted, moves = _plan(times, displacements, "displacements")
         grid = _grid(wanted)
         way = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
-        strains = self._strains(way)
-        scale = 1.0 / self.geometry.stress_per_force
+        compressions = self.memory.compression + way / self.geometry.length
+        strains = np.array([self.geometry.strain(float(u)) for u in compressions])
 
-        def forces(logs: Array, order: float, shift: float) -> Array:
-            known, gains = self._known(grid, order)
-            left_out = self._left_out(logs, order, grid)
-            rest = phi(strains, *np.exp(logs)) + left_out + shift - known
-            stress = solve_triangular(gains, rest, lower=True)
+        def stresses(logs: Array, order: float, shift: float) -> Array:
+            remembered, gains = self._remembered(grid, logs, order)
+            responses = phi(np.append(self.memory.strain, strains), *np.exp(logs))
             # Contact pushes and does not pull.
-            return np.maximum(np.interp(wanted, grid, stress), 0.0) * scale
+            return np.maximum(remembered + gains @ np.diff(responses) + shift, 0.0)
 
-        prediction = self._with_deviation(wanted, forces)
-        left_out = prediction.value**2 * self._relaxation_variance(wanted)
-        return replace(prediction, sd=np.sqrt(prediction.sd**2 + left_out))
+        planned = stresses(*self._parameters, 0.0)
+        left_out = self._left_out_variance(grid, strains, planned)
+        variance = self._variance(stresses, planned) + left_out
+        scale = 1.0 / self.geometry.stress_per_force
+        return Prediction(
+            wanted,
+            scale * np.interp(wanted, grid, planned),
+            scale * np.sqrt(np.interp(wanted, grid, variance)),
+        )
 
     def motion(self, times: ArrayLike, forces: ArrayLike) -> Prediction:
         """Return the way further into the tissue that makes a planned force.
@@ -153,66 +151,64 @@ class Predictor:
         """
         wanted, planned = _plan(times, forces, "forces")
         grid = _grid(wanted)
-        present = self.stress / self.geometry.stress_per_force
-        stress = (
-            np.interp(grid, np.append(0.0, wanted), np.append(present, planned))
-            * self.geometry.stress_per_force
+        scale = self.geometry.stress_per_force
+        present = self.stress / scale
+        stress = scale * np.interp(grid, np.append(0.0, wanted), np.append(present, planned))
+
+        def strains(logs: Array, order: float, shift: float) -> Array:
+            remembered, gains = self._remembered(grid, logs, order)
+            steps = solve_triangular(gains, stress - remembered - shift, lower=True)
+            start = phi(np.array([self.memory.strain]), *np.exp(logs))
+            return strain_of_phi(start + np.cumsum(steps), *np.exp(logs))
+
+        def ways(logs: Array, order: float, shift: float) -> Array:
+            reached = strains(logs, order, shift)
+            compressions = np.array([self.geometry.compression(float(x)) for x in reached])
+            return (compressions - self.memory.compression) * self.geometry.length
+
+        way = ways(*self._parameters, 0.0)
+        left_out = self._left_out_variance(grid, strains(*self._parameters, 0.0), stress)
+        small = _DERIVATIVE_STEP * (float(np.max(np.abs(stress))) or 1.0)
+        by_stress = (ways(*self._parameters, small) - way) / small
+        variance = self._variance(ways, way) + left_out * by_stress**2
+        return Prediction(
+            wanted,
+            np.interp(wanted, grid, way),
+            np.sqrt(np.interp(wanted, grid, variance)),
         )
 
-        def moves(logs: Array, order: float, shift: float) -> Array:
-            known, gains = self._known(grid, order)
-            elastic = known + gains @ stress - self._left_out(logs, order, grid) - shift
-            strain = strain_of_phi(np.interp(wanted, grid, elastic), *np.exp(logs))
-            start = _compression(self.geometry, np.array([self.strain]))
-            return (_compression(self.geometry, strain) - start) * self.geometry.length
-
-        return self._with_deviation(wanted, moves)
-
-    def _known(self, grid: Array, order: float) -> tuple[Array, Array]:
-        """Return D^-order f of what is known (n,), and the gains of the stress to come (n, n)."""
-        gains = _gains(np.append(0.0, grid), order)
-        return self.memory.remembered(grid, order) + gains[:, 0] * self.stress, gains[:, 1:]
-
-    def _left_out(self, logs: Array, order: float, times: Array) -> Array:
-        """Return the fractional stress that the law leaves out at times to come, shape (n,)."""
-        age = self.estimate.loading_age
-        growth = ((age + times) / age) ** order if self._has_model_error else np.ones_like(times)
-        result: Array = self._shift(logs, order) * growth
-        return result
-
     @property
-    def _has_model_error(self) -> bool:
+    def _parameters(self) -> tuple[Array, float]:
         estimate = self.estimate
-        return estimate.model_error > _LEAST_MODEL_ERROR and estimate.loading_age > 0.0
+        return estimate.mean[: StateIndex.FRACTIONAL_ORDER], estimate.fractional_order
 
-    def _relaxation_variance(self, times: Array) -> Array:
-        """Return the relative variance of a force to come by the kernel's error, shape (n,)."""
-        if not self._has_model_error:
-            return np.zeros_like(times)
-        age = self.estimate.loading_age
-        ageing = np.log((age + times) / age)
-        kernel_sd = KERNEL_SHARE * self.estimate.model_error
-        return np.array([kernel_error_variance(kernel_sd, float(grown)) for grown in ageing])
+    def _remembered(self, grid: Array, logs: Array, order: float) -> tuple[Array, Array]:
+        """Return the stress while the probe holds still (n,), and what a change of phi adds."""
+        held = self.memory.held(np.append(_AT_ONCE, grid), logs, order)
+        return held[1:] + self.stress - held[0], _gains(np.append(0.0, grid), order)
 
-    def _shift(self, logs: Array, order: float) -> float:
-        """Return c: measured less modelled fractional stress at the present."""
-        # The memory just after the present: the newest step holds its own error otherwise.
-        measured = self.memory.remembered(np.array([1e-5]), order)[0]
-        measured += 1e-5**order / math.gamma(1.0 + order) * self.stress
-        return float(measured - phi(np.array([self.strain]), *np.exp(logs))[0])
+    def _left_out_variance(self, grid: Array, strains: Array, stress: Array) -> Array:
+        """Return the variance by which the stress left out grows until each time [Pa^2]."""
+        estimate, stated = self.estimate, self.uncertainty
+        error = estimate.model_error if estimate.loading_age > 0.0 else 0.0
+        uncertainty = replace(stated, characteristic_sd=error, kernel_sd=KERNEL_SHARE * error)
+        gn, order = estimate.nonlinear_stiffness, estimate.fractional_order
+        relaxed = estimate.linear_stiffness * apparent_stiffness_factor(order, SURFACE_TIME)
+        relaxed /= self.geometry.length
+        elastic = elastic_responses(np.append(self.memory.strain, strains), 1.0, gn)
+        age = LoadingAge(estimate.loading_age, float(elastic.value[0]))
+        steps = np.diff(grid, prepend=0.0)
+        grown = np.zeros_like(grid)
+        for k, step in enumerate(steps.tolist()):
+            growth = age.grow(step, float(elastic.value[k + 1]))
+            grown[k] = model_error_variance(uncertainty, float(stress[k]), growth)
+            stiffness = relaxed * float(elastic.by_strain[k + 1])
+            grown[k] += rig_error_variance(uncertainty, self.geometry, step, stiffness)
+        return np.cumsum(grown)
 
-    def _strains(self, way: Array) -> Array:
-        start = _compression(self.geometry, np.array([self.strain]))[0]
-        compressions = start + way / self.geometry.length
-        return np.array([self.geometry.strain(float(u)) for u in compressions])
-
-    def _with_deviation(
-        self, times: Array, function: Callable[[Array, float, float], Array]
-    ) -> Prediction:
-        estimate = self.estimate
-        logs = estimate.mean[: StateIndex.FRACTIONAL_ORDER]
-        order = estimate.fractional_order
-        value = function(logs, order, 0.0)
+    def _variance(self, function: Callable[[Array, float, float], Array], value: Array) -> Array:
+        """Return the variance of a function of the parameters whose value is given."""
+        logs, order = self._parameters
         step = _DERIVATIVE_STEP
         noise = math.sqrt(self.innovation_variance)
         by_g = (function(logs + np.array([step, 0.0]), order, 0.0) - value) / step
@@ -220,16 +216,9 @@ class Predictor:
         by_order = (function(logs, order + _ORDER_STEP, 0.0) - value) / _ORDER_STEP
         by_noise = function(logs, order, noise) - value
         jacobian = np.stack([by_g, by_gn, by_order])
-        variance = np.einsum("in,ij,jn->n", jacobian, estimate.covariance, jacobian)
-        return Prediction(times, value, np.sqrt(np.maximum(variance, 0.0) + by_noise**2))
-
-
-def _compression(geometry: Geometry, strain: Array) -> Array:
-    """Return the compression at a strain: the inverse of ``geometry.strain``."""
-    if isinstance(geometry, Sphere):
-        result: Array = np.maximum(strain, 0.0) ** (2.0 / 3.0)
+        variance = np.einsum("in,ij,jn->n", jacobian, self.estimate.covariance, jacobian)
+        result: Array = np.maximum(variance, 0.0) + by_noise**2
         return result
-    return strain
 
 
 def _plan(times: ArrayLike, values: ArrayLike, what: str) -> tuple[Array, Array]:
@@ -258,15 +247,8 @@ def _grid(wanted: Array) -> Array:
 
 
 def _gains(knots: Array, order: float) -> Array:
-    """Return D^-order at knots[1:] by the values at the knots, linear in between: (n, n + 1)."""
+    """Return D^alpha at knots[1:] by the changes between the knots, linear in time: (n, n)."""
     since = np.maximum(knots[1:, None] - knots[None, :], 0.0)
-    powers = since**order / order
-    higher = since ** (order + 1.0) / (order + 1.0)
-    lengths = np.diff(knots)
-    whole = powers[:, :-1] - powers[:, 1:]
-    moment = higher[:, :-1] - higher[:, 1:]
-    later = (since[:, :-1] * whole - moment) / lengths
-    gains = np.zeros_like(since)
-    gains[:, 1:] += later
-    gains[:, :-1] += whole - later
-    return gains / math.gamma(order)
+    powers = since ** (1.0 - order)
+    gains: Array = (powers[:, :-1] - powers[:, 1:]) / np.diff(knots)
+    return gains / math.gamma(2.0 - order)

@@ -10,7 +10,13 @@ parameter files and the documentation. :func:`check` turns names and values into
 
 from fden_ros.parameters.files import read_parameter_file
 from fden_ros.parameters.parameter import Parameter, Value
-from fden_ros.parameters.pipeline import geometry_of, pipeline_config, tool_weight, unit_vector
+from fden_ros.parameters.pipeline import (
+    geometry_of,
+    pipeline_config,
+    tool_weight,
+    uncertainty_of,
+    unit_vector,
+)
 from fden_ros.parameters.table import NODE_PARAMETERS, PARAMETERS, Parameters, check
 
 __all__ = [
@@ -24,5 +30,6 @@ __all__ = [
     "pipeline_config",
     "read_parameter_file",
     "tool_weight",
+    "uncertainty_of",
     "unit_vector",
 ]

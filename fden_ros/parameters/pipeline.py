@@ -74,16 +74,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             fractional_order_given=not parameters.alpha.learn,
             converged_log_sd=parameters.converged.log_sd,
             converged_probability=parameters.converged.probability,
-            uncertainty=Uncertainty(
-                kernel_sd=KERNEL_SHARE * parameters.model_error.sd,
-                characteristic_sd=parameters.model_error.sd,
-                surface_motion_sd=parameters.surface.motion_sd,
-                force_drift_sd=parameters.force.drift_sd,
-                friction_sd=parameters.force.friction_sd,
-                compliance_sd=parameters.displacement.compliance_sd,
-                delay_sd=parameters.displacement.delay_sd,
-                thickness_sd=parameters.geometry.thickness_sd,
-            ),
+            uncertainty=uncertainty_of(parameters),
         ),
         strain_origin=(
             parameters.origin.displacement if parameters.origin.source == "given" else None
@@ -108,6 +99,20 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         ),
         dither_frequencies=tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0})),
         dither_periods=parameters.dither.periods,
+    )
+
+
+def uncertainty_of(parameters: Parameters) -> Uncertainty:
+    """Return what is not known of model and rig."""
+    return Uncertainty(
+        kernel_sd=KERNEL_SHARE * parameters.model_error.sd,
+        characteristic_sd=parameters.model_error.sd,
+        surface_motion_sd=parameters.surface.motion_sd,
+        force_drift_sd=parameters.force.drift_sd,
+        friction_sd=parameters.force.friction_sd,
+        compliance_sd=parameters.displacement.compliance_sd,
+        delay_sd=parameters.displacement.delay_sd,
+        thickness_sd=parameters.geometry.thickness_sd,
     )
 
 

@@ -120,6 +120,10 @@ class Uncertainty:
         )
 
 
+#: A model and a rig that are exact.
+NOTHING_UNKNOWN = Uncertainty()
+
+
 @dataclass(frozen=True)
 class EstimatorConfig:
     """Prior, observation, and thresholds of convergence.

@@ -28,6 +28,8 @@ from fden_ros.core.estimation.motion_noise import MotionNoise
 from fden_ros.core.estimation.posterior import StressPosterior
 from fden_ros.core.estimation.tissue_change import Change, TissueChange
 from fden_ros.core.estimation.unmodelled import (
+    FRICTION_SPEED,
+    SURFACE_TIME,
     LoadingAge,
     model_error_variance,
     rig_error_variance,
@@ -64,11 +66,6 @@ _LEAST_WEIGHT = 1e-4
 _RARELY = 40
 #: Share of the prior's deviation of ln G [1] below which the data have said something.
 _KNOWN_SHARE = 0.5
-#: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
-#: heartbeat: the hereditary form is no better.
-_SURFACE_TIME = 0.25
-#: Speed at which friction has half its full square [m/s]: slower is a hold.
-_FRICTION_SPEED = 5e-4
 #: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
 _DELAY_TIME = 0.1
 
@@ -186,12 +183,12 @@ class StressEstimator:
         noise += self._noise_variance / block.size
         stiffness = max(slope, 0.0) * relaxed / self._geometry.length
         rig_error = rig_error_variance(
-            self._config.uncertainty, self._geometry, block, stiffness
+            self._config.uncertainty, self._geometry, block.duration, stiffness
         )
         taken = []
         for posterior in self._bank:
             posterior.widen_newest(before)
-            model_error = model_error_variance(posterior.uncertainty, block, growth)
+            model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
             response = posterior.respond(law, free, linear, block, model_error + rig_error)
             taken.append((posterior, response, *posterior.predict(response)))
         numbers = [(noise, residual, spread) for _, _, residual, _, spread in taken]
@@ -248,7 +245,7 @@ class StressEstimator:
         """Return the elastic response at a block, and E at the time scale of the surface."""
         strain = self._geometry.strain(block.compression - float(state[_ORIGIN]))
         elastic = elastic_response(strain, math.exp(state[_LOG_G]), math.exp(state[_LOG_GN]))
-        return elastic, apparent_stiffness_factor(float(state[_ORDER]), _SURFACE_TIME)
+        return elastic, apparent_stiffness_factor(float(state[_ORDER]), SURFACE_TIME)
 
     def _respond(
         self, block: Block, state: Array, slope: float
@@ -275,7 +272,7 @@ class StressEstimator:
                 uncertainty.friction_sd
                 * geometry.stress_per_force
                 * speed
-                / math.hypot(speed, _FRICTION_SPEED)
+                / math.hypot(speed, FRICTION_SPEED)
             )
         self._last_compression = block.compression
         return law, free, linear

@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from fden_ros.core.estimation.estimate import Block, Uncertainty
+from fden_ros.core.estimation.estimate import Uncertainty
 from fden_ros.core.law.geometry import Geometry
 
 #: The kernel's relative error over that of the characteristic [1], as on beef: 0.05 against 0.2
@@ -37,6 +37,11 @@ KERNEL_SHARE = 0.25
 #: Correlation length of the kernel's deviation in ln t [1]: two decades, found by the evidence of
 #: 99 measured presses of beef.
 _KERNEL_LENGTH = 2.0 * math.log(10.0)
+#: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
+#: heartbeat: the hereditary form is no better.
+SURFACE_TIME = 0.25
+#: Speed at which friction has half its full square [m/s]: slower is a hold.
+FRICTION_SPEED = 5e-4
 #: Growth in one block that counts at most: of ln phi and of ln A [1]. More is the touch itself.
 _MOST_LOADING, _MOST_AGEING = 1.0, 2.0
 #: phi at G = 1 [1] below which a block is not loaded.
@@ -52,15 +57,22 @@ class Growth:
 
 
 class LoadingAge:
-    """The mean time since the present elastic response was built up, and how it grows."""
+    """The mean time since the present elastic response was built up, and how it grows.
 
-    def __init__(self) -> None:
-        self.interrupt()
+    Parameters
+    ----------
+    age : float
+        The mean time at the beginning [s]; 0: nothing is loaded.
+    response : float
+        phi at G = 1 by then [1].
+    """
+
+    def __init__(self, age: float = 0.0, response: float = 0.0) -> None:
+        self._age, self._response = age, response
 
     def interrupt(self) -> None:
         """Let the next block begin a new loading."""
-        self._age = 0.0
-        self._response = 0.0
+        self._age = self._response = 0.0
 
     @property
     def age(self) -> float:
@@ -95,28 +107,28 @@ def kernel_error_variance(kernel_sd: float, ageing: float) -> float:
     return 2.0 * kernel_sd**2 / _KERNEL_LENGTH * ageing
 
 
-def model_error_variance(uncertainty: Uncertainty, block: Block, growth: Growth) -> float:
-    """Return by how much the variance of the law's error grows over a block [Pa^2]."""
-    relative = (
-        2.0 * uncertainty.characteristic_sd**2 * growth.loading
-        + kernel_error_variance(uncertainty.kernel_sd, growth.ageing)
+def model_error_variance(uncertainty: Uncertainty, stress: float, growth: Growth) -> float:
+    """Return by how much the variance of the law's error grows at a stress [Pa] [Pa^2]."""
+    relative = 2.0 * uncertainty.characteristic_sd**2 * growth.loading + kernel_error_variance(
+        uncertainty.kernel_sd, growth.ageing
     )
-    return block.stress**2 * relative
+    return stress**2 * relative
 
 
 def rig_error_variance(
-    uncertainty: Uncertainty, geometry: Geometry, block: Block, stiffness: float
+    uncertainty: Uncertainty, geometry: Geometry, duration: float, stiffness: float
 ) -> float:
-    """Return by how much the variance of the rig's error grows over a block [Pa^2].
+    """Return by how much the variance of the rig's error grows [Pa^2].
 
     Parameters
     ----------
     uncertainty : Uncertainty
     geometry : Geometry
-    block : Block
+    duration : float
+        [s].
     stiffness : float
         Of the stress by the displacement, relaxed for the time scale of the surface [Pa/m].
     """
     surface = stiffness * uncertainty.surface_motion_sd
     drift = geometry.stress_per_force * uncertainty.force_drift_sd
-    return (surface**2 + drift**2) * block.duration
+    return (surface**2 + drift**2) * duration

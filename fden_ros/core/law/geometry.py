@@ -33,6 +33,9 @@ class Geometry(Protocol):
     def strain_slope(self, compression: float) -> float:
         """Return dx/du [1] there."""
 
+    def compression(self, strain: float) -> float:
+        """Return the compression [1] at a strain in contact: the inverse of `strain`."""
+
 
 @dataclass(frozen=True)
 class FlatPunch:
@@ -75,6 +78,10 @@ class FlatPunch:
         """Return 1."""
         return 1.0
 
+    def compression(self, strain: float) -> float:
+        """Return the strain itself."""
+        return strain
+
 
 @dataclass(frozen=True)
 class Sphere:
@@ -114,6 +121,10 @@ class Sphere:
         """Return 1.5 (delta/R)^0.5."""
         return 1.5 * math.sqrt(compression) if compression > 0.0 else 0.0
 
+    def compression(self, strain: float) -> float:
+        """Return x^(2/3)."""
+        return max(strain, 0.0) ** (2.0 / 3.0)
+
 
 @dataclass(frozen=True)
 class TorsionalRheometer:
@@ -152,6 +163,10 @@ class TorsionalRheometer:
         """Return 1."""
         return 1.0
 
+    def compression(self, strain: float) -> float:
+        """Return the strain itself."""
+        return strain
+
 
 @dataclass(frozen=True)
 class PassThrough:
@@ -167,6 +182,10 @@ class PassThrough:
     def strain_slope(self, compression: float) -> float:
         """Return 1."""
         return 1.0
+
+    def compression(self, strain: float) -> float:
+        """Return the strain itself."""
+        return strain
 
 
 @functools.lru_cache(maxsize=64)

@@ -262,6 +262,28 @@ class StressBasis:
         free = np.diagonal(total[:, self._free]).copy()
         return law, free, total[:, self._pulse].copy(), total[:, self._yielding].copy()
 
+    def held(self, times: Array) -> tuple[Array, Array]:
+        """Return the responses while the motion stands still from the last sample on.
+
+        Parameters
+        ----------
+        times : ndarray, shape (k,)
+            Since the last sample [s], at least :data:`~fden_ros.core.law.kernel.SHORTEST_STEP`.
+
+        Returns
+        -------
+        law : ndarray, shape (k, n, m * orders)
+            D^alpha phi at G = 1.
+        free : ndarray, shape (k, orders)
+            D^alpha of what phi was in the air before.
+        """
+        self._catch_up()
+        decays = np.exp(-np.outer(times, self._rates))
+        total = np.einsum("kj,oj,jc->koc", decays, self._weights, self._memory, optimize=True)
+        law = total[:, :, : self._signal_count].transpose(0, 2, 1)
+        free = np.diagonal(total[:, :, self._free], axis1=1, axis2=2).copy()
+        return law.reshape(times.size, self._shape[0], -1), free
+
     def discard_block(self) -> None:
         """Forget the samples since the last block, not their memory."""
         self._catch_up()

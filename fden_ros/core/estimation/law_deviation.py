@@ -1,0 +1,387 @@
+r"""How far the data bend relaxation and stress-strain curve away from the law.
+
+.. math::
+    f(t) = \int E(t-s)\,e^{\delta(\ln(t-s))}\, d\left[\varphi(x(s))\,e^{\epsilon(x(s))}\right],
+    \qquad E(t) = t^{-\alpha}/\Gamma(1-\alpha)
+
+:math:`\delta` and :math:`\epsilon` are Gaussian processes on hat functions, each with a scale
+found by the evidence (MacKay's fixed point). They are fitted together with G, Gn, alpha and the
+strain origin to one contact that begins at rest. What the rig leaves out is part of the noise.
+
+What is stated of each is the root mean square over the times and the strains seen, without the
+part that G, alpha and Gn absorb. No tissue is exactly FDEN: on 78 presses of raw beef the kernel
+bends by 0.06 (0.02 to 0.17) and the characteristic by 0.12 (0.02 to 0.60), nearly all of it at
+small strain; where it is loaded, in the upper half of the strains, it is the exponential to 0.01.
+Silicone's kernel bends as beef's does (0.08, 0.02 to 0.20), but its curve is none of the law's
+where it is loaded: 0.04 (0.025 to 0.08).
+
+References
+----------
+Kennedy and O'Hagan, J. R. Statist. Soc. B 63 (2001) 425. MacKay, Neural Computation 4 (1992) 415.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from fden_ros.core.estimation.contact_record import ContactRecord
+from fden_ros.core.estimation.estimate import Prior, StateIndex, Uncertainty
+from fden_ros.core.estimation.unmodelled import (
+    FRICTION_SPEED,
+    SURFACE_TIME,
+    rig_error_variance,
+)
+from fden_ros.core.law.characteristic import (
+    apparent_stiffness_factor,
+    elastic_responses,
+)
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
+
+Array = NDArray[np.float64]
+
+#: MODEL_MISMATCH when the kernel's error, or that of the characteristic where it is loaded, is
+#: above this with a probability of 95 % [1]. The second was chosen on 78 presses of beef and 6 of
+#: silicone: it tells 8 of the former and all of the latter, whose bounds begin at 0.0244. Halved
+#: it would tell a third of the beef.
+KERNEL_MISMATCH, LOADED_MISMATCH = 0.12, 0.0238
+_ONE_SIDED_95 = 1.645
+#: The characteristic counts as loaded from this share of the largest strain on [1], with the
+#: square of the stress as weight, on so many points.
+_LOADED_SHARE, _LOADED_POINTS = 0.5, 30
+
+#: Hat functions of each deviation [1].
+_KNOTS = 9
+#: Lengths of the correlation, Matern's of order 3/2: in ln t [1], two decades, and in strain [1].
+#: By the evidence of 99 presses of beef. Exponential correlation lets neighbouring knots jump by
+#: 0.3 where the ramp is rough, and beef is not told from silicone.
+_KERNEL_LENGTH, _STRAIN_LENGTH = 2.0 * math.log(10.0), 0.3
+#: Scales at the beginning and their least and largest value [1]: silicone wants 0.9.
+_FIRST_SCALES, _LEAST_SCALE, _MOST_SCALE = (0.3, 0.5), 0.005, 1.0
+#: Error of the stress beside both, as a share of its peak [1]: with 0.002 the highest kernel of
+#: beef is 0.118 instead of 0.102, and silicone's no higher.
+_ROUGHNESS = 0.003
+#: Deviation of alpha in the fit [1], whichever is given: where it is wrong, the kernel would bend.
+_ORDER_MEAN, _ORDER_SD = 0.2, 0.15
+#: Kernel and scales change little after this many rounds of solving for one and the other [1].
+_ROUNDS, _STEPS, _TRIALS = 8, 12, 8
+#: A round ends when a step lowers minus twice the log-posterior by less than this [1].
+_CLOSE = 0.01
+_LONGEST_STEP = 0.5
+_DIFFERENCE = 1e-4
+#: Points below which nothing is fitted [1], and the shortest time of the kernel as a share of the
+#: contact's duration [1].
+_LEAST_POINTS, _SHORTEST_SHARE = 20, 1e-3
+
+_LAW = slice(0, 4)
+_KERNEL = slice(4, 4 + _KNOTS)
+_CHARACTERISTIC = slice(4 + _KNOTS, 4 + 2 * _KNOTS)
+_LOG_G, _LOG_GN = StateIndex.LOG_LINEAR_STIFFNESS, StateIndex.LOG_NONLINEAR_STIFFNESS
+_ORDER, _ORIGIN = StateIndex.FRACTIONAL_ORDER, StateIndex.STRAIN_ORIGIN
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A relative deviation from the law."""
+
+    points: Array  #: times [s] or strains [1], shape (n,)
+    value: Array  #: relative deviation there [1], shape (n,)
+    sd: Array  #: its standard deviation [1], shape (n,)
+    error: float  #: root mean square over the points [1]
+    error_sd: float  #: its standard deviation [1]
+
+
+@dataclass(frozen=True)
+class LawDeviation:
+    """How far relaxation kernel and characteristic are from the law over one contact."""
+
+    kernel: Deviation
+    characteristic: Deviation
+    loaded_error: float  #: of the characteristic in the upper half of the strains [1]
+    loaded_error_sd: float  #: its standard deviation [1]
+    log_linear_stiffness: float  #: ln G of the law from which they deviate
+    log_nonlinear_stiffness: float  #: its ln Gn
+    fractional_order: float  #: its alpha [1]
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the relaxation is no power law, or the loaded curve not the law's."""
+        kernel = self.kernel.error - _ONE_SIDED_95 * self.kernel.error_sd
+        loaded = self.loaded_error - _ONE_SIDED_95 * self.loaded_error_sd
+        return kernel > KERNEL_MISMATCH or loaded > LOADED_MISMATCH
+
+
+class LawFit:
+    """The fit to one record.
+
+    Parameters
+    ----------
+    record : ContactRecord
+        Of at least 20 points.
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    geometry : Geometry
+    prior : Prior
+    uncertainty : Uncertainty
+        Of the rig.
+    start : ndarray, shape (4,)
+        ln G, ln Gn, alpha and strain origin.
+    origin_sd : float
+        Standard deviation of the strain origin [1].
+
+    Raises
+    ------
+    ValueError
+        If the record is too short.
+    """
+
+    def __init__(
+        self,
+        record: ContactRecord,
+        noise_sd: float,
+        geometry: Geometry,
+        prior: Prior,
+        uncertainty: Uncertainty,
+        start: Array,
+        origin_sd: float,
+    ) -> None:
+        if not is_enough(record):
+            raise ValueError(f"{len(record)} points; at least {_LEAST_POINTS} make a fit")
+        times, compressions, stresses, shares = record.arrays()
+        self._geometry = geometry
+        self._compressions, self._stresses = compressions[1:], stresses[1:]
+        self._since_start = np.maximum(times[1:, None] - times[None, :-1], 0.0)
+        self._since_end = np.maximum(times[1:, None] - times[None, 1:], 0.0)
+        self._steps = np.diff(times)
+        shortest = max(float(np.min(self._steps)), _SHORTEST_SHARE * times[-1])
+        middle = 0.5 * (self._since_start + self._since_end)
+        self._time_knots = np.linspace(math.log(0.5 * shortest), math.log(times[-1]), _KNOTS)
+        self._in_time = _hats(self._time_knots, np.log(np.maximum(middle, 0.25 * shortest)))
+        largest = max(geometry.strain(float(compressions.max())), 1e-6)
+        self._strain_knots = np.linspace(0.0, largest, _KNOTS)
+        self._kernel_unit = _inverse_correlation(self._time_knots, _KERNEL_LENGTH)
+        self._characteristic_unit = _inverse_correlation(self._strain_knots, _STRAIN_LENGTH)
+        self._mean = np.zeros(_CHARACTERISTIC.stop)
+        self._mean[_LAW] = [*prior.mean[:2], _ORDER_MEAN, 0.0]
+        deviations = [*prior.deviations[:2], _ORDER_SD, max(origin_sd, 1e-6)]
+        self._precision = np.zeros((self._mean.size, self._mean.size))
+        self._precision[_LAW, _LAW] = np.diag(np.array(deviations) ** -2.0)
+        self._state = np.zeros_like(self._mean)
+        self._state[_LAW] = start
+        peak = float(np.max(np.abs(stresses)))
+        noise = np.diag(noise_sd**2 * shares[1:] + (_ROUGHNESS * peak) ** 2)
+        noise += self._rig_covariance(uncertainty)
+        self._noise = np.linalg.cholesky(noise)
+
+    def steps(self) -> Iterator[None]:
+        """Fit, one Gauss-Newton step at a time.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the normal equations are singular.
+        """
+        kernel_scale, characteristic_scale = _FIRST_SCALES
+        for _ in range(_ROUNDS):
+            self._precision[_KERNEL, _KERNEL] = self._kernel_unit / kernel_scale**2
+            self._precision[_CHARACTERISTIC, _CHARACTERISTIC] = (
+                self._characteristic_unit / characteristic_scale**2
+            )
+            yield from self._solve()
+            kernel_scale = self._scale(_KERNEL, self._kernel_unit)
+            characteristic_scale = self._scale(_CHARACTERISTIC, self._characteristic_unit)
+
+    def result(self) -> LawDeviation:
+        """Return the deviations after the last step."""
+        state, covariance = self._state, self._covariance
+        kernel = _without(
+            np.exp(self._time_knots),
+            state[_KERNEL],
+            covariance[_KERNEL, _KERNEL],
+            np.stack([np.ones(_KNOTS), self._time_knots], axis=1),
+        )
+        # At a strain of 0 there is no stress to be off.
+        characteristic = self._curve(self._strain_knots[1:])
+        largest = self._strain_knots[-1]
+        upper = np.linspace(_LOADED_SHARE * largest, largest, _LOADED_POINTS)
+        stress = elastic_responses(upper, 1.0, self._gn).value
+        loaded = self._curve(upper, (stress / stress[-1]) ** 2)
+        law = [float(number) for number in state[_LAW]]
+        return LawDeviation(
+            kernel,
+            characteristic,
+            loaded.error,
+            loaded.error_sd,
+            law[_LOG_G],
+            law[_LOG_GN],
+            law[_ORDER],
+        )
+
+    @property
+    def _gn(self) -> float:
+        return math.exp(self._state[_LOG_GN])
+
+    def _curve(self, strains: Array, weights: Array | None = None) -> Deviation:
+        """Return the characteristic's deviation at strains, without what G and Gn absorb."""
+        hats = _hats(self._strain_knots, strains)
+        spread = hats @ self._covariance[_CHARACTERISTIC, _CHARACTERISTIC] @ hats.T
+        elastic = elastic_responses(strains, 1.0, self._gn)
+        by_gn = elastic.by_log_nonlinear_stiffness / elastic.value
+        absorbed = np.stack([np.ones_like(strains), by_gn], axis=1)
+        return _without(strains, hats @ self._state[_CHARACTERISTIC], spread, absorbed, weights)
+
+    def _solve(self) -> Iterator[None]:
+        """Find the maximum of the posterior at the present scales (Levenberg, Marquardt)."""
+        residual, jacobian = self._respond(self._state)
+        cost = self._cost(self._state, residual)
+        damping = 0.0
+        for _ in range(_STEPS):
+            hessian = jacobian.T @ jacobian + self._precision
+            gradient = jacobian.T @ residual - self._precision @ (self._state - self._mean)
+            for _ in range(_TRIALS):
+                damped = hessian + damping * np.diag(hessian.diagonal())
+                step = np.clip(
+                    cho_solve(cho_factor(damped), gradient), -_LONGEST_STEP, _LONGEST_STEP
+                )
+                tried = self._state + step
+                tried[_ORDER] = min(max(tried[_ORDER], LOWEST_ORDER), HIGHEST_ORDER)
+                tried_residual, tried_jacobian = self._respond(tried)
+                tried_cost = self._cost(tried, tried_residual)
+                yield
+                if tried_cost < cost:
+                    break
+                damping = max(4.0 * damping, 1e-3)
+            else:
+                break
+            gain, cost = cost - tried_cost, tried_cost
+            self._state, residual, jacobian = tried, tried_residual, tried_jacobian
+            damping *= 0.25
+            if gain < _CLOSE:
+                break
+        hessian = jacobian.T @ jacobian + self._precision
+        self._covariance: Array = np.linalg.inv(hessian)
+
+    def _respond(self, state: Array) -> tuple[Array, Array]:
+        """Return residual and Jacobian in standard deviations of the noise, (n,) and (n, 22)."""
+        strains = self._strains(state[_ORIGIN])
+        in_strain = _hats(self._strain_knots, strains)
+        bent = np.exp(in_strain @ state[_CHARACTERISTIC])
+        g, gn = np.exp(state[_LOG_G]), np.exp(state[_LOG_GN])
+        elastic = elastic_responses(strains, g, gn)
+        moved = elastic_responses(self._strains(state[_ORIGIN] + _DIFFERENCE), g, gn)
+        kernel = np.exp(self._in_time @ state[_KERNEL])
+        order = state[_ORDER]
+        gains = self._gains(order) * kernel
+        slope = (self._gains(order + _DIFFERENCE) * kernel - gains) / _DIFFERENCE
+        change = _changes(elastic.value * bent)
+        stress = gains @ change
+        jacobian = np.empty((stress.size, state.size))
+        jacobian[:, _LOG_G] = stress
+        jacobian[:, _LOG_GN] = gains @ _changes(elastic.by_log_nonlinear_stiffness * bent)
+        jacobian[:, _ORDER] = slope @ change
+        by_origin = (moved.value - elastic.value) / _DIFFERENCE
+        jacobian[:, _ORIGIN] = gains @ _changes(by_origin * bent)
+        jacobian[:, _KERNEL] = ((gains * change)[:, None, :] @ self._in_time)[:, 0]
+        response = elastic.value * bent
+        jacobian[:, _CHARACTERISTIC] = gains @ _changes(response[:, None] * in_strain)
+        both = np.column_stack([self._stresses - stress, jacobian])
+        whitened = solve_triangular(self._noise, both, lower=True, check_finite=True)
+        return whitened[:, 0], whitened[:, 1:]
+
+    def _strains(self, origin: float) -> Array:
+        """Return the strains [1] in contact; above the surface 0."""
+        strains = [self._geometry.strain(float(u)) for u in self._compressions - origin]
+        result: Array = np.maximum(strains, 0.0)
+        return result
+
+    def _gains(self, order: float) -> Array:
+        """Return the mean of E(t) over every step, as seen from the end of every step, (n, n)."""
+        power = 1.0 - order
+        rise = self._since_start**power - self._since_end**power
+        gains: Array = rise / self._steps / math.gamma(1.0 + power)
+        return gains
+
+    def _cost(self, state: Array, residual: Array) -> float:
+        off = state - self._mean
+        return float(residual @ residual + off @ self._precision @ off)
+
+    def _scale(self, part: slice, unit: Array) -> float:
+        """Return the scale of a deviation that the evidence wants."""
+        value = self._state[part]
+        square = float(value @ unit @ value + np.sum(unit * self._covariance[part, part]))
+        return min(max(math.sqrt(square / _KNOTS), _LEAST_SCALE), _MOST_SCALE)
+
+    def _rig_covariance(self, uncertainty: Uncertainty) -> Array:
+        """Return the covariance of the stress that the rig leaves out, memoryless (n, n)."""
+        state, scale = self._state, self._geometry.stress_per_force
+        elastic = elastic_responses(
+            self._strains(state[_ORIGIN]), math.exp(state[_LOG_G]), math.exp(state[_LOG_GN])
+        )
+        relaxed = apparent_stiffness_factor(float(state[_ORDER]), SURFACE_TIME)
+        stiffness = elastic.by_strain * relaxed / self._geometry.length
+        grown = np.cumsum(
+            [
+                rig_error_variance(uncertainty, self._geometry, step, k)
+                for step, k in zip(self._steps.tolist(), stiffness.tolist(), strict=True)
+            ]
+        )
+        speed = np.diff(self._compressions, prepend=0.0) * self._geometry.length / self._steps
+        columns = np.array(
+            [
+                uncertainty.compliance_sd * stiffness * self._stresses / scale,
+                uncertainty.delay_sd * stiffness * speed,
+                uncertainty.friction_sd * scale * speed / np.hypot(speed, FRICTION_SPEED),
+            ]
+        )
+        covariance: Array = np.minimum.outer(grown, grown) + columns.T @ columns
+        return covariance
+
+
+def is_enough(record: ContactRecord) -> bool:
+    """Whether a record has points enough for a fit."""
+    return len(record) >= _LEAST_POINTS
+
+
+def _without(
+    points: Array, mean: Array, covariance: Array, absorbed: Array, weights: Array | None = None
+) -> Deviation:
+    """Return a deviation less its least-squares fit by the columns that parameters absorb."""
+    shares = np.ones(points.size) if weights is None else weights
+    root = np.sqrt(shares / shares.sum())
+    basis, _ = np.linalg.qr(root[:, None] * absorbed)
+    left = np.eye(points.size) - (basis / root[:, None]) @ (basis.T * root)
+    value, spread = left @ mean, left @ covariance @ left.T
+    error = float(np.linalg.norm(root * value))
+    along = root**2 * value / error if error > 0.0 else np.zeros_like(value)
+    return Deviation(
+        points,
+        value,
+        np.sqrt(np.maximum(spread.diagonal(), 0.0)),
+        error,
+        math.sqrt(max(float(along @ spread @ along), 0.0)),
+    )
+
+
+def _changes(signal: Array) -> Array:
+    """Return the change over each step, from 0 at the touch."""
+    changes: Array = np.diff(signal, axis=0, prepend=np.zeros((1, *signal.shape[1:])))
+    return changes
+
+
+def _inverse_correlation(knots: Array, length: float) -> Array:
+    distance = math.sqrt(3.0) * np.abs(knots[:, None] - knots[None, :]) / length
+    inverse: Array = np.linalg.inv((1.0 + distance) * np.exp(-distance))
+    return inverse
+
+
+def _hats(knots: Array, points: Array) -> Array:
+    """Return the hat functions of uniform knots at points of shape (...), (..., knots)."""
+    inside = np.clip(points, knots[0], knots[-1])[..., None]
+    result: Array = np.maximum(1.0 - np.abs(inside - knots) / (knots[1] - knots[0]), 0.0)
+    return result

@@ -1,0 +1,114 @@
+"""When the deviation from the law is fitted: a step with every block, and the rest at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fden_ros.core.estimation.contact_record import ContactRecord
+from fden_ros.core.estimation.estimate import Block, Prior, Uncertainty
+from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit, is_enough
+from fden_ros.core.law.geometry import Geometry
+
+Array = NDArray[np.float64]
+
+#: The first fit begins after this time in contact [s], and every later one when it has lasted
+#: longer by this factor [1]: the fits of a contact cost no more than three of the whole.
+_FIRST_FIT, _LATER_FIT = 2.0, 1.5
+
+
+class LawWatch:
+    """Follows the first contact of a site, which alone begins at rest.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    prior : Prior
+    uncertainty : Uncertainty
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    origin_sd : float
+        Standard deviation of the strain origin [1].
+
+    Attributes
+    ----------
+    deviation : LawDeviation or None
+        The newest; None before the first fit has ended.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        prior: Prior,
+        uncertainty: Uncertainty,
+        noise_sd: float,
+        origin_sd: float,
+    ) -> None:
+        self.deviation: LawDeviation | None = None
+        self._geometry = geometry
+        self._prior = prior
+        self._uncertainty = uncertainty
+        self._noise_sd, self._origin_sd = noise_sd, origin_sd
+        self._record = ContactRecord()
+        self._contacts = 0
+        self._is_over = False
+        self._next_fit = _FIRST_FIT
+        self._fit: LawFit | None = None
+        self._steps: Iterator[None] = iter(())
+
+    def begin_contact(self) -> None:
+        """Start a contact."""
+        self._contacts += 1
+        if self._contacts > 1:
+            self.stop()
+
+    def stop(self) -> None:
+        """Record no more: this contact is that of one tissue no longer."""
+        self._is_over = True
+        self._fit = None
+
+    def add(self, block: Block, age: float, state: Array) -> None:
+        """Take a block where the loading is of `age` [s]; `state`: ln G, ln Gn, alpha, origin."""
+        if self._is_over:
+            return
+        self._record.add(block, age)
+        if self._fit is None and self._record.duration >= self._next_fit:
+            self._next_fit = _LATER_FIT * self._record.duration
+            self._begin(state)
+        self._advance()
+
+    def finish(self, state: Array) -> None:
+        """Fit to all that was recorded, at the end of a contact."""
+        if self._is_over:
+            return
+        self._begin(state)
+        while self._fit is not None:
+            self._advance()
+
+    def _begin(self, state: Array) -> None:
+        if not is_enough(self._record):
+            return
+        self._fit = LawFit(
+            self._record,
+            self._noise_sd,
+            self._geometry,
+            self._prior,
+            self._uncertainty,
+            state,
+            self._origin_sd,
+        )
+        self._steps = self._fit.steps()
+
+    def _advance(self) -> None:
+        """Do one step of the fit under way; one that fails says nothing."""
+        if self._fit is None:
+            return
+        try:
+            next(self._steps)
+        except StopIteration:
+            self.deviation = self._fit.result()
+            self._fit = None
+        except (np.linalg.LinAlgError, ValueError):
+            self._fit = None
