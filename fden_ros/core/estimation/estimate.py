@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 
 class StateIndex(enum.IntEnum):

@@ -14,8 +14,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import (
     Block,
     Estimate,
@@ -25,8 +25,8 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.motion_noise import MotionNoise
-from fden_ros.core.estimation.posterior import StressPosterior
-from fden_ros.core.estimation.tissue_change import Change, TissueChange
+from fden_ros.core.estimation.posterior import Prediction, StressPosterior
+from fden_ros.core.estimation.tissue_change import Change, Knowledge, TissueChange
 from fden_ros.core.estimation.unmodelled import (
     LoadingAge,
     model_error_variance,
@@ -41,8 +41,6 @@ from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation
 from fden_ros.core.law.stress_response import StressBasis
-
-Array = NDArray[np.float64]
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
@@ -175,68 +173,80 @@ class StressEstimator:
         FloatingPointError
             If the block's response is beyond floating-point numbers.
         """
+        elastic, noise, predictions = self._predict(block)
+        best = predictions[self._bank.index(self._best)]
+        innovation = Innovation(
+            predicted_fractional_stress=elastic,
+            predicted_stress=block.stress + best.residual,
+            innovation=-best.residual,
+            variance=noise + best.spread,
+        )
+        known = self._knowledge(noise, best, predictions)
+        change = self._change.watch(block, innovation, known)
+        if change is not None:
+            self._start_anew(change, innovation, block)
+        if not self._change.is_blind(block.memory_time):
+            self._take(block, noise, predictions)
+        return innovation
+
+    def _predict(self, block: Block) -> tuple[float, float, list[Prediction]]:
+        """Return the elastic response [Pa s^alpha], the block's noise and every prediction.
+
+        The noise is the variance of the block's mean stress [Pa^2].
+        """
         state = self._best.state
         elastic, relaxed = self._elastic(block, state)
         slope = elastic.by_strain * self._geometry.strain_slope(block.compression - state[_ORIGIN])
-        law, free, linear = self._respond(block, state, slope / math.exp(state[_LOG_G]))
+        response = self._respond(block, state, slope / math.exp(state[_LOG_G]))
         growth = self._age.grow(block.duration, elastic.value / math.exp(state[_LOG_G]))
         noise, before = self._motion.take_block(
             block.duration, block.size, slope, float(state[_ORDER])
         )
         noise += self._noise_variance / block.size
         stiffness = max(slope, 0.0) * relaxed / self._geometry.length
-        rig_error = rig_error_variance(
-            self._config.uncertainty, self._geometry, block, stiffness
-        )
-        taken = []
+        rig_error = rig_error_variance(self._config.uncertainty, self._geometry, block, stiffness)
+        predictions = []
         for posterior in self._bank:
             posterior.widen_newest(before)
             model_error = model_error_variance(posterior.uncertainty, block, growth)
-            response = posterior.respond(law, free, linear, block, model_error + rig_error)
-            taken.append((posterior, response, *posterior.predict(response)))
-        numbers = [(noise, residual, spread) for _, _, residual, _, spread in taken]
+            predictions.append(posterior.predict(*response, block, model_error + rig_error))
+        numbers = [(noise, prediction.residual, prediction.spread) for prediction in predictions]
         if not (noise > 0.0 and np.all(np.isfinite(numbers))):
             raise FloatingPointError(
                 f"the response to a compression of {block.compression:g} and a stress of "
                 f"{block.stress:g} Pa is not finite"
             )
-        best, response, residual, jacobian, spread = taken[self._bank.index(self._best)]
-        innovation = Innovation(
-            predicted_fractional_stress=elastic.value,
-            predicted_stress=block.stress + residual,
-            innovation=-residual,
-            variance=noise + spread,
-        )
-        change = self._change.watch(
-            block,
-            innovation,
-            noise + best.walk_share(jacobian),
-            best.state,
-            is_unimodal=best.is_unimodal,
-            is_fresh=best.is_unimodal or best.blocks_since_solved == 0,
-            is_beyond_all_nodes=functools.partial(
-                best.is_beyond_all_nodes, response, innovation.variance
-            ),
-            is_beyond_model_error=(len(self._bank) == 1 or self._is_tissue_known)
+        return elastic.value, noise, predictions
+
+    def _knowledge(
+        self, noise: float, best: Prediction, predictions: list[Prediction]
+    ) -> Knowledge:
+        """Return what is known while a block is compared with its predictions."""
+        posterior, is_exact = self._best, len(self._bank) == 1
+        return Knowledge(
+            noise=noise + posterior.walk_share(best),
+            state=posterior.state,
+            is_unimodal=posterior.is_unimodal,
+            is_fresh=posterior.is_unimodal or posterior.blocks_since_solved == 0,
+            is_exact=is_exact,
+            is_beyond_model_error=(is_exact or self._is_tissue_known)
             and all(
-                residual**2 > CHANGE_DEVIATIONS**2 * (noise + spread)
-                for _, _, residual, _, spread in taken
+                prediction.residual**2 > CHANGE_DEVIATIONS**2 * (noise + prediction.spread)
+                for prediction in predictions
             ),
-            is_exact=len(self._bank) == 1,
+            is_beyond_all_nodes=functools.partial(posterior.is_beyond_all_nodes, best, noise),
         )
-        if change is not None:
-            self._start_anew(change, innovation, block)
-        if self._change.is_blind(block.memory_time):
-            return innovation
-        for posterior, response, residual, jacobian, spread in taken:
-            posterior.add(response, residual, spread, noise, block.size)
+
+    def _take(self, block: Block, noise: float, predictions: list[Prediction]) -> None:
+        """Let every posterior learn from a block."""
+        for posterior, prediction in zip(self._bank, predictions, strict=True):
+            posterior.add(prediction, noise, block.size)
             # A state that takes up surprises would hide the change that they may be.
             if posterior.is_unimodal and not self._change.is_suspected:
-                posterior.update(residual, jacobian, noise + spread, noise)
+                posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         self._linearise(block)
-        return innovation
 
     @property
     def _is_tissue_known(self) -> bool:
