@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex
+from fden_ros.core.estimation.gauss_newton import GaussNewton
 from fden_ros.core.estimation.normal_equations import NormalEquations
-from fden_ros.core.estimation.posterior import StressPosterior
 from fden_ros.core.estimation.state_prior import StatePrior
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.geometry import PassThrough
@@ -19,7 +19,7 @@ from fden_ros.core.law.stress_response import StressBasis
 
 CHECKED = {
     NormalEquations: ("respond", "node_residuals", "at_state", "at_nodes"),
-    StressPosterior: ("_step", "_covariances", "_weights"),
+    GaussNewton: ("solve", "solve_at_nodes", "_moments", "_step", "_covariances", "_weights"),
     StatePrior: ("precision", "distance"),
     StressBasis: ("freeze", "take_block"),
 }
@@ -90,5 +90,5 @@ def test_stated_shapes_are_those_of_the_arrays(monkeypatch: pytest.MonkeyPatch):
     assert "NormalEquations.respond" in seen
     assert "StressBasis.take_block" in seen
     assert "NormalEquations.at_nodes" in seen
-    assert "StressPosterior._step" in seen
+    assert "GaussNewton._step" in seen
     assert "StatePrior.distance" in seen

@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).parent.parent / "fden_ros"
 ROOMS = (
     "errors",
     "one_thread",
+    "core.arrays",
     "core.streams",
     "core.law",
     "core.contact",

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import Estimate, Innovation
+from fden_ros.core.estimation.estimate import Estimate, Innovation, LawError
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import (
     ApparentStiffness,
@@ -155,7 +155,15 @@ def _fill_parameters(
     message.strain_origin_sd = estimate.strain_origin_sd
     message.model_error = estimate.model_error
     message.loading_age = estimate.loading_age
+    if estimate.law_error is not None:
+        for name, value in estimate.law_error._asdict().items():
+            setattr(message, _law_error_field(name), value)
     message.alpha_source = int(source)
+
+
+def _law_error_field(name: str) -> str:
+    """Return the message's field: kernel_error for kernel, kernel_error_sd for kernel_sd."""
+    return f"{name.removesuffix('_sd')}_error{'_sd' if name.endswith('_sd') else ''}"
 
 
 def _fill_classes(
@@ -255,6 +263,11 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         strain_origin_sd=message.strain_origin_sd,
         model_error=message.model_error,
         loading_age=message.loading_age,
+        law_error=LawError(
+            **{name: getattr(message, _law_error_field(name)) for name in LawError._fields}
+        )
+        if message.kernel_error_sd
+        else None,
         probability_beyond_boundary=math.nan,
         converged=converged,
         sample_count=sample_count,

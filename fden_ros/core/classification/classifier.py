@@ -37,12 +37,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate, Prior
-
-Array = NDArray[np.float64]
 
 UNKNOWN = "unknown"
 

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
 from fden_ros.core.law.apparent_stiffness import LogStiffness
-
-Array = NDArray[np.float64]
 
 #: Answers of the comparison.
 ANSWERS = ("softer", "alike", "stiffer")

@@ -7,11 +7,8 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.core.streams.samples import NANOSECONDS
-
-Array = NDArray[np.float64]
 
 
 class Chunk(NamedTuple):

@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import MIN_CHUNKS, Baseline, Chunk
 from fden_ros.core.contact.surface import Surface, find_surface
 from fden_ros.core.streams.samples import Pair, Position
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

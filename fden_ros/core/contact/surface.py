@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gamma
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 
 class Surface(NamedTuple):

@@ -25,9 +25,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 #: Coefficients of the trend [1]: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3

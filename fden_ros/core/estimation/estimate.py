@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 
 class StateIndex(enum.IntEnum):
@@ -177,6 +176,21 @@ class Innovation(NamedTuple):
         return self.innovation**2 / self.variance
 
 
+class LawError(NamedTuple):
+    """How far the data bend the law, as root mean squares of relative deviations [1].
+
+    Of the relaxation kernel over the times seen, of the stress-strain curve over the strains seen,
+    and of the curve where it is loaded (see :mod:`fden_ros.core.estimation.law_deviation`).
+    """
+
+    kernel: float
+    kernel_sd: float
+    characteristic: float
+    characteristic_sd: float
+    loaded: float
+    loaded_sd: float
+
+
 class Estimate(NamedTuple):
     """The parameters and how well they are known."""
 
@@ -194,6 +208,8 @@ class Estimate(NamedTuple):
     model_error: float = 0.0
     #: Mean time since the present elastic response was built up [s]; 0: not known.
     loading_age: float = 0.0
+    #: None: not known, before 2 s of the first contact of a site.
+    law_error: LawError | None = None
 
     @property
     def mean(self) -> Array:

@@ -34,9 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import (
     Block,
     Estimate,
@@ -45,9 +45,6 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
-
-Array = NDArray[np.float64]
-
 
 #: Places in the state of a member, which has no alpha: not those of StateIndex.
 _LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)

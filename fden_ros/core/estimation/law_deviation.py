@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from fden_ros.core.estimation.contact_record import ContactRecord
-from fden_ros.core.estimation.estimate import Prior, StateIndex, Uncertainty
+from fden_ros.core.estimation.estimate import LawError, Prior, StateIndex, Uncertainty
 from fden_ros.core.estimation.unmodelled import (
     FRICTION_SPEED,
     SURFACE_TIME,
@@ -103,17 +103,28 @@ class LawDeviation:
 
     kernel: Deviation
     characteristic: Deviation
-    loaded_error: float  #: of the characteristic in the upper half of the strains [1]
-    loaded_error_sd: float  #: its standard deviation [1]
+    loaded: Deviation  #: of the characteristic in the upper half of the strains
     log_linear_stiffness: float  #: ln G of the law from which they deviate
     log_nonlinear_stiffness: float  #: its ln Gn
     fractional_order: float  #: its alpha [1]
 
     @property
+    def error(self) -> LawError:
+        """The root mean squares with their deviations."""
+        return LawError(
+            self.kernel.error,
+            self.kernel.error_sd,
+            self.characteristic.error,
+            self.characteristic.error_sd,
+            self.loaded.error,
+            self.loaded.error_sd,
+        )
+
+    @property
     def is_mismatch(self) -> bool:
         """Whether the relaxation is no power law, or the loaded curve not the law's."""
         kernel = self.kernel.error - _ONE_SIDED_95 * self.kernel.error_sd
-        loaded = self.loaded_error - _ONE_SIDED_95 * self.loaded_error_sd
+        loaded = self.loaded.error - _ONE_SIDED_95 * self.loaded.error_sd
         return kernel > KERNEL_MISMATCH or loaded > LOADED_MISMATCH
 
 
@@ -216,8 +227,7 @@ class LawFit:
         return LawDeviation(
             kernel,
             characteristic,
-            loaded.error,
-            loaded.error_sd,
+            loaded,
             law[_LOG_G],
             law[_LOG_GN],
             law[_ORDER],
@@ -370,8 +380,8 @@ def _without(
 
 def _changes(signal: Array) -> Array:
     """Return the change over each step, from 0 at the touch."""
-    changes: Array = np.diff(signal, axis=0, prepend=np.zeros((1, *signal.shape[1:])))
-    return changes
+    result: Array = np.diff(signal, axis=0, prepend=np.zeros((1, *signal.shape[1:])))
+    return result
 
 
 def _inverse_correlation(knots: Array, length: float) -> Array:

@@ -25,13 +25,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.law.interpolation import STENCIL, Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation, order_nodes
-
-Array = NDArray[np.float64]
 
 #: Blocks that may wait to be added to the sums together [1]: one product of matrices is faster
 #: than 32 of vectors, and a solution comes after 10 blocks at the latest.

@@ -16,7 +16,7 @@ filter in information form whose linearisation is never out of date.
 
 While Gn is not yet observable, its posterior is not normal. Then the other parameters are solved
 for at every node of ln Gn, and the nodes weighed by their evidence (Laplace's approximation at
-each node): a Gaussian sum.
+each node): a Gaussian sum. The solver is :mod:`fden_ros.core.estimation.gauss_newton`.
 """
 
 from __future__ import annotations
@@ -25,19 +25,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex
+from fden_ros.core.estimation.gauss_newton import GaussNewton
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations
 from fden_ros.core.estimation.random_walk import RandomWalk
 from fden_ros.core.estimation.state_prior import StatePrior
 from fden_ros.core.law.interpolation import LOG_SPACING, LogStiffnessGrid
-from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
@@ -60,35 +57,11 @@ _WALK_UNIT = 3.0
 #: it no longer is: narrower than the nodes' distance their sum does not resolve it. Two values, so
 #: that it does not go to and fro.
 _UNIMODAL, _MULTIMODAL = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
-#: Longest change of (ln G, ln Gn, alpha, o) in a step [1]: the range over which the response is
-#: nearly linear in each. A linear parameter changes by no more than its reach. (A step solved for
-#: all together, of which only some are cut short, is too long for the others: without a bound of
-#: their own they run away.)
-_LONGEST_STEP = (1.0, 0.3, 0.05, 0.02)
-#: Prior deviations [1] within which the origin and the linear parameters stay: in the golden bags
-#: no node of ln Gn, however unlikely, asks for more than 25.
-_REACH_DEVIATIONS = 100.0
-#: Steps of a solution at most [1]: of one state, and of the nodes.
-_MOST_STEPS, _MOST_NODE_STEPS = 10, 3
-#: Times [1] that the nodes are given these steps while they have not converged.
-_MOST_ROUNDS = 4
 #: Blocks [1] after which the posterior is solved for anew while it is not normal, and while it is:
 #: then an extended Kalman filter goes on from the last solution in between.
 _MULTIMODAL_BLOCKS, _UNIMODAL_BLOCKS = 4, 10
-#: Steps end when the last one lowered minus twice the log-posterior by less than this [1]: a tenth
-#: of a standard deviation.
-_CLOSE = 0.01
-#: A solution whose last step lowered it by more than this [1] has not converged, and is not
-#: believed. (Good data end below 0.01.)
-_FAR = 1.0
-#: Weight [1] below which a node does not count.
-_LEAST_WEIGHT = 1e-6
 #: Added to a standard deviation of ln Gn [1] that may be 0, before it divides.
 _TINY_DEVIATION = 1e-12
-#: Eigenvalues of a scaled Hessian [1] below this are rounding.
-_SINGULAR = 1e-11
-#: Distance from the prior [1] at which ln G stops: a factor of 160,000 either way is no tissue.
-_LOG_REACH = 12.0
 #: Standard deviation of a change of ln G [1]: a lesion is up to several times stiffer than what is
 #: around it.
 _CHANGE_OF_LOG_G = 1.0
@@ -96,13 +69,13 @@ _CHANGE_OF_LOG_G = 1.0
 _PULSE_SHARE = 2.0
 
 
-class _Steps(NamedTuple):
-    """Gauss-Newton steps from m states."""
+class Prediction(NamedTuple):
+    """How a posterior predicts a block."""
 
-    steps: Array  #: shape (m, n); 0 where there is no solution
-    inverses: Array  #: of the Hessians, shape (m, free, free)
-    log_determinants: Array  #: of the Hessians, shape (m,)
-    decrements: Array  #: of minus twice the log-posterior, shape (m,); infinite without a solution
+    response: BlockResponse
+    residual: float  #: predicted less observed stress [Pa]
+    jacobian: Array  #: of the residual, shape (n,)
+    spread: float  #: variance of the prediction [Pa^2]
 
 
 class StressPosterior:
@@ -144,6 +117,12 @@ class StressPosterior:
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
         self._prior = StatePrior(mean, deviations)
+        self._solver = GaussNewton(
+            self._equations,
+            self._prior,
+            grid,
+            is_order_learned=not config.fractional_order_given,
+        )
         self._walk = RandomWalk(self._equations, _WALK_UNIT * noise_sd)
         self.state = self._prior.mean.copy()
         self.covariance = self._prior.covariance
@@ -183,15 +162,15 @@ class StressPosterior:
             self.covariance[index, :] = self.covariance[:, index] = 0.0
             self.covariance[index, index] = deviation**2
 
-    def respond(
+    def predict(
         self,
         law: Array,
         free: Array,
         linear: dict[StateIndex, float],
         block: Block,
         walk_variance: float,
-    ) -> BlockResponse:
-        """Return the responses of a block.
+    ) -> Prediction:
+        """Return how a block compares with its prediction.
 
         Parameters
         ----------
@@ -214,69 +193,64 @@ class StressPosterior:
                 (self.state, self._node_states),
                 self.covariance,
             )
-        return self._equations.respond(law, free, columns[_ORIGIN + 1 :], block.stress)
-
-    def predict(self, response: BlockResponse) -> tuple[float, Array, float]:
-        """Return predicted less observed stress, its derivatives (n,) and its variance."""
+        response = self._equations.respond(law, free, columns[_ORIGIN + 1 :], block.stress)
         residual, jacobian = self._equations.residual(response, self.state)
-        return residual, jacobian, float(jacobian @ self.covariance @ jacobian)
+        spread = float(jacobian @ self.covariance @ jacobian)
+        return Prediction(response, residual, jacobian, spread)
 
-    def walk_share(self, jacobian: Array) -> float:
+    def walk_share(self, prediction: Prediction) -> float:
         """Return the walk's own part of a prediction's variance [Pa^2]."""
         walk = list(_WALK)
-        return float(jacobian[walk] @ self.covariance[np.ix_(walk, walk)] @ jacobian[walk])
+        jacobian = prediction.jacobian[walk]
+        return float(jacobian @ self.covariance[np.ix_(walk, walk)] @ jacobian)
 
-    def add(
-        self, response: BlockResponse, residual: float, spread: float, noise: float, size: int
-    ) -> None:
+    def add(self, prediction: Prediction, noise: float, size: int) -> None:
         """Take a block.
 
         Parameters
         ----------
-        response : BlockResponse
-        residual, spread : float
-            Predicted less observed [Pa], and the prediction's variance [Pa^2].
+        prediction : Prediction
         noise : float
             Variance of the block's mean stress [Pa^2].
         size : int
             Samples in the block.
         """
-        variance = noise + spread
-        self.log_evidence -= 0.5 * (residual**2 / variance + math.log(variance))
-        self._equations.add(response, noise, size)
+        variance = noise + prediction.spread
+        self.log_evidence -= 0.5 * (prediction.residual**2 / variance + math.log(variance))
+        self._equations.add(prediction.response, noise, size)
         self.blocks_since_solved += 1
 
     def widen_newest(self, variance: float) -> None:
         """Add to the variance of the newest block what one of its samples is further off."""
         self._equations.widen_newest(variance)
 
-    def update(self, residual: float, jacobian: Array, variance: float, noise: float) -> None:
+    def update(self, prediction: Prediction, noise: float) -> None:
         """Take one step of an extended Kalman filter, good until the next relinearisation.
 
         Parameters
         ----------
-        residual : float
-            Predicted less observed [Pa].
-        jacobian : ndarray, shape (n,)
-        variance, noise : float
-            Of the innovation, and of the observation [Pa^2].
+        prediction : Prediction
+        noise : float
+            Variance of the block's mean stress [Pa^2].
         """
-        gain = self.covariance @ jacobian / variance
+        jacobian = prediction.jacobian
+        gain = self.covariance @ jacobian / (noise + prediction.spread)
         if self._config.fractional_order_given:
             # Schmidt's filter: alpha keeps its deviation and is not learned.
             gain[_ORDER] = 0.0
-        longest = self._longest_step
-        step = np.clip(-gain * residual, -longest, longest)
+        longest = self._solver.longest_step
+        step = np.clip(-gain * prediction.residual, -longest, longest)
         # Joseph's form: positive whatever the rounding.
         kept = np.eye(gain.size) - np.outer(gain, jacobian)
         covariance = kept @ self.covariance @ kept.T + noise * np.outer(gain, gain)
         if np.all(np.isfinite(step)) and np.all(np.isfinite(covariance)):
-            self.state = self._bounded(self.state + step)
+            self.state = self._solver.bounded(self.state + step)
             self.covariance = covariance
 
-    def is_beyond_all_nodes(self, response: BlockResponse, variance: float) -> bool:
+    def is_beyond_all_nodes(self, prediction: Prediction, noise: float) -> bool:
         """Whether an innovation is a surprise for every likely ln Gn as well."""
-        residuals = self._equations.node_residuals(response, self._node_states)
+        variance = noise + prediction.spread
+        residuals = self._equations.node_residuals(prediction.response, self._node_states)
         mean = self._node_weights @ residuals
         spread = self._node_weights @ (residuals - mean) ** 2
         return bool(mean**2 > CHANGE_DEVIATIONS**2 * (variance + spread))
@@ -317,174 +291,28 @@ class StressPosterior:
         """Solve for the posterior anew, with all blocks so far."""
         self.blocks_since_solved = 0
         if not self.is_unimodal:
-            self._solve_nodes()
+            self._solve_at_nodes()
         if self.is_unimodal:
-            self._solve_state()
+            self._solve()
 
-    @property
-    def _free(self) -> Indices:
-        """Indices of the parameters that are learned, shape (free,)."""
-        learned = self._prior.learned
-        return learned[learned != _ORDER] if self._config.fractional_order_given else learned
-
-    def _solve_state(self) -> None:
+    def _solve(self) -> None:
         """Solve for the maximum of a posterior that is normal."""
-        free = self._free
-        state, least, remaining = self.state, math.inf, math.inf
-        for _ in range(_MOST_STEPS):
-            quadratic = self._equations.at_state(state)
-            solved = self._step(state[None], quadratic[None], free)
-            decrement = float(solved.decrements[0])
-            if not math.isfinite(decrement):
-                break
-            misfit = float(quadratic[0, 0] + self._prior.distance(state, free))
-            # Where the model is wrong the steps may run in circles: the best of them counts.
-            if misfit < least:
-                least, remaining = misfit, decrement
-                self.state = state
-                self.covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
-            state = self._bounded(state + solved.steps[0])
-            if decrement <= _CLOSE:
-                self.state = state
-                break
-        self.is_solved = remaining <= _FAR
+        solution = self._solver.solve(self.state, self.covariance)
+        self.state, self.covariance, self.is_solved = solution
         if not self.is_solved or self.covariance[_LOG_GN, _LOG_GN] > _MULTIMODAL**2:
             self.is_unimodal = False
             self._begin_nodes()
 
-    def _solve_nodes(self) -> None:
+    def _solve_at_nodes(self) -> None:
         """Solve at every node of ln Gn, and take the moments of all."""
-        free = self._free
-        free = free[free != _LOG_GN]
-        for _ in range(_MOST_ROUNDS):
-            solved, quadratics = self._approach(free)
-            weights = self._weights(solved, quadratics, free)
-            likely = weights > _LEAST_WEIGHT
-            remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
-            self.is_solved = bool(remaining <= _FAR)
-            if self.is_solved:
-                break
-        if not self.is_solved:
-            # The nodes go on from where they are at the next solution.
-            return
-        states, prior = self._node_states, self._prior
-        self._node_weights = weights
-        self.state = np.where(prior.deviations > 0.0, weights @ states, prior.mean)
-        if self._config.fractional_order_given:
-            self.state[_ORDER] = prior.mean[_ORDER]
-        centred = states - self.state
-        covariance = (weights[:, None] * centred).T @ centred
-        own = self._covariances(solved.inverses[likely], quadratics[likely], free)
-        covariance += np.tensordot(weights[likely], own, 1)
-        self.covariance = covariance
-        self.is_unimodal = bool(covariance[_LOG_GN, _LOG_GN] < _UNIMODAL**2)
-
-    def _approach(self, free: Indices) -> tuple[_Steps, Array]:
-        """Take steps at every node; return the last ones and the products where they led."""
-        states = self._node_states
-        quadratics = self._equations.at_nodes(states)
-        for _ in range(_MOST_NODE_STEPS):
-            solved = self._step(states, quadratics, free)
-            states = self._node_states = self._bounded_nodes(states + solved.steps)
-            quadratics = self._equations.at_nodes(states)
-            close = solved.decrements <= _CLOSE
-            if np.all(close | (self._node_weights < _LEAST_WEIGHT)):
-                break
-        return solved, quadratics
-
-    def _weights(self, solved: _Steps, quadratics: Array, free: Indices) -> Array:
-        """Return the nodes' weights by their evidence, shape (nodes,); 0 without a solution."""
-        prior = self._prior
-        log_evidence = -0.5 * (
-            quadratics[:, 0, 0]
-            + prior.distance(self._node_states, free)
-            + solved.log_determinants
-            + ((self._grid.nodes - prior.mean[_LOG_GN]) / prior.deviations[_LOG_GN]) ** 2
-        )
-        is_solved = np.isfinite(log_evidence) & np.isfinite(solved.decrements)
-        weights: Array = np.zeros_like(log_evidence)
-        if np.any(is_solved):
-            weights[is_solved] = np.exp(log_evidence[is_solved] - log_evidence[is_solved].max())
-            weights /= weights.sum()
-        return weights
-
-    def _step(self, states: Array, quadratics: Array, free: Indices) -> _Steps:
-        """Return Gauss-Newton steps; none where the Hessian is not finite.
-
-        Parameters
-        ----------
-        states : ndarray, shape (m, n)
-        quadratics : ndarray, shape (m, n + 1, n + 1)
-        free : ndarray, shape (free,)
-        """
-        precision = self._prior.precision(free)
-        hessians = quadratics[:, 1 + free[:, None], 1 + free] + precision
-        gradients = quadratics[:, 0, 1 + free] + (states - self._prior.mean)[:, free] @ precision
-        inverses, log_determinants = _inverse(hessians, precision.diagonal())
-        longest = self._longest_step[free]
-        wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
-        is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
-        moved = np.where(is_solved[:, None], np.clip(wanted, -longest, longest), 0.0)
-        steps = np.zeros_like(states)
-        steps[:, free] = moved
-        decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
-        decrements[~is_solved] = math.inf
-        return _Steps(steps, inverses, log_determinants, decrements)
-
-    @property
-    def _reach(self) -> Array:
-        """Distance from their prior at which origin and linear parameters stop, shape (n - 3,)."""
-        return _REACH_DEVIATIONS * self._prior.deviations[_ORIGIN:]
-
-    @property
-    def _longest_step(self) -> Array:
-        """Longest change of each parameter in a step, shape (n,)."""
-        return np.concatenate([_LONGEST_STEP, self._reach[1:]])
-
-    def _bounded(self, states: Array) -> Array:
-        """Keep states, shape (..., n), where the response is known, in place."""
-        around, reach = self._prior.mean, self._reach
-        for index, lowest, highest in (
-            (_LOG_G, around[_LOG_G] - _LOG_REACH, around[_LOG_G] + _LOG_REACH),
-            (_ORDER, LOWEST_ORDER, HIGHEST_ORDER),
-            (_LOG_GN, self._grid.lowest, self._grid.highest),
-            (slice(_ORIGIN, None), around[_ORIGIN:] - reach, around[_ORIGIN:] + reach),
-        ):
-            states[..., index] = np.clip(states[..., index], lowest, highest)
-        return states
-
-    def _bounded_nodes(self, states: Array) -> Array:
-        states = self._bounded(states)
-        states[:, _LOG_GN] = self._grid.nodes
-        return states
-
-    def _covariances(self, inverses: Array, quadratics: Array, free: Indices) -> Array:
-        """Return the covariances of all parameters.
-
-        Parameters
-        ----------
-        inverses : ndarray, shape (m, free, free)
-            Of the Hessians.
-        quadratics : ndarray, shape (m, n + 1, n + 1)
-        free : ndarray, shape (free,)
-
-        Returns
-        -------
-        ndarray, shape (m, n, n)
-        """
-        size = self.state.size
-        covariances = np.zeros((inverses.shape[0], size, size))
-        covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
-        if self._config.fractional_order_given:
-            # The uncertainty of an alpha that is not learned counts too (consider analysis).
-            deviation = self._prior.deviations[_ORDER]
-            sensitivity = np.zeros((inverses.shape[0], size))
-            coupling = quadratics[:, 1 + free, 1 + _ORDER]
-            sensitivity[:, free] = -(inverses @ coupling[:, :, None])[:, :, 0]
-            sensitivity[:, _ORDER] = deviation
-            sensitivity[:, free] *= deviation
-            covariances += sensitivity[:, :, None] * sensitivity[:, None, :]
-        return covariances
+        solution = self._solver.solve_at_nodes(self._node_states, self._node_weights)
+        # Where they have not converged, the nodes go on from where they are the next time.
+        self._node_states = solution.states
+        self.is_solved = solution.moments is not None
+        if solution.moments is not None:
+            self._node_weights = solution.weights
+            self.state, self.covariance, _ = solution.moments
+            self.is_unimodal = bool(self.covariance[_LOG_GN, _LOG_GN] < _UNIMODAL**2)
 
     def probability_beyond_boundary(self, strain: float) -> float:
         """Return P(strain > 1/Gn) [1], for a positive strain."""
@@ -493,37 +321,3 @@ class StressPosterior:
             return float(ndtr((math.log(strain) + self.state[_LOG_GN]) / deviation))
         beyond = ndtr((math.log(strain) + self._grid.nodes) / (0.5 * LOG_SPACING))
         return float(min(self._node_weights @ beyond, 1.0))
-
-
-def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
-    """Return inverses and logarithms of determinants of positive definite matrices.
-
-    Rounding may have robbed the matrices of being so.
-
-    Parameters
-    ----------
-    matrices : ndarray, shape (m, free, free)
-    least : ndarray, shape (free,)
-        Lower bound of each diagonal element, but for rounding: its scale.
-
-    Returns
-    -------
-    inverses : ndarray, shape (m, free, free)
-        NaN where the matrix is not finite.
-    log_determinants : ndarray, shape (m,)
-        NaN there too.
-    """
-    diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
-    scale = diagonal**-0.5
-    scaled = matrices * scale[:, :, None] * scale[:, None, :]
-    is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
-    if not np.all(is_finite):
-        scaled[~is_finite] = np.eye(least.size)
-    values, vectors = np.linalg.eigh(scaled)
-    values = np.maximum(values, _SINGULAR)
-    vectors *= scale[:, :, None]
-    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-    log_determinants: Array = np.sum(np.log(values) + np.log(diagonal), axis=1)
-    inverses[~is_finite] = math.nan
-    log_determinants[~is_finite] = math.nan
-    return inverses, log_determinants

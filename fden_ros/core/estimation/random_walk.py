@@ -13,13 +13,9 @@ ch. 5: nuisances as random walks.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.estimation.normal_equations import NormalEquations
-
-Array = NDArray[np.float64]
 
 _NOW, _NEXT = StateIndex.WALK, StateIndex.WALK_NEXT
 #: Distance of the knots [s]: a heartbeat of 1.2 Hz wants 0.125 s; with 0.25 s the estimates are

@@ -14,8 +14,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import (
     Block,
     Estimate,
@@ -24,9 +24,10 @@ from fden_ros.core.estimation.estimate import (
     StateIndex,
 )
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
+from fden_ros.core.estimation.law_watch import LawWatch
 from fden_ros.core.estimation.motion_noise import MotionNoise
-from fden_ros.core.estimation.posterior import StressPosterior
-from fden_ros.core.estimation.tissue_change import Change, TissueChange
+from fden_ros.core.estimation.posterior import Prediction, StressPosterior
+from fden_ros.core.estimation.tissue_change import Change, Knowledge, TissueChange
 from fden_ros.core.estimation.unmodelled import (
     FRICTION_SPEED,
     SURFACE_TIME,
@@ -43,8 +44,6 @@ from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation
 from fden_ros.core.law.stress_response import StressBasis
-
-Array = NDArray[np.float64]
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
@@ -120,6 +119,7 @@ class StressEstimator:
         self._sample_count = 0
         self._contact_start: float | None = None
         self._change = TissueChange()
+        self._law = LawWatch(geometry, prior, config.uncertainty, noise_sd, origin_sd)
 
     @property
     def is_doubtful(self) -> bool:
@@ -128,8 +128,14 @@ class StressEstimator:
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the innovations contradict a law that is said to be exact."""
-        return self._change.is_mismatch
+        """Whether the data contradict the law.
+
+        A law that is said to be exact: the innovations; else its deviation is a threshold's.
+        """
+        if self._is_exact:
+            return self._change.is_mismatch
+        deviation = self._law.deviation
+        return deviation is not None and deviation.is_mismatch
 
     @property
     def change_count(self) -> int:
@@ -142,6 +148,7 @@ class StressEstimator:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
         self._motion.interrupt()
         self._change.begin_contact()
+        self._law.begin_contact()
         self._age.interrupt()
         self._last_compression = math.nan
         self._contact_start = None
@@ -172,10 +179,31 @@ class StressEstimator:
         FloatingPointError
             If the block's response is beyond floating-point numbers.
         """
+        elastic, noise, predictions = self._predict(block)
+        best = predictions[self._bank.index(self._best)]
+        innovation = Innovation(
+            predicted_fractional_stress=elastic,
+            predicted_stress=block.stress + best.residual,
+            innovation=-best.residual,
+            variance=noise + best.spread,
+        )
+        known = self._knowledge(noise, best, predictions)
+        change = self._change.watch(block, innovation, known)
+        if change is not None:
+            self._start_anew(change, innovation, block)
+        if not self._change.is_blind(block.memory_time):
+            self._take(block, noise, predictions)
+        return innovation
+
+    def _predict(self, block: Block) -> tuple[float, float, list[Prediction]]:
+        """Return the elastic response [Pa s^alpha], the block's noise and every prediction.
+
+        The noise is the variance of the block's mean stress [Pa^2].
+        """
         state = self._best.state
         elastic, relaxed = self._elastic(block, state)
         slope = elastic.by_strain * self._geometry.strain_slope(block.compression - state[_ORIGIN])
-        law, free, linear = self._respond(block, state, slope / math.exp(state[_LOG_G]))
+        response = self._respond(block, state, slope / math.exp(state[_LOG_G]))
         growth = self._age.grow(block.duration, elastic.value / math.exp(state[_LOG_G]))
         noise, before = self._motion.take_block(
             block.duration, block.size, slope, float(state[_ORDER])
@@ -185,55 +213,55 @@ class StressEstimator:
         rig_error = rig_error_variance(
             self._config.uncertainty, self._geometry, block.duration, stiffness
         )
-        taken = []
+        predictions = []
         for posterior in self._bank:
             posterior.widen_newest(before)
             model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
-            response = posterior.respond(law, free, linear, block, model_error + rig_error)
-            taken.append((posterior, response, *posterior.predict(response)))
-        numbers = [(noise, residual, spread) for _, _, residual, _, spread in taken]
+            predictions.append(posterior.predict(*response, block, model_error + rig_error))
+        numbers = [(noise, prediction.residual, prediction.spread) for prediction in predictions]
         if not (noise > 0.0 and np.all(np.isfinite(numbers))):
             raise FloatingPointError(
                 f"the response to a compression of {block.compression:g} and a stress of "
                 f"{block.stress:g} Pa is not finite"
             )
-        best, response, residual, jacobian, spread = taken[self._bank.index(self._best)]
-        innovation = Innovation(
-            predicted_fractional_stress=elastic.value,
-            predicted_stress=block.stress + residual,
-            innovation=-residual,
-            variance=noise + spread,
-        )
-        change = self._change.watch(
-            block,
-            innovation,
-            noise + best.walk_share(jacobian),
-            best.state,
-            is_unimodal=best.is_unimodal,
-            is_fresh=best.is_unimodal or best.blocks_since_solved == 0,
-            is_beyond_all_nodes=functools.partial(
-                best.is_beyond_all_nodes, response, innovation.variance
-            ),
-            is_beyond_model_error=(len(self._bank) == 1 or self._is_tissue_known)
+        return elastic.value, noise, predictions
+
+    def _knowledge(
+        self, noise: float, best: Prediction, predictions: list[Prediction]
+    ) -> Knowledge:
+        """Return what is known while a block is compared with its predictions."""
+        posterior = self._best
+        return Knowledge(
+            noise=noise + posterior.walk_share(best),
+            state=posterior.state,
+            is_unimodal=posterior.is_unimodal,
+            is_fresh=posterior.is_unimodal or posterior.blocks_since_solved == 0,
+            is_exact=self._is_exact,
+            is_beyond_model_error=(self._is_exact or self._is_tissue_known)
             and all(
-                residual**2 > CHANGE_DEVIATIONS**2 * (noise + spread)
-                for _, _, residual, _, spread in taken
+                prediction.residual**2 > CHANGE_DEVIATIONS**2 * (noise + prediction.spread)
+                for prediction in predictions
             ),
-            is_exact=len(self._bank) == 1,
+            is_beyond_all_nodes=functools.partial(posterior.is_beyond_all_nodes, best, noise),
         )
-        if change is not None:
-            self._start_anew(change, innovation, block)
-        if self._change.is_blind(block.memory_time):
-            return innovation
-        for posterior, response, residual, jacobian, spread in taken:
-            posterior.add(response, residual, spread, noise, block.size)
+
+    def _take(self, block: Block, noise: float, predictions: list[Prediction]) -> None:
+        """Let every posterior learn from a block."""
+        for posterior, prediction in zip(self._bank, predictions, strict=True):
+            posterior.add(prediction, noise, block.size)
             # A state that takes up surprises would hide the change that they may be.
             if posterior.is_unimodal and not self._change.is_suspected:
-                posterior.update(residual, jacobian, noise + spread, noise)
+                posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         self._linearise(block)
-        return innovation
+        if not self._is_exact:
+            self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
+
+    @property
+    def _is_exact(self) -> bool:
+        """Whether the law is said to be exact."""
+        return len(self._bank) == 1
 
     @property
     def _is_tissue_known(self) -> bool:
@@ -300,6 +328,7 @@ class StressEstimator:
             posterior.start_anew(innovation.predicted_fractional_stress)
         self._weights.fill(1.0 / len(self._bank))
         self._max_compression = -math.inf
+        self._law.stop()
 
     def relinearise(self, *, fully: bool = False) -> None:
         """Solve for the posteriors anew, with all blocks so far, where that is due."""
@@ -315,6 +344,8 @@ class StressEstimator:
                 solved = True
         if solved:
             self._weigh()
+        if fully and not self._is_exact:
+            self._law.finish(self._best.state[: _ORIGIN + 1])
 
     def _weigh(self) -> None:
         evidence = np.array([posterior.log_evidence for posterior in self._bank])
@@ -333,7 +364,7 @@ class StressEstimator:
         covariance = (self._weights[:, None] * centred).T @ centred
         for weight, posterior in zip(self._weights, self._bank, strict=True):
             covariance += weight * posterior.covariance
-        if len(self._bank) == 1:
+        if self._is_exact:
             # The law is said to be exact: where it is not, nothing accounts for it but this.
             covariance *= self._change.inflation
             if self.is_mismatch:
@@ -358,6 +389,7 @@ class StressEstimator:
             sample_count=self._sample_count,
             model_error=self._model_error,
             loading_age=self._age.age,
+            law_error=self._law.deviation.error if self._law.deviation is not None else None,
         )
 
     @property

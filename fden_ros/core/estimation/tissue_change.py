@@ -7,17 +7,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Block, Innovation
 from fden_ros.core.estimation.innovation_monitor import (
     CHANGE_DEVIATIONS,
     LONGEST_CHANGE_WINDOW,
     InnovationMonitor,
 )
-
-Array = NDArray[np.float64]
 
 #: An innovation whose variance is below this many times the noise's [1] is the noise's, not the
 #: state's: only such are tested.
@@ -41,6 +37,21 @@ class Change(NamedTuple):
 
     time: float  #: of the first block that shows it [s]
     state: Array | None  #: the last state before it, shape (n,); None: the present one
+
+
+class Knowledge(NamedTuple):
+    """What was known when a block came: it decides which innovation is a surprise."""
+
+    noise: float  #: variance of the block's mean stress, the walk's own part included [Pa^2]
+    state: Array  #: by which the block was predicted, shape (n,)
+    is_unimodal: bool  #: the posterior is normal
+    is_fresh: bool  #: the state holds all blocks before this one
+    #: The law holds without a model's error: only then is a deviation that came slowly a change.
+    is_exact: bool
+    #: The innovation is a surprise at every scale of the model's error.
+    is_beyond_model_error: bool
+    #: Whether it is a surprise for every likely ln Gn; asked where the posterior is not normal.
+    is_beyond_all_nodes: Callable[[], bool]
 
 
 class TissueChange:
@@ -85,70 +96,29 @@ class TissueChange:
         """Whether a block at `time` [s] is too soon after a change to be used."""
         return time < self._blind_until
 
-    def watch(
-        self,
-        block: Block,
-        innovation: Innovation,
-        noise: float,
-        state: Array,
-        *,
-        is_unimodal: bool,
-        is_fresh: bool,
-        is_beyond_all_nodes: Callable[[], bool],
-        is_beyond_model_error: bool,
-        is_exact: bool,
-    ) -> Change | None:
-        """Test the innovation of a block; return the change that it proves.
-
-        Parameters
-        ----------
-        block : Block
-        innovation : Innovation
-        noise : float
-            Variance of the block's mean stress [Pa^2].
-        state : ndarray, shape (n,)
-            By which the block was predicted.
-        is_unimodal : bool
-            The posterior is normal.
-        is_fresh : bool
-            The state holds all blocks before this one.
-        is_beyond_all_nodes : callable
-            Whether the innovation is a surprise for every likely ln Gn; asked where the posterior
-            is not normal.
-        is_beyond_model_error : bool
-            Whether it is a surprise at every scale of the model's error.
-        is_exact : bool
-            Whether the law holds without a model's error: only then is a deviation that came
-            slowly a change too.
-        """
+    def watch(self, block: Block, innovation: Innovation, known: Knowledge) -> Change | None:
+        """Test the innovation of a block; return the change that it proves."""
         self._doubtful_blocks = max(self._doubtful_blocks - 1, 0)
         if innovation.normalized_squared > _SURPRISING**2:
             self._doubtful_blocks = _DOUBTFUL_BLOCKS
         if self.is_blind(block.memory_time):
             return None
-        is_known = innovation.variance <= _MOST_NOISE_SHARE * noise
+        is_settled = innovation.variance <= _MOST_NOISE_SHARE * known.noise
         may_change = self.count < _MOST_CHANGES
-        is_surprising = (
-            innovation.normalized_squared > CHANGE_DEVIATIONS**2
-            # A first surprise needs a state that is known better than the noise; one that follows
-            # a surprise does not, because the surprise has widened the state.
-            and (is_known or not is_unimodal or self._surprises > 0)
-            and is_beyond_model_error
-            and (is_unimodal or is_beyond_all_nodes())
-        )
+        is_surprising = self._is_surprising(innovation, known, is_settled=is_settled)
         self._surprises = self._surprises + 1 if is_surprising and may_change else 0
         if self._surprises == 1:
             self._first_surprise = block.memory_time
         if self._surprises >= _SURPRISES:
             return self._begin_anew(block, Change(self._first_surprise, None))
-        if not is_exact:
+        if not known.is_exact:
             self._monitor = InnovationMonitor()
             self._recent_states.clear()
-        if not (is_known and is_fresh and is_exact):
+        if not (is_settled and known.is_fresh and known.is_exact):
             # Two innovations by one state are not independent.
             return None
         self._monitor.add(innovation.innovation / math.sqrt(innovation.variance))
-        self._recent_states.append((block.memory_time, state.copy()))
+        self._recent_states.append((block.memory_time, known.state.copy()))
         if not (self._monitor.change_window and may_change):
             return None
         # The blocks since the change have spoilt the present state.
@@ -156,6 +126,21 @@ class TissueChange:
         changed_at, _ = self._recent_states[first]
         _, before = self._recent_states[max(first - 1, 0)]
         return self._begin_anew(block, Change(changed_at, before))
+
+    def _is_surprising(
+        self, innovation: Innovation, known: Knowledge, *, is_settled: bool
+    ) -> bool:
+        """Whether an innovation may be the first of a change, or goes on with one.
+
+        A first surprise needs a state that is known better than the noise (`is_settled`); one that
+        follows a surprise does not, because the surprise has widened the state.
+        """
+        return (
+            innovation.normalized_squared > CHANGE_DEVIATIONS**2
+            and (is_settled or not known.is_unimodal or self._surprises > 0)
+            and known.is_beyond_model_error
+            and (known.is_unimodal or known.is_beyond_all_nodes())
+        )
 
     def _begin_anew(self, block: Block, change: Change) -> Change:
         self._blind_until = block.memory_time + _BLIND_TIME

@@ -16,13 +16,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import digamma, gammaln
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
 from fden_ros.core.law.geometry import Geometry
-
-Array = NDArray[np.float64]
 
 
 class Stiffness(NamedTuple):

@@ -22,9 +22,9 @@ import math
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
+
 Number = TypeVar("Number", float, Array)
 
 #: Exponent Gn |x| - 1 [1] beyond which phi is continued by its tangent: e^60 is no tissue, and an

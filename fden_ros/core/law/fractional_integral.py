@@ -27,9 +27,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gamma
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.kernel import (
     MOST_WAITING,
     SERIES_LIMIT,
@@ -37,8 +37,6 @@ from fden_ros.core.law.kernel import (
     kernel_weights,
     relaxation_rates,
 )
-
-Array = NDArray[np.float64]
 
 #: In place of the rate 0, by whose product with a step is divided [1/s]: e^-x is 1 to the last bit
 #: for steps up to 1e13 s, and x far from where numbers are flushed to zero.

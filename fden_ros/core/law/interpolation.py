@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 #: Distance of the nodes of ln Gn [1], and the number of them that serve one value [1]: between
 #: the nodes the stress is interpolated to 2e-5 at strains of 0.3 (test_core_stress_basis).

@@ -14,12 +14,10 @@ import itertools
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 from scipy.special import gamma
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.interpolation import Lagrange
-
-Array = NDArray[np.float64]
 
 #: Shortest step [s] and longest memory [s] for which the sum of exponentials holds, to a relative
 #: 3e-11: samples at up to 100 kHz, and a site of a day.

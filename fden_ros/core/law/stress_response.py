@@ -21,9 +21,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gamma
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import MAX_EXPONENT, phi
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.kernel import (
@@ -34,8 +34,6 @@ from fden_ros.core.law.kernel import (
     order_nodes,
     relaxation_rates,
 )
-
-Array = NDArray[np.float64]
 
 #: Between two samples the compression is linear in time, and phi in parts no longer than this [1]:
 #: steps ten times as long, in up to eight parts, then err by less than 1e-3

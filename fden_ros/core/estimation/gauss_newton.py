@@ -1,0 +1,329 @@
+r"""The maximum of the posterior by Gauss-Newton steps, at one state or at every node of ln Gn.
+
+A step minimises the misfit of all blocks and of the prior, both quadratic in the state about the
+present one. Where the posterior is normal its maximum and the inverse Hessian there are all of it.
+Where it is not, the other parameters are solved for at every node of ln Gn, the nodes are weighed
+by their evidence (Laplace's approximation at each), and the moments are those of all of them.
+
+Steps are bounded, and a solution that has not converged says so: it is not to be believed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.estimation.estimate import StateIndex
+from fden_ros.core.estimation.normal_equations import NormalEquations
+from fden_ros.core.estimation.state_prior import StatePrior
+from fden_ros.core.law.interpolation import LogStiffnessGrid
+from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
+
+_LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
+_LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
+_ORDER = StateIndex.FRACTIONAL_ORDER
+_ORIGIN = StateIndex.STRAIN_ORIGIN
+
+#: Longest change of (ln G, ln Gn, alpha, o) in a step [1]: the range over which the response is
+#: nearly linear in each. A linear parameter changes by no more than its reach. (A step solved for
+#: all together, of which only some are cut short, is too long for the others: without a bound of
+#: their own they run away.)
+_LONGEST_STEP = (1.0, 0.3, 0.05, 0.02)
+#: Prior deviations [1] within which the origin and the linear parameters stay: in the golden bags
+#: no node of ln Gn, however unlikely, asks for more than 25.
+_REACH_DEVIATIONS = 100.0
+#: Steps of a solution at most [1]: of one state, and of the nodes.
+_MOST_STEPS, _MOST_NODE_STEPS = 10, 3
+#: Times [1] that the nodes are given these steps while they have not converged.
+_MOST_ROUNDS = 4
+#: Steps end when the last one lowered minus twice the log-posterior by less than this [1]: a tenth
+#: of a standard deviation.
+_CLOSE = 0.01
+#: A solution whose last step lowered it by more than this [1] has not converged, and is not
+#: believed. (Good data end below 0.01.)
+_FAR = 1.0
+#: Weight [1] below which a node does not count.
+_LEAST_WEIGHT = 1e-6
+#: Eigenvalues of a scaled Hessian [1] below this are rounding.
+_SINGULAR = 1e-11
+#: Distance from the prior [1] at which ln G stops: a factor of 160,000 either way is no tissue.
+_LOG_REACH = 12.0
+
+
+class Solution(NamedTuple):
+    """The maximum of a normal posterior."""
+
+    state: Array  #: shape (n,)
+    covariance: Array  #: shape (n, n)
+    is_converged: bool
+
+
+class NodeSolution(NamedTuple):
+    """The maxima at the nodes of ln Gn, and the moments of all."""
+
+    states: Array  #: shape (nodes, n)
+    weights: Array  #: shape (nodes,); 0 without a solution
+    moments: Solution | None  #: None where the nodes that count have not converged
+
+
+class _Steps(NamedTuple):
+    """Gauss-Newton steps from m states."""
+
+    steps: Array  #: shape (m, n); 0 where there is no solution
+    inverses: Array  #: of the Hessians, shape (m, free, free)
+    log_determinants: Array  #: of the Hessians, shape (m,)
+    decrements: Array  #: of minus twice the log-posterior, shape (m,); infinite without a solution
+
+
+class GaussNewton:
+    """The solver of one posterior.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        The sums over all blocks.
+    prior : StatePrior
+    grid : LogStiffnessGrid
+        Nodes of ln Gn.
+    is_order_learned : bool
+        Otherwise alpha stays where it is, and its deviation counts all the same.
+    """
+
+    def __init__(
+        self,
+        equations: NormalEquations,
+        prior: StatePrior,
+        grid: LogStiffnessGrid,
+        *,
+        is_order_learned: bool,
+    ) -> None:
+        self._equations = equations
+        self._prior = prior
+        self._grid = grid
+        self._is_order_learned = is_order_learned
+
+    # Bounds
+
+    @property
+    def _reach(self) -> Array:
+        """Distance from their prior at which origin and linear parameters stop, shape (n - 3,)."""
+        return _REACH_DEVIATIONS * self._prior.deviations[_ORIGIN:]
+
+    @property
+    def longest_step(self) -> Array:
+        """Longest change of each parameter in a step, shape (n,)."""
+        return np.concatenate([_LONGEST_STEP, self._reach[1:]])
+
+    def bounded(self, states: Array) -> Array:
+        """Keep states, shape (..., n), where the response is known, in place."""
+        around, reach = self._prior.mean, self._reach
+        for index, lowest, highest in (
+            (_LOG_G, around[_LOG_G] - _LOG_REACH, around[_LOG_G] + _LOG_REACH),
+            (_ORDER, LOWEST_ORDER, HIGHEST_ORDER),
+            (_LOG_GN, self._grid.lowest, self._grid.highest),
+            (slice(_ORIGIN, None), around[_ORIGIN:] - reach, around[_ORIGIN:] + reach),
+        ):
+            states[..., index] = np.clip(states[..., index], lowest, highest)
+        return states
+
+    def _bounded_nodes(self, states: Array) -> Array:
+        states = self.bounded(states)
+        states[:, _LOG_GN] = self._grid.nodes
+        return states
+
+    # Solutions
+
+    @property
+    def _free(self) -> Indices:
+        """Indices of the parameters that are learned, shape (free,)."""
+        learned = self._prior.learned
+        return learned if self._is_order_learned else learned[learned != _ORDER]
+
+    def solve(self, state: Array, covariance: Array) -> Solution:
+        """Return the maximum near a state, or the state where there is no step to take.
+
+        Parameters
+        ----------
+        state : ndarray, shape (n,)
+        covariance : ndarray, shape (n, n)
+        """
+        free = self._free
+        best = Solution(state, covariance, is_converged=False)
+        least, remaining = math.inf, math.inf
+        for _ in range(_MOST_STEPS):
+            quadratic = self._equations.at_state(state)
+            solved = self._step(state[None], quadratic[None], free)
+            decrement = float(solved.decrements[0])
+            if not math.isfinite(decrement):
+                break
+            misfit = float(quadratic[0, 0] + self._prior.distance(state, free))
+            # Where the model is wrong the steps may run in circles: the best of them counts.
+            if misfit < least:
+                least, remaining = misfit, decrement
+                covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
+                best = Solution(state, covariance, is_converged=False)
+            state = self.bounded(state + solved.steps[0])
+            if decrement <= _CLOSE:
+                best = best._replace(state=state)
+                break
+        return best._replace(is_converged=remaining <= _FAR)
+
+    def solve_at_nodes(self, states: Array, weights: Array) -> NodeSolution:
+        """Return the maxima at every node of ln Gn, and the moments of all.
+
+        Parameters
+        ----------
+        states : ndarray, shape (nodes, n)
+            Where the steps begin.
+        weights : ndarray, shape (nodes,)
+            Of the nodes so far: those of no weight need not converge.
+        """
+        free = self._free
+        free = free[free != _LOG_GN]
+        before = weights
+        for _ in range(_MOST_ROUNDS):
+            states, solved, quadratics = self._approach(states, before, free)
+            weights = self._weights(states, solved, quadratics, free)
+            likely = weights > _LEAST_WEIGHT
+            remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
+            if remaining <= _FAR:
+                own = self._covariances(solved.inverses[likely], quadratics[likely], free)
+                return NodeSolution(states, weights, self._moments(states, weights, own))
+        return NodeSolution(states, weights, None)
+
+    def _moments(self, states: Array, weights: Array, own: Array) -> Solution:
+        """Return mean and covariance over the nodes.
+
+        Parameters
+        ----------
+        states : ndarray, shape (nodes, n)
+        weights : ndarray, shape (nodes,)
+        own : ndarray, shape (likely, n, n)
+            Covariances at the nodes that count.
+        """
+        prior = self._prior
+        mean = np.where(prior.deviations > 0.0, weights @ states, prior.mean)
+        if not self._is_order_learned:
+            mean[_ORDER] = prior.mean[_ORDER]
+        centred = states - mean
+        covariance = (weights[:, None] * centred).T @ centred
+        covariance += np.tensordot(weights[weights > _LEAST_WEIGHT], own, 1)
+        return Solution(mean, covariance, is_converged=True)
+
+    def _approach(
+        self, states: Array, weights: Array, free: Indices
+    ) -> tuple[Array, _Steps, Array]:
+        """Take steps at every node; return where they lead, the last ones, the products there."""
+        quadratics = self._equations.at_nodes(states)
+        for _ in range(_MOST_NODE_STEPS):
+            solved = self._step(states, quadratics, free)
+            states = self._bounded_nodes(states + solved.steps)
+            quadratics = self._equations.at_nodes(states)
+            close = solved.decrements <= _CLOSE
+            if np.all(close | (weights < _LEAST_WEIGHT)):
+                break
+        return states, solved, quadratics
+
+    def _weights(self, states: Array, solved: _Steps, quadratics: Array, free: Indices) -> Array:
+        """Return the nodes' weights by their evidence, shape (nodes,); 0 without a solution."""
+        prior = self._prior
+        log_evidence = -0.5 * (
+            quadratics[:, 0, 0]
+            + prior.distance(states, free)
+            + solved.log_determinants
+            + ((self._grid.nodes - prior.mean[_LOG_GN]) / prior.deviations[_LOG_GN]) ** 2
+        )
+        is_solved = np.isfinite(log_evidence) & np.isfinite(solved.decrements)
+        weights: Array = np.zeros_like(log_evidence)
+        if np.any(is_solved):
+            weights[is_solved] = np.exp(log_evidence[is_solved] - log_evidence[is_solved].max())
+            weights /= weights.sum()
+        return weights
+
+    def _step(self, states: Array, quadratics: Array, free: Indices) -> _Steps:
+        """Return Gauss-Newton steps; none where the Hessian is not finite.
+
+        Parameters
+        ----------
+        states : ndarray, shape (m, n)
+        quadratics : ndarray, shape (m, n + 1, n + 1)
+        free : ndarray, shape (free,)
+        """
+        precision = self._prior.precision(free)
+        hessians = quadratics[:, 1 + free[:, None], 1 + free] + precision
+        gradients = quadratics[:, 0, 1 + free] + (states - self._prior.mean)[:, free] @ precision
+        inverses, log_determinants = _inverse(hessians, precision.diagonal())
+        longest = self.longest_step[free]
+        wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
+        is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
+        moved = np.where(is_solved[:, None], np.clip(wanted, -longest, longest), 0.0)
+        steps = np.zeros_like(states)
+        steps[:, free] = moved
+        decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
+        decrements[~is_solved] = math.inf
+        return _Steps(steps, inverses, log_determinants, decrements)
+
+    def _covariances(self, inverses: Array, quadratics: Array, free: Indices) -> Array:
+        """Return the covariances of all parameters.
+
+        Parameters
+        ----------
+        inverses : ndarray, shape (m, free, free)
+            Of the Hessians.
+        quadratics : ndarray, shape (m, n + 1, n + 1)
+        free : ndarray, shape (free,)
+
+        Returns
+        -------
+        ndarray, shape (m, n, n)
+        """
+        size = self._prior.mean.size
+        covariances = np.zeros((inverses.shape[0], size, size))
+        covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
+        if not self._is_order_learned:
+            # The uncertainty of an alpha that is not learned counts too (consider analysis).
+            deviation = self._prior.deviations[_ORDER]
+            sensitivity = np.zeros((inverses.shape[0], size))
+            coupling = quadratics[:, 1 + free, 1 + _ORDER]
+            sensitivity[:, free] = -(inverses @ coupling[:, :, None])[:, :, 0]
+            sensitivity[:, _ORDER] = deviation
+            sensitivity[:, free] *= deviation
+            covariances += sensitivity[:, :, None] * sensitivity[:, None, :]
+        return covariances
+
+
+def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
+    """Return inverses and logarithms of determinants of positive definite matrices.
+
+    Rounding may have robbed the matrices of being so.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (m, free, free)
+    least : ndarray, shape (free,)
+        Lower bound of each diagonal element, but for rounding: its scale.
+
+    Returns
+    -------
+    inverses : ndarray, shape (m, free, free)
+        NaN where the matrix is not finite.
+    log_determinants : ndarray, shape (m,)
+        NaN there too.
+    """
+    diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
+    scale = diagonal**-0.5
+    scaled = matrices * scale[:, :, None] * scale[:, None, :]
+    is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
+    if not np.all(is_finite):
+        scaled[~is_finite] = np.eye(least.size)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, _SINGULAR)
+    vectors *= scale[:, :, None]
+    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+    log_determinants: Array = np.sum(np.log(values) + np.log(diagonal), axis=1)
+    inverses[~is_finite] = math.nan
+    log_determinants[~is_finite] = math.nan
+    return inverses, log_determinants
