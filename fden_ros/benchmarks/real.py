@@ -19,7 +19,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Prior, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.outputs import Flag, Output, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
@@ -317,10 +317,13 @@ def identify(
         If the pipeline finds no contact that it can use.
     """
     last: list[TissueState] = []
+    summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:
         if isinstance(output, TissueState):
             last[:] = [output]
+        elif isinstance(output, ContactSummary):
+            summaries[:] = [output]
 
     pipeline = Pipeline(_config(test, prior, given), keep)
     stamps = np.round(test.times * _NANOSECONDS).astype(np.int64) + _NANOSECONDS
@@ -333,7 +336,11 @@ def identify(
         raise InputError(
             f"{test.name}: no estimate; the displacement must begin at 0, in contact or before it"
         )
-    return last[0].estimate, last[0]
+    state, estimate = last[0], last[0].estimate
+    pipeline.finish()
+    # The end of the recording ends the contact: what is known then is in the summary.
+    flags = summaries[0].flags if summaries else state.flags
+    return estimate, replace(state, flags=flags)
 
 
 def _config(test: Test, prior: Prior, given: bool) -> PipelineConfig:

@@ -99,7 +99,7 @@ def _draw_parameter(
         if estimate is None or not in_contact:
             rows.append((_seconds(state.stamp_ns, start_ns), *[math.nan] * 4))
             continue
-        value = estimate[index]
+        value = float(estimate.mean[index])
         sd = float(estimate.deviations[index])
         band = (math.exp(v) for v in (value, value - 2 * sd, value + 2 * sd))
         rows.append(
@@ -127,7 +127,9 @@ def _draw_parameter(
             linewidth=1.4,
             label="truth" if number == 0 else None,
         )
-    values = [math.exp(s.estimate[index]) for s in session.summaries if s.estimate is not None]
+    values = [
+        math.exp(s.estimate.mean[index]) for s in session.summaries if s.estimate is not None
+    ]
     if values:
         axes.set_ylim(0, 1.35 * max(values))
     axes.set_ylabel(label)
@@ -194,7 +196,7 @@ def _draw_errors(axes: Axes, session: Session) -> None:
         rows = []
         for summary in known:
             assert summary.estimate is not None
-            error = summary.estimate[index] - math.log(session.truth[summary.site_id][key])
+            error = summary.estimate.mean[index] - math.log(session.truth[summary.site_id][key])
             sd = summary.estimate.deviations[index]
             rows.append((summary.contact_id + offset, 100 * error, 200 * sd))
         if rows:

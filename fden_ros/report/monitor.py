@@ -118,7 +118,7 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
     deviations = estimate.deviations
     rows = []
     for name, index, unit in (("G", 0, "Pa s^α"), ("Gn", 1, "")):
-        value, spread = math.exp(estimate[index]), math.exp(_DEVIATIONS * deviations[index])
+        value, spread = math.exp(estimate.mean[index]), math.exp(_DEVIATIONS * deviations[index])
         rows.append((name, f"{value:.4g}   [{value / spread:.4g}, {value * spread:.4g}] {unit}"))
     order, half = estimate.fractional_order, _DEVIATIONS * deviations[2]
     source = state.order_source
