@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from property_helpers import examples
 from scipy.special import gamma
@@ -118,6 +118,33 @@ numbers = st.floats(-1.0, 1.0)
     bias_sd=st.sampled_from([0.0, 0.5]),
     origin_sd=st.sampled_from([0.0, 0.01]),
     spread=st.sampled_from([0.2, 2.0]),
+)
+@example(
+    rows=[
+        (0.8879438229944889, -511314.33781271597, 0.0, 48),
+        (0.39927282729618385, 0.0, 0.018, 60),
+        (0.29062434528181713, 606666.919672, 0.7, 20),
+        (0.0, -895634.2674869276, 0.0, 36),
+        (0.0, -1.9, 0.0, 100),
+        (-6.103515625e-05, 0.0, 0.0, 1),
+        (0.0, 0.0, 0.0, 1),
+        (0.0, 0.0, 0.0, 1),
+    ],
+    bias_sd=0.5,
+    origin_sd=0.01,
+    spread=0.2,
+)
+@example(
+    rows=[
+        (1.0, 0.0, 0.0, 1),
+        (0.0, 0.0, 0.0, 2),
+        (0.0, 623.0, 0.0, 37),
+        (2.0, 0.0, 0.0, 2),
+        (0.0, 0.0, 1.0, 10),
+    ],
+    bias_sd=0.5,
+    origin_sd=0.01,
+    spread=2.0,
 )
 def test_covariance_is_positive_whatever_the_blocks(rows, bias_sd, origin_sd, spread):
     prior = replace(

@@ -60,6 +60,8 @@ _GRID_HALF_WIDTH = 2.25
 _HOPELESS = 1000.0
 #: ln G and ln Gn [1] of a member that runs away stop here.
 _LOG_LIMIT = 50.0
+#: Least variance of ln G and ln Gn [1], where rounding has left none.
+_LEAST_VARIANCE = 1e-30
 #: Added to a standard deviation of ln Gn [1] that may be 0, before it divides.
 _TINY_DEVIATION = 1e-12
 #: Share of the white-noise variance [1] that remains in f' where the information is, measured on
@@ -259,7 +261,7 @@ class GaussianSum:
         )
         _keep_finite(member.filter)
         innovation = float(member.filter.y[0])
-        variance = float(member.filter.S[0, 0])
+        variance = max(float(member.filter.S[0, 0]), noise)
         member.log_weight -= 0.5 * (innovation**2 / variance + math.log(variance))
         by_order = block.fractional_stress_by_order - float(jacobian[0] @ member.sensitivity)
         member.sensitivity = member.sensitivity + member.filter.K[:, 0] * by_order
@@ -350,5 +352,7 @@ def _keep_finite(kalman: ExtendedKalmanFilter) -> None:
     """Keep a member that runs away within numbers."""
     logs = kalman.x[: _LOG_GN + 1]
     np.clip(logs, -_LOG_LIMIT, _LOG_LIMIT, out=logs)
-    if kalman.P.diagonal().min() < 0.0:
-        kalman.P = np.diag(np.maximum(kalman.P.diagonal(), 0.0))
+    variances = kalman.P.diagonal()
+    if variances.min() < 0.0 or variances[: _LOG_GN + 1].min() == 0.0:
+        least = [_LEAST_VARIANCE, _LEAST_VARIANCE, 0.0, 0.0]
+        kalman.P = np.diag(np.maximum(variances, least))

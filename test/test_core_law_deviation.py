@@ -1,0 +1,122 @@
+"""How far kernel and curve are from the law: stated with its interval, and told by a threshold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fden_ros.core.estimation.contact_record import ContactRecord
+from fden_ros.core.estimation.estimate import (
+    NOTHING_UNKNOWN,
+    Block,
+    Prior,
+    Uncertainty,
+)
+from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit
+from fden_ros.core.law.geometry import FlatPunch
+
+Array = NDArray[np.float64]
+
+WIDE = Prior(3000.0, 1.5, 8.0, 0.5, 0.2, 0.15)
+STEP = 0.01
+RAMP, HOLD, STRAIN = 1.5, 4.0, 0.3
+TIMES: Array = np.arange(STEP, RAMP + HOLD, STEP)
+
+
+def power_law(times: Array) -> Array:
+    return times**-0.15 / math.gamma(0.85)
+
+
+def exponential(strains: Array) -> Array:
+    return np.where(strains < 0.125, strains, 0.125 * np.exp(8.0 * strains - 1.0))
+
+
+def fitted(
+    kernel: Callable[[Array], Array],
+    characteristic: Callable[[Array], Array],
+    seed: int,
+    uncertainty: Uncertainty = NOTHING_UNKNOWN,
+) -> LawDeviation:
+    """Fit to a ramp and a hold, whose stress is a discrete convolution."""
+    strains = np.minimum(STRAIN * TIMES / RAMP, STRAIN)
+    change = np.diff(2000.0 * characteristic(strains), prepend=0.0)
+    # The mean of the kernel over a step, by its middle; over the first, where it is singular, by
+    # many.
+    weights = kernel(TIMES - 0.5 * STEP)
+    weights[0] = kernel((np.arange(2000) + 0.5) * STEP / 2000.0).mean()
+    stresses = np.convolve(change, weights)[: TIMES.size]
+    noise = 1e-3 * stresses.max()
+    stresses += np.random.default_rng(seed).normal(0.0, noise, TIMES.size)
+    record = ContactRecord()
+    for time, strain, stress in zip(TIMES, strains, stresses, strict=True):
+        age = max(time - RAMP, 0.0) + 0.3
+        record.add(Block(strain, stress, time, 1, STEP, np.zeros(1)), age)
+    start = np.array([math.log(2000.0), math.log(8.0), 0.15, 0.0])
+    geometry = FlatPunch(area=1e-4, thickness=0.02)
+    fit = LawFit(record, noise, geometry, WIDE, uncertainty, start, 0.002)
+    for _ in fit.steps():
+        pass
+    return fit.result()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_tissue_that_is_the_law_is_no_mismatch(seed: int) -> None:
+    deviation = fitted(power_law, exponential, seed)
+    assert not deviation.is_mismatch
+    assert deviation.kernel.error < 0.03 and deviation.characteristic.error < 0.05
+
+
+@pytest.mark.parametrize("time_constant", [0.5, 1.0, 2.0])
+def test_a_relaxation_that_ends_is_told_from_a_power_law(time_constant: float) -> None:
+    def ends(times: Array) -> Array:
+        return 0.4 + 0.6 * np.exp(-times / time_constant)
+
+    deviation = fitted(ends, exponential, 1)
+    assert deviation.is_mismatch
+
+
+def test_a_curve_that_bends_where_it_is_loaded_is_told_from_the_exponential() -> None:
+    def softens(strains: Array) -> Array:
+        return np.minimum(exponential(strains), 0.35 + 0.5 * (strains - 0.25))
+
+    deviation = fitted(power_law, softens, 1)
+    assert deviation.is_mismatch
+    assert deviation.loaded.error > 0.02
+
+
+def test_what_the_rig_may_leave_out_is_not_the_tissues() -> None:
+    """A drift of 10 %, with a rig said to drift so much and with one said not to."""
+    drifting = Uncertainty(force_drift_sd=0.05)
+
+    def drifts(times: Array) -> Array:
+        return power_law(times) * (1.0 + 0.15 * np.clip(times - 2.0, 0.0, 2.0))
+
+    assert fitted(drifts, exponential, 1).kernel.error > 0.05
+    widened = fitted(drifts, exponential, 1, drifting)
+    assert widened.kernel.error - 1.645 * widened.kernel.error_sd < 0.03
+
+
+def test_a_record_stays_short_however_long_the_contact() -> None:
+    record = ContactRecord()
+    for time in np.arange(0.01, 3600.0, 0.05):
+        strain = min(0.4 * time, 0.4)
+        record.add(Block(strain, 1.0, time, 1, 0.05, np.zeros(1)), max(time - 1.0, 0.3))
+    assert 50 < len(record) <= 160
+    assert record.duration > 3000.0
+
+
+def test_a_short_record_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least 20 make a fit"):
+        LawFit(
+            ContactRecord(),
+            1.0,
+            FlatPunch(area=1e-4, thickness=0.02),
+            WIDE,
+            NOTHING_UNKNOWN,
+            np.zeros(4),
+            0.0,
+        )
