@@ -379,6 +379,7 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
         memory,
         float(test.forces[seen - 1]),
         state.innovation.variance if state.innovation is not None else _FORCE_NOISE**2,
+        _MACHINE,
     )
     plan = test.displacements[seen:] - test.displacements[seen - 1]
     prediction = predictor.force(test.times[seen:] - now, plan)

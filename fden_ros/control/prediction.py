@@ -87,7 +87,8 @@ class Predictor:
     innovation_variance : float
         Of the stress or the fractional stress, which differ little over seconds [Pa^2].
     uncertainty : Uncertainty
-        What is not known of the rig; the model's error is the estimate's.
+        What is not known of the rig and of the kernel; the characteristic's error is the
+        estimate's.
     """
 
     geometry: Geometry
@@ -190,8 +191,12 @@ class Predictor:
     def _left_out_variance(self, grid: Array, strains: Array, stress: Array) -> Array:
         """Return the variance by which the stress left out grows until each time [Pa^2]."""
         estimate, stated = self.estimate, self.uncertainty
-        error = estimate.model_error if estimate.loading_age > 0.0 else 0.0
-        uncertainty = replace(stated, characteristic_sd=error, kernel_sd=KERNEL_SHARE * error)
+        if estimate.loading_age <= 0.0:
+            return np.zeros_like(grid)
+        error = estimate.model_error
+        # The evidence so far says nothing of relaxation that is yet to come.
+        kernel_error = max(stated.kernel_sd, KERNEL_SHARE * error)
+        uncertainty = replace(stated, characteristic_sd=error, kernel_sd=kernel_error)
         gn, order = estimate.nonlinear_stiffness, estimate.fractional_order
         relaxed = estimate.linear_stiffness * apparent_stiffness_factor(order, SURFACE_TIME)
         relaxed /= self.geometry.length

@@ -265,6 +265,7 @@ class Press:
 
     def summary(self, end_ns: int, rejected: Counter[str], *, complete: bool) -> ContactSummary:
         """End the contact and return its summary."""
+        self.judge()
         self.has_ended = True
         estimate = self._site.usable_estimate
         answer = self._labelling.finish(end_ns, estimate, self.max_strain)
