@@ -15,21 +15,34 @@ from fden_ros.nodes.backlog import Backlog, Input
 
 
 def test_a_run_through_the_node_loses_nothing_and_measures_all() -> None:
-    run = benchmark.measure(benchmark.NODE, 200.0, 3.0)
-    assert run.sent == 1000
-    assert run.lost == 0
-    assert run.published > 50
-    assert 0.0 < run.cpu < 2.0
-    assert 0.0 < run.latency_ms["p50"] <= run.latency_ms["p99"] <= run.latency_ms["p99.9"]
-    assert min(run.memory_mb) > 10.0
-    assert math.isnan(run.memory_growth)
+    plan = 2 * [
+        benchmark.Turn(benchmark.NODE, 200.0, 1.5),
+        benchmark.Turn(benchmark.RELAY, 200.0, 1.5),
+    ]
+    node, relay = benchmark.measure(plan)
+    assert (node.what, relay.what) == (benchmark.NODE, benchmark.RELAY)
+    for run in (node, relay):
+        assert run.sent == 600
+        assert run.lost == 0
+        assert run.published > 50
+        assert len(run.cpu) == 2
+        assert all(0.0 < cpu < 2.0 for cpu in run.cpu)
+        for turn in range(2):
+            p50, p99, most = (run.latency_ms[name][turn] for name in ("p50", "p99", "p99.9"))
+            assert 0.0 < p50 <= p99 <= most
+        assert min(run.memory_mb) > 10.0
+        assert math.isnan(run.memory_growth)
 
 
 def test_goals_tell_silent_losses_from_those_that_were_said() -> None:
     def run(what: str, rate: float, lost: int = 0, told: int = 0, cpu: float = 0.2) -> object:
-        latency = {"p50": 0.5, "p99": 1.0, "p99.9": 2.0}
+        # One turn of three met a machine that did something else.
+        latency = {"p50": (0.5,) * 3, "p99": (1.0, 1.0, 9.0), "p99.9": (2.0,) * 3}
         memory = tuple(100.0 + (second > 100) for second in range(200))
-        return benchmark.Run(what, rate, 10.0, 100, lost, told, 0, 0, 0, 90, cpu, latency, memory)
+        turns = (cpu, cpu, 2.0 * cpu)
+        return benchmark.Run(
+            what, rate, 10.0, 100, lost, told, 0, 0, 0, 90, turns, latency, memory
+        )
 
     runs = [
         run(benchmark.NODE, 1000.0, cpu=0.3),

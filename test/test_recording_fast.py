@@ -118,6 +118,39 @@ def test_joints_are_the_same_bit_for_bit(
     assert repr(quick) == repr(slow)
 
 
+@given(
+    what=st.sampled_from(["force", "displacement"]),
+    joint=st.sampled_from(["", "a", "b"]),
+    stream=st.lists(
+        st.tuples(
+            st.sampled_from(["", "base", "tool"]),
+            st.sampled_from([["a", "b"], ["b", "a"], ["b"], ["ab"]]),
+            st.tuples(*[st.integers(0, 3)] * 3),
+        ),
+        min_size=2,
+        max_size=6,
+    ),
+)
+def test_a_stream_whose_messages_change_in_between_is_the_same_bit_for_bit(
+    what: str, joint: str, stream: list[tuple[str, list[str], tuple[int, ...]]]
+) -> None:
+    parameters = check({f"{what}.name": joint})
+    slow, quick = Heard(), Heard()
+    inputs = Inputs(parameters, slow)  # type: ignore[arg-type]
+    take = inputs.add_force if what == "force" else inputs.add_displacement
+    handler = fast_handler(what, "sensor_msgs/msg/JointState", Inputs(parameters, quick))  # type: ignore[arg-type]
+    assert handler is not None
+    for number, (frame, names, lengths) in enumerate(stream):
+        message = fill(JointState(), frame, number, 7)
+        message.name = names
+        message.position, message.velocity, message.effort = (
+            [0.1 + i + 7 * k + 100 * number for i in range(n)] for k, n in enumerate(lengths)
+        )
+        take(message)
+        handler(serialize(message))
+    assert repr(quick.calls) == repr(slow.calls)
+
+
 @pytest.mark.parametrize("kind", [WrenchStamped, PoseStamped, TransformStamped, PointStamped])
 def test_bytes_cut_anywhere_are_left_to_the_class(kind: Any) -> None:
     what = "force" if kind is WrenchStamped else "displacement"

@@ -3,24 +3,27 @@
 A replay needs a stamp, a frame and one to three numbers of each message, and nothing else of it.
 They are read at their places in the CDR encoding (little-endian, version 1, as every ROS 2 writes
 on today's machines); anything else takes the way through the class. Both ways give the same
-numbers, bit for bit, which the tests show.
+numbers, bit for bit, which the tests show. A stream's messages differ in stamp and numbers only:
+where all other bytes are those of the last message, its places hold and are not looked for.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.ros.inputs import Inputs
 
 _LITTLE_ENDIAN = b"\x00\x01"
+_STAMP = struct.Struct("<iI")  # seconds, nanoseconds
 _HEADER = struct.Struct("<iII")  # seconds, nanoseconds, length of the frame's name with its 0
 _COUNT = struct.Struct("<I")
 _DOUBLE = struct.Struct("<d")
 _VECTOR = struct.Struct("<3d")
 _QUATERNION = struct.Struct("<4d")
 _BODY = 4  # the encapsulation's own header; alignment counts from there
+_AFTER_STAMP = _BODY + _STAMP.size
 _FRAME = _BODY + _HEADER.size
 
 Handler = Callable[[bytes], None]
@@ -76,16 +79,55 @@ def _aligned(offset: int, size: int) -> int:
     return offset + (_BODY - offset) % size
 
 
+class _Layout:
+    """Where the numbers of a message are, as long as what surrounds them stays the same.
+
+    Parameters
+    ----------
+    data : bytes
+        A message.
+    frame : str
+        Its frame.
+    start : int
+        Where its numbers begin.
+    counts : sequence of int
+        Where lengths of sequences stand after them.
+    """
+
+    def __init__(self, data: bytes, frame: str, start: int, counts: Sequence[int] = ()) -> None:
+        self.frame, self.start = frame, start
+        self._size = len(data)
+        self._head, self._names = data[:_BODY], data[_AFTER_STAMP:start]
+        self._counts = [(slice(place, place + 4), data[place : place + 4]) for place in counts]
+
+    def stamp(self, data: bytes) -> int | None:
+        """Return the stamp (ns) of another message; None where its places may be others."""
+        if len(data) != self._size or data[_AFTER_STAMP : self.start] != self._names:
+            return None
+        if data[:_BODY] != self._head:
+            return None
+        for place, count in self._counts:
+            if data[place] != count:
+                return None
+        seconds, nanoseconds = _STAMP.unpack_from(data, _BODY)
+        return int(seconds * NANOSECONDS + nanoseconds)
+
+
 def _wrench_handler(inputs: Inputs) -> Handler:
     along, take, unpack = inputs.along_force, inputs.take_force, _VECTOR.unpack_from
     offset = _VECTOR.size if inputs.takes_torque else 0
+    layout: _Layout | None = None
 
     def handle(data: bytes) -> None:
-        frame, stamp, end = _head(data)
-        start = _aligned(end, 8)
-        if start + 48 > len(data):
-            raise UnusualError
-        take(frame, stamp, along(*unpack(data, start + offset)))
+        nonlocal layout
+        stamp = layout.stamp(data) if layout is not None else None
+        if layout is None or stamp is None:
+            frame, stamp, end = _head(data)
+            start = _aligned(end, 8)
+            if start + 48 > len(data):
+                raise UnusualError
+            layout = _Layout(data, frame, start)
+        take(layout.frame, stamp, along(*unpack(data, layout.start + offset)))
 
     return handle
 
@@ -93,16 +135,22 @@ def _wrench_handler(inputs: Inputs) -> Handler:
 def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
     take, unpack = inputs.take_position, _VECTOR.unpack_from
     has_turn = inputs.takes_orientation and size > _VECTOR.size
+    layout: _Layout | None = None
 
     def handle(data: bytes) -> None:
-        frame, stamp, end = _head(data)
-        if has_child:
-            end = _skip_text(data, end)
-        start = _aligned(end, 8)
-        if start + size > len(data):
-            raise UnusualError
+        nonlocal layout
+        stamp = layout.stamp(data) if layout is not None else None
+        if layout is None or stamp is None:
+            frame, stamp, end = _head(data)
+            if has_child:
+                end = _skip_text(data, end)
+            start = _aligned(end, 8)
+            if start + size > len(data):
+                raise UnusualError
+            layout = _Layout(data, frame, start)
+        start = layout.start
         turn = _QUATERNION.unpack_from(data, start + _VECTOR.size) if has_turn else None
-        take(frame, stamp, unpack(data, start), turn)
+        take(layout.frame, stamp, unpack(data, start), turn)
 
     return handle
 
@@ -110,32 +158,38 @@ def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
 def _joint_handler(what: str, inputs: Inputs) -> Handler:
     is_force = what == "force"
     joint = (inputs.force_joint if is_force else inputs.displacement_joint).encode()
-    seen: dict[bytes, int | None] = {}
+    layout: _Layout | None = None
+    place: int | None = None
 
-    def handle(data: bytes) -> None:
+    def find(data: bytes) -> int:
+        nonlocal layout, place
         frame, stamp, end = _head(data)
         names_end = end = _aligned(end, 4)
         (count,) = _COUNT.unpack_from(data, end)
         end += 4
         for _ in range(count):
             end = _skip_text(data, end)
-        names = data[names_end:end]
-        if names not in seen:
-            seen.clear()
-            seen[names] = _joint_index(data, names_end, count, joint)
-        index = seen[names]
-        values = []
+        names, counts, values = end, [], []
         for _ in range(3):  # position, velocity, effort
+            counts.append(_aligned(end, 4))
             start, length, end = _sequence(data, end)
             values.append((start, length))
         start, length = values[2 if is_force else 0]
-        value = None
-        if index is not None and index < length:
-            (value,) = _DOUBLE.unpack_from(data, start + 8 * index)
+        index = _joint_index(data, names_end, count, joint)
+        place = start + 8 * index if index is not None and index < length else None
+        layout = _Layout(data, frame, names, counts)
+        return stamp
+
+    def handle(data: bytes) -> None:
+        stamp = layout.stamp(data) if layout is not None else None
+        if stamp is None:
+            stamp = find(data)
+        value = None if place is None else _DOUBLE.unpack_from(data, place)[0]
+        assert layout is not None
         if is_force:
-            inputs.take_force(frame, stamp, inputs.signed_effort(value))
+            inputs.take_force(layout.frame, stamp, inputs.signed_effort(value))
         else:
-            inputs.take_joint(frame, stamp, value)
+            inputs.take_joint(layout.frame, stamp, value)
 
     return handle
 

@@ -20,8 +20,9 @@ and drift do with their contact.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +96,8 @@ class NormalEquations:
         self._cross = np.zeros((nodes, inner, self._column_count))
         self._columns = np.zeros((self._column_count, self._column_count))
         self._pending: list[_Pending] = []
+        self._deferred: list[Callable[[], None]] = []
+        self._node_products: Array | None = None
 
     def index(self, name: str) -> int:
         """Return the place in the state of a linear column's parameter."""
@@ -139,17 +142,38 @@ class NormalEquations:
     def clear(self) -> None:
         """Forget all blocks."""
         self._pending.clear()
+        self._deferred.clear()
+        self._node_products = None
         for sums in (self._law, self._cross, self._columns):
             sums.fill(0.0)
 
+    def _defer(self, operation: Callable[[], None]) -> None:
+        """Change the sums before they are used the next time, after the blocks so far.
+
+        What takes long is not done while somebody waits for the estimate of a block.
+        """
+        if self._pending:
+            self._deferred.append(functools.partial(self._add_blocks, self._pending))
+            self._pending = []
+        self._deferred.append(operation)
+
     def _add_up(self) -> None:
-        """Add the blocks since the last time to the sums."""
-        if not self._pending:
+        """Bring the sums up to date: what was deferred, then the newest blocks."""
+        if not (self._pending or self._deferred):
             return
-        laws = np.array([pending.response.law for pending in self._pending])
-        columns = np.array([pending.response.columns for pending in self._pending])
-        weights = np.array([pending.weight for pending in self._pending])
-        self._pending.clear()
+        for operation in self._deferred:
+            operation()
+        self._deferred.clear()
+        if self._pending:
+            self._add_blocks(self._pending)
+            self._pending = []
+        self._node_products = None
+
+    def _add_blocks(self, blocks: list[_Pending]) -> None:
+        """Add blocks to the sums together."""
+        laws = np.array([block.response.law for block in blocks])
+        columns = np.array([block.response.columns for block in blocks])
+        weights = np.array([block.weight for block in blocks])
         by_node = laws.transpose(1, 0, 2)
         weighted = by_node * weights[:, None]
         transposed = by_node.transpose(0, 2, 1)
@@ -173,8 +197,9 @@ class NormalEquations:
         precision : float
             1 over its prior variance; 0 where its prior is in the sums (:meth:`bind`).
         """
-        self._add_up()
-        column = self._column(index)
+        self._defer(functools.partial(self._marginalise, self._column(index), precision))
+
+    def _marginalise(self, column: int, precision: float) -> None:
         own = self._columns[column, column] + precision
         if own > 0.0:
             by_law = self._cross[:, :, column].copy()
@@ -186,12 +211,13 @@ class NormalEquations:
                 )
             self._cross -= by_law[:, :, None] * by_column / own
             self._columns -= np.outer(by_column, by_column) / own
-        self.forget(index)
+        self._forget(column)
 
     def forget(self, index: int) -> None:
         """Let the column of a parameter that is known to be 0 begin anew."""
-        self._add_up()
-        column = self._column(index)
+        self._defer(functools.partial(self._forget, self._column(index)))
+
+    def _forget(self, column: int) -> None:
         self._cross[:, :, column] = 0.0
         self._columns[column, :] = self._columns[:, column] = 0.0
 
@@ -206,26 +232,28 @@ class NormalEquations:
         precision : float
             1 over the variance of the difference.
         """
-        self._add_up()
-        column = self._column(index)
+        partner = None if other is None else self._column(other)
+        self._defer(functools.partial(self._bind, self._column(index), partner, precision))
+
+    def _bind(self, column: int, partner: int | None, precision: float) -> None:
         self._columns[column, column] += precision
-        if other is None:
+        if partner is None:
             return
-        partner = self._column(other)
         self._columns[partner, partner] += precision
         self._columns[column, partner] -= precision
         self._columns[partner, column] -= precision
 
     def move(self, index: int, target: int) -> None:
         """Let a linear parameter take the place of another, whose column was forgotten."""
-        self._add_up()
-        column, place = self._column(index), self._column(target)
+        self._defer(functools.partial(self._move, self._column(index), self._column(target)))
+
+    def _move(self, column: int, place: int) -> None:
         self._cross[:, :, place] = self._cross[:, :, column]
         own = self._columns[column, column]
         self._columns[place, :] = self._columns[column, :]
         self._columns[:, place] = self._columns[:, column]
         self._columns[place, place] = own
-        self.forget(index)
+        self._forget(column)
 
     @staticmethod
     def _column(index: int) -> int:
@@ -308,12 +336,10 @@ class NormalEquations:
             The derivatives by ln Gn are 0.
         """
         self._add_up()
+        if self._node_products is None:
+            self._node_products = self._products_at_nodes()
+        products = self._node_products
         inner, count = self._cross.shape[1], self._column_count
-        products = np.empty((states.shape[0], inner + count, inner + count))
-        products[:, :inner, :inner] = self._law[0]
-        products[:, :inner, inner:] = self._cross
-        products[:, inner:, :inner] = self._cross.transpose(0, 2, 1)
-        products[:, inner:, inner:] = self._columns
         in_order, by_order = self._in_order(states[:, _ORDER])
         in_origin, by_origin = self._in_origin(states[:, _ORIGIN])
         in_origin = np.exp(states[:, _LOG_G])[:, None] * in_origin
@@ -326,6 +352,21 @@ class NormalEquations:
         self._fill_columns(columns.transpose(1, 2, 0), states.T, in_order.T, by_order.T)
         result: Array = directions @ products @ directions.transpose(0, 2, 1)
         return result
+
+    def _products_at_nodes(self) -> Array:
+        """Return the products of the law at each node, and of the columns.
+
+        Returns
+        -------
+        ndarray, shape (nodes, inner + columns, inner + columns)
+        """
+        nodes, inner, count = self._cross.shape
+        products = np.empty((nodes, inner + count, inner + count))
+        products[:, :inner, :inner] = self._law[0]
+        products[:, :inner, inner:] = self._cross
+        products[:, inner:, :inner] = self._cross.transpose(0, 2, 1)
+        products[:, inner:, inner:] = self._columns
+        return products
 
     def _directions(self, state: Array) -> tuple[int, Array]:
         """Return the first node of the stencil, and coefficients of stencil and columns.
