@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import Estimate, Innovation
+from fden_ros.core.estimation.estimate import Estimate, Innovation, ParameterSet
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import (
     ApparentStiffness,
@@ -156,6 +156,9 @@ def _fill_parameters(
     message.model_error = estimate.model_error
     message.loading_age = estimate.loading_age
     message.alpha_source = int(source)
+    message.valid_parameters = int(estimate.valid)
+    message.converged_parameters = int(estimate.known)
+    message.edge_parameters = int(estimate.at_edge)
 
 
 def _fill_classes(
@@ -241,11 +244,6 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
 
 
 def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) -> Estimate:
-    converged = (
-        message.converged
-        if isinstance(message, PalpationSummary)
-        else message.status == TissueEstimate.STATUS_CONVERGED
-    )
     return Estimate(
         log_linear_stiffness=math.log(message.linear_stiffness),
         log_nonlinear_stiffness=math.log(message.nonlinear_stiffness),
@@ -256,6 +254,8 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         model_error=message.model_error,
         loading_age=message.loading_age,
         probability_beyond_boundary=math.nan,
-        converged=converged,
+        valid=ParameterSet(message.valid_parameters),
+        known=ParameterSet(message.converged_parameters),
+        at_edge=ParameterSet(message.edge_parameters),
         sample_count=sample_count,
     )
