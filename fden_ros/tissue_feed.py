@@ -27,7 +27,7 @@ from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPo
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
-from fden_ros.core.estimation.estimate import NOTHING_UNKNOWN
+from fden_ros.core.estimation.estimate import NOTHING_UNKNOWN, ParameterSet
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
@@ -62,6 +62,8 @@ class TissueFeed:
         The geometry itself, instead of a file.
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
+    required : ParameterSet
+        What must have converged: G and Gn, or G alone; see :class:`LiveTissue`.
     change : float
         `on_change` is called when the apparent stiffness has moved by this share.
     real_time : bool
@@ -87,6 +89,7 @@ class TissueFeed:
         parameters: str | Path | None = None,
         geometry: Geometry | None = None,
         deadline: float = 0.1,
+        required: ParameterSet = ParameterSet.STIFFNESS,
         change: float = 0.05,
         real_time: bool = True,
         on_change: Callable[[Reading], None] | None = None,
@@ -111,6 +114,7 @@ class TissueFeed:
             geometry,
             uncertainty=uncertainty,
             deadline=deadline,
+            required=required,
             change=change,
             real_time=real_time,
             on_change=on_change,

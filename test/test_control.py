@@ -14,17 +14,18 @@ from fden_ros.benchmarks.closed_loop_picture import save_control_figure
 from fden_ros.cli import main
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import Reading
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
 from fden_ros.errors import InputError
 
+ALL = ParameterSet.ALL
 #: Shorter than that of `fden control`, which runs all ten.
 PROGRAM = Program(rest=2.5, work=1.5, back=1.0)
 CONFIG = ForceControlConfig(safe_stiffness=100.0, force_limit=1.0, bandwidth=10.0)
 
 
 def reading(stiffness: float, sd: float = 0.0) -> Reading:
-    estimate = Estimate(6.3, 2.1, 0.0, np.zeros((3, 3)), 0.0, 0.0, 1.0, True, 1000)
+    estimate = Estimate(6.3, 2.1, 0.0, np.zeros((3, 3)), 0.0, 0.0, 1.0, ALL, ALL, 1000)
     state = TissueState(
         stamp_ns=0,
         status=Status.CONVERGED,

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64, String
 from visualization_msgs.msg import MarkerArray
 
 from fden_ros.control.live_tissue import Refusal
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import (
     ContactSummary,
     Flag,
@@ -38,8 +38,9 @@ LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.
 SIMULATOR = {"force.rate": 100.0, "displacement.rate": 100.0}
 IDENTIFIER = {"autostart": True, "estimate.period": 0.02}
+ALL = ParameterSet.ALL
 ESTIMATE = Estimate(
-    math.log(500.0), math.log(8.0), 0.13, np.diag([0.01, 0.0004, 0.0001]), 0, 0, 1, True, 1000
+    math.log(500.0), math.log(8.0), 0.13, np.diag([0.01, 0.0004, 0.0001]), 0, 0, 1, ALL, ALL, 1000
 )
 
 

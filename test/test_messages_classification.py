@@ -9,7 +9,7 @@ import pytest
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.relative import Comparison
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -27,6 +27,9 @@ COMPARISON = Comparison(math.log(2.0), 0.1, 20.0, 0.1, 21.0)
 COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 4e-4, 1e-6], [0.0, 1e-6, 1e-6]])
 
 
+ALL = ParameterSet.ALL
+
+
 def summary(classes=CLASSES, decided=None, comparison=None):
     return ContactSummary(
         stamp_ns=2,
@@ -39,7 +42,7 @@ def summary(classes=CLASSES, decided=None, comparison=None):
         complete=True,
         position=None,
         order_source=OrderSource.LEARNED,
-        estimate=Estimate(6.0, 2.0, 0.1, COVARIANCE, 0.0, 0.0, 1.0, True, 10),
+        estimate=Estimate(6.0, 2.0, 0.1, COVARIANCE, 0.0, 0.0, 1.0, ALL, ALL, 10),
         max_strain=0.2,
         max_stress=100.0,
         max_force=1.0,

@@ -50,7 +50,12 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
 def add_config_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--config`` and the node whose sections of the file count."""
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="parameter file of the identifier (YAML)"
+        "--config",
+        type=Path,
+        action="append",
+        metavar="FILE",
+        help="parameter file of the identifier (YAML); given again, such as for a prior, the "
+        "later file outdoes the earlier",
     )
     parser.add_argument(
         "--node",
@@ -62,10 +67,10 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
 
 
 def parameters_of(args: argparse.Namespace) -> Parameters:
-    """Return the checked parameters of ``--config`` for ``--node``."""
-    from fden_ros.parameters import check, read_parameter_file
+    """Return the checked parameters of every ``--config`` for ``--node``."""
+    from fden_ros.parameters import read_parameter_files
 
-    return read_parameter_file(args.config, args.node) if args.config else check({})
+    return read_parameter_files(args.config or [], args.node)
 
 
 def selection_of(args: argparse.Namespace) -> Any:

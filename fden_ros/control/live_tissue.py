@@ -15,7 +15,12 @@ from numpy.typing import ArrayLike
 
 from fden_ros.control.prediction import Prediction, Predictor
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation.estimate import NOTHING_UNKNOWN, Estimate, Uncertainty
+from fden_ros.core.estimation.estimate import (
+    NOTHING_UNKNOWN,
+    Estimate,
+    ParameterSet,
+    Uncertainty,
+)
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.outputs import Flag, Status, TissueState
@@ -29,6 +34,7 @@ REFUSED_FLAGS = (
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
+    | Flag.ESTIMATE_AT_EDGE
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05
@@ -51,13 +57,17 @@ class Refusal(enum.Enum):
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
     NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
+    NOT_OBSERVABLE = "G is known, Gn is not observable: ask for G alone, or press deeper"
     CONTRADICTED = "the force is not what the estimate predicts, for the rest of the contact"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
 
 @dataclass(frozen=True)
 class Reading:
-    """An estimate that may be relied on at the time it was asked for."""
+    """An estimate that may be relied on at the time it was asked for.
+
+    Of its parameters those that were required, and whatever else is in ``estimate.known``.
+    """
 
     state: TissueState
     estimate: Estimate
@@ -92,6 +102,9 @@ class LiveTissue:
         As the identifier's: what is not known of the rig counts in predictions.
     deadline : float
         An estimate older than this is refused [s].
+    required : ParameterSet
+        What must have converged: by default G and Gn. G alone is enough for the stiffness about
+        the present strain; predictions need both.
     refused_flags : Flag
         Estimates with one of these are refused.
     change : float
@@ -109,6 +122,7 @@ class LiveTissue:
         *,
         uncertainty: Uncertainty = NOTHING_UNKNOWN,
         deadline: float = 0.1,
+        required: ParameterSet = ParameterSet.STIFFNESS,
         refused_flags: Flag = REFUSED_FLAGS,
         change: float = 0.05,
         real_time: bool = True,
@@ -121,6 +135,7 @@ class LiveTissue:
         self.on_change = on_change
         self.on_loss = on_loss
         self.restarts = 0
+        self._required = required
         self._refused_flags = refused_flags
         self._change = change
         self._real_time = real_time
@@ -193,16 +208,18 @@ class LiveTissue:
             Status.UNKNOWN: Refusal.UNKNOWN,
             Status.STALE: Refusal.STALE,
             Status.NO_CONTACT: Refusal.NO_CONTACT,
-            Status.CONVERGING: Refusal.NOT_CONVERGED,
         }
         if state.flags & self._refused_flags:
             return Refusal.REJECTED
         if state.status in by_status:
             return by_status[state.status]
-        if self._contradicted == state.contact_id:
-            return Refusal.CONTRADICTED
         if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
             return Refusal.NOT_CONVERGED
+        if not self._is_known(state):
+            is_linear = ParameterSet.LINEAR_STIFFNESS in state.estimate.known
+            return Refusal.NOT_OBSERVABLE if is_linear else Refusal.NOT_CONVERGED
+        if self._contradicted == state.contact_id:
+            return Refusal.CONTRADICTED
         return None
 
     def reading(self, now: float) -> Reading | None:
@@ -215,11 +232,11 @@ class LiveTissue:
     def predictor(self, now: float) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.
 
-        None if there is no estimate to rely on, or if its contact was not heard from the touch on:
-        the memory is not known then.
+        None if there is no estimate to rely on, if Gn is not known, which says how the tissue
+        stiffens, or if its contact was not heard from the touch on: the memory is not known then.
         """
         reading = self.reading(now)
-        if reading is None or not self._memory_whole:
+        if reading is None or not reading.estimate.converged or not self._memory_whole:
             return None
         signals, innovation = reading.state.signals, reading.state.innovation
         assert signals is not None
@@ -246,6 +263,10 @@ class LiveTissue:
 
     # Inside
 
+    def _is_known(self, state: TissueState) -> bool:
+        """Whether what is required has converged."""
+        return state.estimate is not None and self._required in state.estimate.known
+
     def _watch_delay(self, state: TissueState, now: float) -> None:
         """Measure how much later than the quickest one an estimate has come."""
         if not self._real_time or state.status is Status.STALE:
@@ -258,7 +279,7 @@ class LiveTissue:
     def _compare(self, state: TissueState) -> None:
         """Take note when a converged estimate is surprised several times in a row."""
         innovation = state.innovation
-        if state.status is not Status.CONVERGED or innovation is None:
+        if not self._is_known(state) or innovation is None:
             self._surprises = 0
             return
         predicted = innovation.predicted_stress

@@ -10,13 +10,15 @@ from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.complex_modulus import ComplexModulus
-from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Innovation, StateIndex
+from fden_ros.core.estimation.estimate import (
+    Estimate,
+    EstimatorConfig,
+    Innovation,
+    ParameterSet,
+)
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
-
-#: alpha is learned when its standard deviation is below this share of its prior's.
-_LEARNED_SHARE = 0.5
 
 
 class Status(enum.IntEnum):
@@ -50,6 +52,7 @@ class Flag(enum.IntFlag):
     TISSUE_CHANGED = 16
     SATURATED = 32
     ESTIMATION_FAILED = 64
+    ESTIMATE_AT_EDGE = 128
 
 
 class OrderSource(enum.IntEnum):
@@ -190,10 +193,15 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
         return OrderSource.NONE
     if config.fractional_order_given:
         return OrderSource.GIVEN
-    index = StateIndex.FRACTIONAL_ORDER
-    variance = float(estimate.covariance[index, index])
-    is_learned = variance < (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
+    is_determined = ParameterSet.FRACTIONAL_ORDER in estimate.valid
+    is_learned = is_determined and not config.is_order_given
     return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
+
+
+def edge_flag(estimate: Estimate | None) -> Flag:
+    """Return the flag of an estimate at an end of what can be represented."""
+    is_at_edge = estimate is not None and estimate.at_edge
+    return Flag.ESTIMATE_AT_EDGE if is_at_edge else Flag.NONE
 
 
 def apparent_stiffness_of(

@@ -24,6 +24,7 @@ from fden_ros.core.outputs import (
     Phase,
     Status,
     TissueState,
+    edge_flag,
     failure_of,
     order_source,
 )
@@ -374,7 +375,7 @@ class Pipeline:
                 stamp_ns=pair.stamp_ns,
                 # After a jump of the clock the probe may press on a tissue without a site.
                 status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
-                flags=self._input_flags(),
+                flags=self._input_flags() | edge_flag(estimate),
                 site_id=site.site_id if site is not None else 0,
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,

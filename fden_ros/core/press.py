@@ -10,7 +10,7 @@ from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, L
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
-from fden_ros.core.estimation.estimate import Block, Estimate, Innovation
+from fden_ros.core.estimation.estimate import Block, Estimate, Innovation, ParameterSet
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -21,6 +21,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
     apparent_stiffness_of,
+    edge_flag,
     order_source,
 )
 from fden_ros.core.site import Site
@@ -176,9 +177,10 @@ class Press:
     ) -> TissueState:
         """Return the state after a block."""
         config, estimate = self._config, self._estimate
-        is_good = estimate is not None and estimate.converged and not self._site.is_doubtful
         stiffness = None
         if estimate is not None:
+            if self._site.is_doubtful:
+                estimate = estimate._replace(known=ParameterSet.NONE)
             stiffness = apparent_stiffness_of(
                 estimate,
                 config.geometry,
@@ -187,8 +189,12 @@ class Press:
             )
         return TissueState(
             stamp_ns=stamp_ns,
-            status=Status.CONVERGED if is_good else Status.CONVERGING,
-            flags=self.flags | input_flags,
+            status=(
+                Status.CONVERGED
+                if estimate is not None and estimate.converged
+                else Status.CONVERGING
+            ),
+            flags=self.flags | input_flags | edge_flag(estimate),
             site_id=self._site.site_id,
             contact_id=self.contact_id,
             phase=phase,
@@ -276,7 +282,7 @@ class Press:
             end_ns=end_ns,
             site_id=self._site.site_id,
             contact_id=self.contact_id,
-            flags=self.flags | (Flag.INPUT_REJECTED if count else Flag.NONE),
+            flags=self.flags | edge_flag(estimate) | (Flag.INPUT_REJECTED if count else Flag.NONE),
             converged=estimate is not None and estimate.converged,
             complete=complete,
             position=self.position,

@@ -21,7 +21,7 @@ from fden_ros import __version__
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
-from fden_ros.offline.rows import COLUMNS, contact_row
+from fden_ros.offline.rows import COLUMNS, LISTS, contact_row
 from fden_ros.parameters import Parameters
 from fden_ros.recording.source import Selection
 from fden_ros.tissues.library import load_library
@@ -354,7 +354,7 @@ def _schema() -> Any:
     import pyarrow
 
     texts = {"bag", "content", "configuration", "error", "warnings"}
-    texts |= {"alpha_source", "flags", "label"}
+    texts |= {"alpha_source", "label", *LISTS}
     integers = {"contact_id", "site", "start_ns", "end_ns", "samples", "rejected", "pairs"}
     booleans = {"converged", "complete"}
 

@@ -171,6 +171,9 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "alpha_sd": None,
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
+        "valid_parameters": [],
+        "converged_parameters": [],
+        "edge_parameters": [],
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
@@ -195,6 +198,9 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
             "g_sd": estimate.linear_stiffness_sd,
             "g_n_sd": estimate.nonlinear_stiffness_sd,
             "alpha_sd": estimate.fractional_order_sd,
+            "valid_parameters": list(estimate.valid.names),
+            "converged_parameters": list(estimate.known.names),
+            "edge_parameters": list(estimate.at_edge.names),
         }
     if summary.classes is not None:
         contact["label"] = summary.classes.label

@@ -19,8 +19,11 @@ COLUMNS = (
     "complete", "flags", "max_strain", "max_stress", "max_force", "samples", "rejected", "label",
     "probability", "mean_nis", "typicality", "decision_time", "decision_strain", "ratio",
     "ratio_low", "ratio_high", "g_g_n_correlation", "g_alpha_correlation", "g_n_alpha_correlation",
+    "valid_parameters", "converged_parameters", "edge_parameters",
 )  # fmt: skip
 
+#: Columns of several words.
+LISTS = ("flags", "valid_parameters", "converged_parameters", "edge_parameters")
 #: Columns of the correlations, and which of (ln G, ln Gn, alpha) each is of.
 CORRELATIONS = {
     "g_g_n_correlation": (0, 1),
@@ -33,7 +36,8 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
     """Return a contact as a flat row with `COLUMNS`; None where there is nothing."""
     row = contact_object(summary)
     probabilities: Mapping[str, float] = row.pop("probabilities")
-    row["flags"] = " ".join(row["flags"])
+    for name in LISTS:
+        row[name] = " ".join(row[name])
     row["x"], row["y"], row["z"] = summary.position or (None, None, None)
     row["rejected"] = summary.rejected_count
     row["probability"] = max(probabilities.values(), default=None)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fden_ros.core.estimation.estimate import Innovation, StateIndex
+from fden_ros.core.estimation.estimate import Estimate, Innovation, ParameterSet
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
@@ -390,19 +390,57 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         yield f"{summary.rejected_count} samples were rejected during the contact."
     if estimate is None:
         yield "There is no estimate."
+    elif estimate.at_edge:
+        yield from _at_edge(estimate)
     elif not summary.converged:
-        boundary = math.exp(-estimate.log_nonlinear_stiffness)
-        deviation = float(estimate.deviations[StateIndex.LOG_NONLINEAR_STIFFNESS])
-        if summary.max_strain < boundary * math.exp(2.0 * deviation):
-            yield (
-                f"Not converged: the strain reached {summary.max_strain:.3f} and did not surely "
-                f"pass the boundary 1/Gn, about {boundary:.3f}. Gn is prior knowledge still: "
-                "press deeper."
-            )
-        else:
-            yield f"Not converged: Gn is known to {100 * deviation:.1f} % only."
-    if estimate is not None and summary.order_source is OrderSource.PRIOR:
+        yield _not_converged(summary, estimate)
+    if estimate is not None and not (
+        estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid
+    ):
         yield (
             f"alpha is prior knowledge ({estimate.fractional_order:.3f}): the data did not "
             "determine it."
         )
+
+
+def _at_edge(estimate: Estimate) -> Iterator[str]:
+    for parameter, words in (
+        (
+            ParameterSet.LINEAR_STIFFNESS,
+            f"G ({estimate.linear_stiffness:.3g}): state another prior.linear_stiffness",
+        ),
+        (
+            ParameterSet.NONLINEAR_STIFFNESS,
+            f"Gn ({estimate.nonlinear_stiffness:.2f}): the prior excludes this tissue, or it is "
+            "none that the model describes; state prior.nonlinear_stiffness with a "
+            "prior.nonlinear_stiffness_log_sd of 1",
+        ),
+        (
+            ParameterSet.FRACTIONAL_ORDER,
+            f"alpha ({estimate.fractional_order:.3f}): the material relaxes less or more than any "
+            "tissue that the model describes, or force and displacement are out of step",
+        ),
+    ):
+        if parameter in estimate.at_edge:
+            yield f"No estimate, but an end of the range of {words}."
+
+
+def _not_converged(summary: ContactSummary, estimate: Estimate) -> str:
+    reached = f"the strain reached {summary.max_strain:.3f}"
+    boundary = f"1/Gn, about {math.exp(-estimate.log_nonlinear_stiffness):.3f}"
+    if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
+        poor = [
+            f"{name} is known to {100 * estimate.deviations[index]:.0f} %"
+            for index, name in enumerate(("G", "Gn"))
+            if not estimate.knows(index)
+        ]
+        return f"Not converged: {', '.join(poor)} only."
+    if ParameterSet.LINEAR_STIFFNESS in estimate.known:
+        return (
+            f"G is known, Gn is not observable: {reached} and did not surely pass the boundary "
+            f"{boundary}."
+        )
+    return (
+        f"Not converged: {reached} and did not surely pass the boundary {boundary}. Gn is prior "
+        "knowledge still: press deeper."
+    )

@@ -8,7 +8,7 @@ parameter files and the documentation. :func:`check` turns names and values into
 0.0002
 """
 
-from fden_ros.parameters.files import read_parameter_file
+from fden_ros.parameters.files import read_parameter_file, read_parameter_files
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     geometry_of,
@@ -29,6 +29,7 @@ __all__ = [
     "geometry_of",
     "pipeline_config",
     "read_parameter_file",
+    "read_parameter_files",
     "tool_weight",
     "uncertainty_of",
     "unit_vector",

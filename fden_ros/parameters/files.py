@@ -7,7 +7,7 @@ module look at its files first.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,27 +42,38 @@ class Section:
 
 
 def read_parameter_file(path: str | Path, node: str = NODE) -> Parameters:
-    """Read the parameters of one node from a ROS 2 parameter file.
+    """Read the parameters of one node from one file: :func:`read_parameter_files`."""
+    return read_parameter_files([path], node)
 
-    Of the sections that are for the node, by name or wildcard, the later outdoes the earlier.
+
+def read_parameter_files(paths: Iterable[str | Path], node: str = NODE) -> Parameters:
+    """Read the parameters of one node from ROS 2 parameter files.
+
+    Of the sections that are for the node, by name or wildcard, the later outdoes the earlier, and
+    the later file the earlier.
 
     Parameters
     ----------
-    path : path
+    paths : iterable of path
     node : str
         Its name, with its namespace: ``/arm/identifier``.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has no section for the node, or holds in it an unknown name or
-        a value that is not allowed.
+        If a file cannot be read, has no section for the node, or holds in it an unknown name or a
+        value that is not allowed.
     """
-    sections = read_sections(path)
-    try:
-        return check(identifier_values(values_for(sections, node)))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    values: dict[str, object] = {}
+    parameters = Parameters()
+    for path in paths:
+        sections = read_sections(path)
+        try:
+            values |= identifier_values(values_for(sections, node))
+            parameters = check(values)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+    return parameters
 
 
 def values_for(sections: list[Section], node: str) -> dict[str, object]:

@@ -73,6 +73,8 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             observation=Observation(parameters.estimator.observation),
             fractional_order_given=not parameters.alpha.learn,
             converged_log_sd=parameters.converged.log_sd,
+            converged_linear_log_sd=parameters.converged.linear_log_sd,
+            converged_order_sd=parameters.converged.alpha_sd,
             converged_probability=parameters.converged.probability,
             uncertainty=uncertainty_of(parameters),
         ),

@@ -367,45 +367,45 @@ class EstimatorParameters:
 
 @dataclass(frozen=True)
 class PriorParameters:
-    """The tissue before the touch: medians and standard deviations."""
+    """The tissue before the touch, by default what soft tissue can be."""
 
     linear_stiffness: float = number(
-        520.0,
+        3200.0,
         "Pa s^alpha",
         "Median of G before the touch.",
         0.001,
         1000000000.0,
     )
     linear_stiffness_log_sd: float = number(
-        0.3,
+        2.9,
         "1",
         "Standard deviation of ln G.",
         0.001,
         5.0,
     )
     nonlinear_stiffness: float = number(
-        8.4,
+        6.3,
         "1",
         "Median of Gn before the touch.",
         0.1,
         100.0,
     )
     nonlinear_stiffness_log_sd: float = number(
-        0.2,
+        0.92,
         "1",
         "Standard deviation of ln Gn.",
         0.01,
         2.0,
     )
     alpha: float = number(
-        0.131,
+        0.31,
         "1",
         "Median of alpha before the touch, or alpha itself where alpha.learn is false.",
         0.02,
         0.6,
     )
     alpha_sd: float = number(
-        0.011,
+        0.145,
         "1",
         "Standard deviation of alpha.",
         0.0,
@@ -415,19 +415,33 @@ class PriorParameters:
 
 @dataclass(frozen=True)
 class ConvergedParameters:
-    """When an estimate is converged."""
+    """When each parameter of an estimate has converged; the status says so of G and Gn both."""
 
     log_sd: float = number(
         0.1,
         "1",
-        "Converged only while the standard deviation of ln Gn is below this.",
+        "Gn has converged only while the standard deviation of ln Gn is below this.",
+        0.0001,
+        1.0,
+    )
+    linear_log_sd: float = number(
+        0.5,
+        "1",
+        "G has converged only while the standard deviation of ln G is below this.",
+        0.0001,
+        5.0,
+    )
+    alpha_sd: float = number(
+        0.05,
+        "1",
+        "alpha has converged only while its standard deviation is below this.",
         0.0001,
         1.0,
     )
     probability: float = number(
         0.99,
         "1",
-        "Converged only while the strain has passed 1/Gn with this probability.",
+        "Gn is observable only while the strain has passed 1/Gn with this probability.",
         0.5,
         1.0,
     )

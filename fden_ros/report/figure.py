@@ -106,7 +106,7 @@ def _draw_parameter(
             (
                 _seconds(state.stamp_ns, start_ns),
                 *band,
-                math.exp(value) if state.status is Status.CONVERGED else math.nan,
+                math.exp(value) if estimate.knows(index) else math.nan,
             )
         )
     if rows:

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fden_ros.control.live_tissue import Refusal
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.report.table import DASH, contact_table
 
@@ -119,12 +120,24 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
     rows = []
     for name, index, unit in (("G", 0, "Pa s^α"), ("Gn", 1, "")):
         value, spread = math.exp(estimate.mean[index]), math.exp(_DEVIATIONS * deviations[index])
-        rows.append((name, f"{value:.4g}   [{value / spread:.4g}, {value * spread:.4g}] {unit}"))
+        interval = f"{value:.4g}   [{value / spread:.4g}, {value * spread:.4g}] {unit}".rstrip()
+        rows.append((name, f"{interval}   {_how_known(estimate, index)}"))
     order, half = estimate.fractional_order, _DEVIATIONS * deviations[2]
-    source = state.order_source
-    words = "" if source is OrderSource.NONE else f"  {source.name.lower()}"
-    rows.append(("α", f"{order:.3f}   [{order - half:.3f}, {order + half:.3f}]{words}"))
+    words = [_how_known(estimate, 2)]
+    if state.order_source in (OrderSource.GIVEN, OrderSource.LEARNED):
+        words.append(state.order_source.name.lower())
+    interval = f"{order:.3f}   [{order - half:.3f}, {order + half:.3f}]"
+    rows.append(("α", f"{interval}   {', '.join(words)}"))
     return rows
+
+
+def _how_known(estimate: Estimate, index: int) -> str:
+    """Return how far a parameter is known, in words."""
+    if estimate.is_at_edge(index):
+        return "at the edge of what can be represented"
+    if estimate.knows(index):
+        return "converged"
+    return "converging" if estimate.determines(index) else "not determined"
 
 
 def _tissue(view: MonitorView) -> str:

@@ -11,11 +11,13 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
+from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
+from fden_ros.report.table import status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -103,9 +105,20 @@ def _headline(session: Session) -> str:
         return "No contact was found."
     sites = len({summary.site_id for summary in summaries})
     converged = sum(summary.converged for summary in summaries)
-    return (
+    words = (
         f"{_count(len(summaries), 'contact')} at {_count(sites, 'site')}; "
-        f"{'all' if converged == len(summaries) else converged or 'none'} converged."
+        f"{'all' if converged == len(summaries) else converged or 'none'} converged"
+    )
+    linear = sum(map(_knows_g_alone, summaries))
+    return f"{words}; of {linear} more G is known." if linear else f"{words}."
+
+
+def _knows_g_alone(summary: ContactSummary) -> bool:
+    estimate = summary.estimate
+    return (
+        estimate is not None
+        and not summary.converged
+        and ParameterSet.LINEAR_STIFFNESS in estimate.known
     )
 
 
@@ -119,7 +132,11 @@ def _warnings(session: Session) -> Iterator[str]:
     for reason, count in session.replay.rejected.items():
         stream, _, why = reason.partition(".")
         yield f"{count} samples of the {stream} were rejected: {why.replace('_', ' ')}."
-    unsure = [str(s.contact_id) for s in session.replay.summaries if not s.converged]
+    summaries = session.replay.summaries
+    linear = [str(s.contact_id) for s in summaries if _knows_g_alone(s)]
+    if linear:
+        yield f"Contact {', '.join(linear)}: G is known, Gn is not; see there why."
+    unsure = [str(s.contact_id) for s in summaries if not s.converged and not _knows_g_alone(s)]
     if unsure:
         yield (f"Contact {', '.join(unsure)}: the data do not allow a conclusion; see there why.")
     tests = [(c.contact_id, c.test) for c in session.contacts]
@@ -146,7 +163,6 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
             "alpha": f"{_pm(estimate.fractional_order, deviations[2])} "
             f"({_SOURCES[summary.order_source]})",
         }
-    status = "converged" if summary.converged else "not converged"
     return {
         **row,
         "id": summary.contact_id,
@@ -154,7 +170,7 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
         "seconds": f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
         "strain": f"{summary.max_strain:.3f}",
         "force": f"{summary.max_force:.3g}",
-        "status": status if summary.complete else f"{status}, cut short",
+        "status": status_words(summary),
         "converged": summary.converged,
         "label": _label(summary),
     }

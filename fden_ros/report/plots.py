@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.outputs import ContactSummary, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.session import (
     Array,
@@ -155,7 +155,7 @@ def comparison(session: Session) -> str:
                 (True, ESTIMATE, "converged, ±2 sd"),
                 (False, MUTED, "not converged, ±2 sd"),
             ):
-                chosen = [s for s in known if s.converged is converged]
+                chosen = [s for s in known if s.estimate and s.estimate.knows(index) is converged]
                 if chosen:
                     _intervals(axes, chosen, index, colour, name)
             true = [
@@ -334,7 +334,6 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
     def plot(figure: Figure) -> None:
         start_ns = contact.states.items[0].stamp_ns
         time = np.array([(s.stamp_ns - start_ns) / NANOSECONDS for s in states])
-        sure = np.array([s.status is Status.CONVERGED for s in states])
         for axes, index, key, label in zip(
             figure.subplots(2, 1, sharex=True),
             (0, 1),
@@ -345,6 +344,7 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
             value = np.array([s.estimate[index] for s in states])
             deviation = np.sqrt([s.estimate.covariance[index, index] for s in states])
             low, high = np.exp(value - 2 * deviation), np.exp(value + 2 * deviation)
+            sure = np.array([s.estimate.knows(index) for s in states])
             step = -(-time.size // _POINTS)
             axes.fill_between(
                 time[::step], low[::step], high[::step], color=ESTIMATE, alpha=0.25, linewidth=0,
@@ -361,6 +361,8 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
                 axes.axhline(truth[key], color=TRUTH, linestyle=":", label="truth")
             final = float(np.exp(value[-1]))
             spread = np.quantile(np.abs(np.concatenate([low, high]) - final), 0.9)
+            # Before the data say anything the prior's interval is far wider.
+            spread = min(spread, final)
             axes.set_ylim(final - 1.3 * spread - 0.02 * final, final + 1.3 * spread + 0.02 * final)
             axes.set_ylabel(label)
         figure.axes[0].set_title("The estimate converging")

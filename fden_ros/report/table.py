@@ -8,6 +8,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
+from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ContactSummary
 
 DASH = "–"
@@ -38,16 +39,38 @@ def contact_table(
     table.add_column("tissue", no_wrap=True)
     for summary in summaries:
         table.add_row(*_cells(summary, truth))
+        if summary.estimate is not None and summary.estimate.valid != ParameterSet.ALL:
+            table.caption = "in brackets: prior knowledge, which the data did not determine"
     return table
+
+
+def status_words(summary: ContactSummary) -> str:
+    """Return how far a contact's parameters are known."""
+    words = "not converged"
+    if summary.converged:
+        words = "converged"
+    elif summary.estimate is not None:
+        if summary.estimate.at_edge:
+            words = "at the edge"
+        elif ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
+            words = "G known"
+    return words if summary.complete else f"{words}, cut short"
 
 
 def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | None) -> list[str]:
     estimate = summary.estimate
     g = g_n = alpha = DASH
     if estimate is not None:
-        g = f"{estimate.linear_stiffness:.1f} ± {estimate.linear_stiffness_sd:.1f}"
-        g_n = f"{estimate.nonlinear_stiffness:.2f} ± {estimate.nonlinear_stiffness_sd:.2f}"
-        alpha = f"{estimate.fractional_order:.3f}"
+        g, g_n, alpha = (
+            text if estimate.determines(index) else f"({text})"
+            for index, text in enumerate(
+                (
+                    f"{estimate.linear_stiffness:.1f} ± {estimate.linear_stiffness_sd:.1f}",
+                    f"{estimate.nonlinear_stiffness:.2f} ± {estimate.nonlinear_stiffness_sd:.2f}",
+                    f"{estimate.fractional_order:.3f}",
+                )
+            )
+        )
     site = (truth or {}).get(summary.site_id)
     cells = [str(summary.contact_id), str(summary.site_id), g]
     if truth is not None:
@@ -55,8 +78,7 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
     cells.append(g_n)
     if truth is not None:
         cells.append(f"{site['nonlinear_stiffness']:.2f}" if site else DASH)
-    status = "converged" if summary.converged else "not converged"
-    return [*cells, alpha, status if summary.complete else f"{status}, cut short", _label(summary)]
+    return [*cells, alpha, status_words(summary), _label(summary)]
 
 
 def _label(summary: ContactSummary) -> str:

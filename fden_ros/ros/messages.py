@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import Estimate, Innovation, LawError
+from fden_ros.core.estimation.estimate import Estimate, Innovation, LawError, ParameterSet
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import (
     ApparentStiffness,
@@ -159,6 +159,9 @@ def _fill_parameters(
         for name, value in estimate.law_error._asdict().items():
             setattr(message, _law_error_field(name), value)
     message.alpha_source = int(source)
+    message.valid_parameters = int(estimate.valid)
+    message.converged_parameters = int(estimate.known)
+    message.edge_parameters = int(estimate.at_edge)
 
 
 def _law_error_field(name: str) -> str:
@@ -249,11 +252,6 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
 
 
 def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) -> Estimate:
-    converged = (
-        message.converged
-        if isinstance(message, PalpationSummary)
-        else message.status == TissueEstimate.STATUS_CONVERGED
-    )
     return Estimate(
         log_linear_stiffness=math.log(message.linear_stiffness),
         log_nonlinear_stiffness=math.log(message.nonlinear_stiffness),
@@ -269,6 +267,8 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         if message.kernel_error_sd
         else None,
         probability_beyond_boundary=math.nan,
-        converged=converged,
+        valid=ParameterSet(message.valid_parameters),
+        known=ParameterSet(message.converged_parameters),
+        at_edge=ParameterSet(message.edge_parameters),
         sample_count=sample_count,
     )

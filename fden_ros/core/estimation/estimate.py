@@ -29,9 +29,38 @@ class StateIndex(enum.IntEnum):
     WALK_NEXT = 11  #: at the next knot [1]
 
 
+class ParameterSet(enum.IntFlag):
+    """Some of the tissue's parameters."""
+
+    NONE = 0
+    LINEAR_STIFFNESS = 1
+    NONLINEAR_STIFFNESS = 2
+    FRACTIONAL_ORDER = 4
+    STIFFNESS = LINEAR_STIFFNESS | NONLINEAR_STIFFNESS
+    ALL = STIFFNESS | FRACTIONAL_ORDER
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the set, in the order of a state."""
+        return tuple(one.name.lower() for one in _EACH if one in self and one.name)
+
+
+_EACH = (
+    ParameterSet.LINEAR_STIFFNESS,
+    ParameterSet.NONLINEAR_STIFFNESS,
+    ParameterSet.FRACTIONAL_ORDER,
+)
+#: The data have determined ln G or alpha when its standard deviation is below this share of its
+#: prior's [1]: then they say three times as much as the prior.
+_LEARNED_SHARE = 0.5
+
+
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the tissue before it is touched; by default the paper's liver.
+    """What is known of the tissue before it is touched; by default what soft tissue can be.
+
+    Two standard deviations either way hold G from 10 Pa s^alpha to 1 MPa s^alpha, Gn from 1 to 40
+    and alpha from 0.02 to 0.6.
 
     Parameters
     ----------
@@ -43,12 +72,12 @@ class Prior:
         alpha [1] and its standard deviation [1].
     """
 
-    linear_stiffness: float = 520.0
-    linear_stiffness_log_sd: float = 0.3
-    nonlinear_stiffness: float = 8.4
-    nonlinear_stiffness_log_sd: float = 0.2
-    fractional_order: float = 0.131
-    fractional_order_sd: float = 0.011
+    linear_stiffness: float = 3200.0
+    linear_stiffness_log_sd: float = 2.9
+    nonlinear_stiffness: float = 6.3
+    nonlinear_stiffness_log_sd: float = 0.92
+    fractional_order: float = 0.31
+    fractional_order_sd: float = 0.145
 
     @property
     def mean(self) -> Array:
@@ -134,10 +163,11 @@ class EstimatorConfig:
         STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
     fractional_order_given : bool
         alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
-    converged_log_sd : float
-        Converged only while the standard deviation of ln Gn is below this [1].
+    converged_log_sd, converged_linear_log_sd, converged_order_sd : float
+        Gn, G and alpha have converged only while the standard deviations of ln Gn, ln G and alpha
+        are at most these [1].
     converged_probability : float
-        Converged only while P(largest strain > 1/Gn) is at least this [1].
+        Gn is observable only while P(largest strain > 1/Gn) is at least this [1].
     uncertainty : Uncertainty
         What is not known of model and rig. Whether the model's error is there at all, the evidence
         of the data decides.
@@ -147,8 +177,19 @@ class EstimatorConfig:
     observation: Observation = Observation.STRESS
     fractional_order_given: bool = False
     converged_log_sd: float = 0.05
+    converged_linear_log_sd: float = 0.5
+    converged_order_sd: float = 0.05
     converged_probability: float = 0.99
     uncertainty: Uncertainty = Uncertainty()
+
+    @property
+    def is_order_given(self) -> bool:
+        """Whether alpha is a setting and not learned."""
+        return (
+            self.fractional_order_given
+            or self.observation is Observation.FRACTIONAL_STRESS
+            or self.prior.fractional_order_sd == 0.0
+        )
 
 
 class Block(NamedTuple):
@@ -201,7 +242,8 @@ class Estimate(NamedTuple):
     strain_origin: float  #: o [1]
     strain_origin_sd: float  #: [1]
     probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
-    converged: bool
+    valid: ParameterSet  #: what the data determine, or a setting: the others are prior knowledge
+    known: ParameterSet  #: those of them that have converged, each by itself
     sample_count: int
     #: Relative standard deviation of the stress-strain curve from the law over a factor e of
     #: stress, averaged by the evidence [1]; 0: the data are those of the law.
@@ -210,6 +252,13 @@ class Estimate(NamedTuple):
     loading_age: float = 0.0
     #: None: not known, before 2 s of the first contact of a site.
     law_error: LawError | None = None
+    #: Parameters that lie at an end of what the estimator can represent: then none is known.
+    at_edge: ParameterSet = ParameterSet.NONE
+
+    @property
+    def converged(self) -> bool:
+        """Whether G and Gn have converged."""
+        return ParameterSet.STIFFNESS in self.known
 
     @property
     def mean(self) -> Array:
@@ -222,6 +271,18 @@ class Estimate(NamedTuple):
     def deviations(self) -> Array:
         """Standard deviations of (ln G, ln Gn, alpha) [1], shape (3,)."""
         return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
+
+    def determines(self, index: int) -> bool:
+        """Whether the data, or a setting, say what the parameter at `index` is."""
+        return bool(self.valid & _EACH[index])
+
+    def knows(self, index: int) -> bool:
+        """Whether the parameter at `index` has converged."""
+        return bool(self.known & _EACH[index])
+
+    def is_at_edge(self, index: int) -> bool:
+        """Whether the parameter at `index` is at an end of what can be represented."""
+        return bool(self.at_edge & _EACH[index])
 
     @property
     def linear_stiffness(self) -> float:
@@ -250,6 +311,46 @@ class Estimate(NamedTuple):
 
     def _deviation(self, index: StateIndex) -> float:
         return math.sqrt(max(float(self.covariance[index, index]), 0.0))
+
+
+def determined(
+    config: EstimatorConfig, deviations: Array, probability_beyond_boundary: float
+) -> ParameterSet:
+    """Return the parameters that the data determine, or a setting.
+
+    Gn is where the strain has passed 1/Gn: below, the law is linear. G and alpha are where their
+    deviations are below half of their priors'. An alpha that is given is as it was stated.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    deviations : ndarray, shape (3,)
+        Standard deviations of (ln G, ln Gn, alpha) [1].
+    probability_beyond_boundary : float
+        P(largest strain > 1/Gn) [1].
+    """
+    log_g, _, order = (deviations < _LEARNED_SHARE * config.prior.deviations).tolist()
+    found = ParameterSet.NONE
+    if probability_beyond_boundary >= config.converged_probability:
+        # A stress-strain curve that is seen to bend has a scale, too.
+        found |= ParameterSet.STIFFNESS
+    if log_g:
+        found |= ParameterSet.LINEAR_STIFFNESS
+    if order or config.is_order_given:
+        found |= ParameterSet.FRACTIONAL_ORDER
+    return found
+
+
+def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -> ParameterSet:
+    """Return those of the parameters `valid` whose deviations, shape (3,), are small enough."""
+    limits = np.array(
+        [config.converged_linear_log_sd, config.converged_log_sd, config.converged_order_sd]
+    )
+    found = ParameterSet.NONE
+    for parameter, is_close in zip(_EACH, deviations <= limits, strict=True):
+        if is_close:
+            found |= parameter
+    return found & valid
 
 
 class Estimator(Protocol):

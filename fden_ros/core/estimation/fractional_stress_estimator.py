@@ -42,6 +42,8 @@ from fden_ros.core.estimation.estimate import (
     Estimate,
     EstimatorConfig,
     Innovation,
+    converged,
+    determined,
 )
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
@@ -295,6 +297,8 @@ class GaussianSum:
         joint = _positive(joint)
         beyond = self._probability_beyond_boundary(weights, means, covariances)
         config = self._config
+        deviations = np.sqrt(joint.diagonal())
+        valid = determined(config, deviations, beyond)
         return Estimate(
             log_linear_stiffness=float(mean[_LOG_G]),
             log_nonlinear_stiffness=float(mean[_LOG_GN]),
@@ -303,8 +307,8 @@ class GaussianSum:
             strain_origin=float(mean[_ORIGIN]),
             strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            converged=beyond >= config.converged_probability
-            and math.sqrt(joint[1, 1]) <= config.converged_log_sd,
+            valid=valid,
+            known=converged(config, deviations, valid),
             sample_count=self._sample_count,
         )
 

@@ -50,7 +50,7 @@ _LEAST_WEIGHT = 1e-6
 #: Eigenvalues of a scaled Hessian [1] below this are rounding.
 _SINGULAR = 1e-11
 #: Distance from the prior [1] at which ln G stops: a factor of 160,000 either way is no tissue.
-_LOG_REACH = 12.0
+LOG_REACH = 12.0
 
 
 class Solution(NamedTuple):
@@ -121,7 +121,7 @@ class GaussNewton:
         """Keep states, shape (..., n), where the response is known, in place."""
         around, reach = self._prior.mean, self._reach
         for index, lowest, highest in (
-            (_LOG_G, around[_LOG_G] - _LOG_REACH, around[_LOG_G] + _LOG_REACH),
+            (_LOG_G, around[_LOG_G] - LOG_REACH, around[_LOG_G] + LOG_REACH),
             (_ORDER, LOWEST_ORDER, HIGHEST_ORDER),
             (_LOG_GN, self._grid.lowest, self._grid.highest),
             (slice(_ORIGIN, None), around[_ORIGIN:] - reach, around[_ORIGIN:] + reach),

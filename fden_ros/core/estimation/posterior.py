@@ -28,8 +28,15 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex
-from fden_ros.core.estimation.gauss_newton import GaussNewton
+from fden_ros.core.estimation.edge import (
+    EDGE_SHARE,
+    log_g_is_at_end,
+    log_gn_leans_on_end,
+    order_is_at_end,
+    weights_pile_up,
+)
+from fden_ros.core.estimation.estimate import Block, EstimatorConfig, ParameterSet, StateIndex
+from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations
 from fden_ros.core.estimation.random_walk import RandomWalk
@@ -313,6 +320,32 @@ class StressPosterior:
             self._node_weights = solution.weights
             self.state, self.covariance, _ = solution.moments
             self.is_unimodal = bool(self.covariance[_LOG_GN, _LOG_GN] < _UNIMODAL**2)
+
+    def at_edge(self) -> ParameterSet:
+        """Return the parameters at an end of what can be represented."""
+        found, prior, state = ParameterSet.NONE, self._prior, self.state
+        if log_g_is_at_end(float(state[_LOG_G] - prior.mean[_LOG_G]), LOG_REACH):
+            found |= ParameterSet.LINEAR_STIFFNESS
+        if prior.deviations[_LOG_GN] > 0.0 and self._log_gn_is_at_end():
+            found |= ParameterSet.NONLINEAR_STIFFNESS
+        if not self._config.is_order_given and self._order_is_at_end():
+            found |= ParameterSet.FRACTIONAL_ORDER
+        return found
+
+    def _log_gn_is_at_end(self) -> bool:
+        if self.is_unimodal:
+            deviation = math.sqrt(self.covariance[_LOG_GN, _LOG_GN])
+            return log_gn_leans_on_end(self._grid, float(self.state[_LOG_GN]), deviation)
+        mean, deviation = self._prior.mean[_LOG_GN], self._prior.deviations[_LOG_GN]
+        log_prior = -0.5 * ((self._grid.nodes - mean) / deviation) ** 2
+        return weights_pile_up(self._node_weights, log_prior)
+
+    def _order_is_at_end(self) -> bool:
+        deviation = math.sqrt(self.covariance[_ORDER, _ORDER])
+        if self.is_unimodal:
+            return bool(order_is_at_end(self.state[_ORDER], deviation))
+        at_end = order_is_at_end(self._node_states[:, _ORDER], deviation)
+        return bool(self._node_weights @ at_end >= EDGE_SHARE)
 
     def probability_beyond_boundary(self, strain: float) -> float:
         """Return P(strain > 1/Gn) [1], for a positive strain."""

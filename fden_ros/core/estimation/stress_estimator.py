@@ -16,12 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.edge import EDGE_SHARE
 from fden_ros.core.estimation.estimate import (
     Block,
     Estimate,
     EstimatorConfig,
     Innovation,
+    ParameterSet,
     StateIndex,
+    converged,
+    determined,
 )
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.law_watch import LawWatch
@@ -375,6 +379,9 @@ class StressEstimator:
         # Symmetric to the last bit, which products of matrices are not.
         covariance = 0.5 * (covariance + covariance.T)
         beyond = self._probability_beyond_boundary(mean)
+        deviations = np.sqrt(np.maximum(covariance.diagonal()[:_ORIGIN], 0.0))
+        valid, at_edge = determined(config, deviations, beyond), self._at_edge()
+        is_solved = self._best.is_solved and not at_edge
         return Estimate(
             log_linear_stiffness=float(mean[_LOG_G]),
             log_nonlinear_stiffness=float(mean[_LOG_GN]),
@@ -383,14 +390,22 @@ class StressEstimator:
             strain_origin=float(mean[_ORIGIN]),
             strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            converged=self._best.is_solved
-            and beyond >= config.converged_probability
-            and math.sqrt(covariance[_LOG_GN, _LOG_GN]) <= config.converged_log_sd,
+            valid=valid,
+            known=converged(config, deviations, valid) if is_solved else ParameterSet.NONE,
+            at_edge=at_edge,
             sample_count=self._sample_count,
             model_error=self._model_error,
             loading_age=self._age.age,
             law_error=self._law.deviation.error if self._law.deviation is not None else None,
         )
+
+    def _at_edge(self) -> ParameterSet:
+        """Return the parameters at an end of what can be represented, at a scale that counts."""
+        found = ParameterSet.NONE
+        for weight, posterior in zip(self._weights, self._bank, strict=True):
+            if weight >= EDGE_SHARE:
+                found |= posterior.at_edge()
+        return found
 
     @property
     def _model_error(self) -> float:
