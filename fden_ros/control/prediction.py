@@ -194,8 +194,10 @@ class Predictor:
         if estimate.loading_age <= 0.0:
             return np.zeros_like(grid)
         error = estimate.model_error
-        # The evidence so far says nothing of relaxation that is yet to come.
+        # Where relaxation is yet to come the evidence so far may widen what is stated, not shrink it.
         kernel_error = max(stated.kernel_sd, KERNEL_SHARE * error)
+        if estimate.law_error is not None:
+            kernel_error = max(kernel_error, estimate.law_error.kernel)
         uncertainty = replace(stated, characteristic_sd=error, kernel_sd=kernel_error)
         gn, order = estimate.nonlinear_stiffness, estimate.fractional_order
         relaxed = estimate.linear_stiffness * apparent_stiffness_factor(order, SURFACE_TIME)
