@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 #: Raise when the meaning of a row changes: earlier rows are then made anew.
-_FORMAT = 2
+_FORMAT = 3
 _BAG_COLUMNS = ("bag", "content", "configuration", "error", "warnings", "seconds", "pairs")
 _LOST = "lost: "
 #: Bags that wait at each worker beside the one in work.

@@ -169,6 +169,9 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "g_sd": None,
         "g_n_sd": None,
         "alpha_sd": None,
+        "apparent_stiffness": None,
+        "apparent_stiffness_sd": None,
+        "apparent_stiffness_time_scale": None,
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
         "complete": summary.complete,
@@ -195,6 +198,13 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
             "g_sd": estimate.linear_stiffness_sd,
             "g_n_sd": estimate.nonlinear_stiffness_sd,
             "alpha_sd": estimate.fractional_order_sd,
+        }
+    stiffness = summary.apparent_stiffness
+    if stiffness is not None:
+        contact |= {
+            "apparent_stiffness": stiffness.value,
+            "apparent_stiffness_sd": stiffness.sd,
+            "apparent_stiffness_time_scale": stiffness.time_scale,
         }
     if summary.classes is not None:
         contact["label"] = summary.classes.label
