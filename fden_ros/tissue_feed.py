@@ -171,6 +171,15 @@ class TissueFeed:
         reading = self.reading()
         return None if reading is None else reading.stiffness(time_scale)
 
+    def linear_stiffness(self) -> tuple[float, float] | None:
+        """Return G and its deviation [Pa s^alpha] if the data determine it, or None.
+
+        Also where Gn is not known, so that :meth:`stiffness` is None: in tissue that is linear as
+        far as it was pressed.
+        """
+        with self._lock:
+            return self._live.linear_stiffness(time.monotonic())
+
     def predict_force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction | None:
         """Return the force of a planned motion, or None if that cannot be known.
 

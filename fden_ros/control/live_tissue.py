@@ -17,7 +17,7 @@ from fden_ros.control.prediction import Prediction, Predictor, StressMemory
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
-from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.outputs import Determined, Flag, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
@@ -49,7 +49,7 @@ class Refusal(enum.Enum):
     STALE = "the identifier has no input: are force and displacement published?"
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
-    NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
+    NOT_CONVERGED = "the data do not determine Gn yet: press deeper, or use G alone where known"
     CONTRADICTED = "the force is not what the estimate predicts, for the rest of the contact"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
@@ -206,6 +206,20 @@ class LiveTissue:
         if self.refusal(now) is not None or state is None or state.estimate is None:
             return None
         return Reading(state, state.estimate, max(now - self._arrival, 0.0) + self._lag)
+
+    def linear_stiffness(self, now: float) -> tuple[float, float] | None:
+        """Return G and its deviation [Pa s^alpha] if the data determine it, else None.
+
+        Also where Gn is not known: in tissue that is linear as far as it was pressed.
+        """
+        state = self._state
+        if self.refusal(now) not in (None, Refusal.NOT_CONVERGED):
+            return None
+        if state is None or state.estimate is None or self._contradicted == state.contact_id:
+            return None
+        if not state.determined & Determined.LINEAR_STIFFNESS:
+            return None
+        return state.estimate.linear_stiffness, state.estimate.linear_stiffness_sd
 
     def predictor(self, now: float) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.

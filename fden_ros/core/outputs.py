@@ -15,7 +15,7 @@ from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
 
-#: alpha is learned when its standard deviation is below this share of its prior's.
+#: A parameter is learned when its standard deviation is below this share of its prior's.
 _LEARNED_SHARE = 0.5
 
 
@@ -61,6 +61,15 @@ class OrderSource(enum.IntEnum):
     LEARNED = 3
 
 
+class Determined(enum.IntFlag):
+    """The parameters that the data, not the prior, determine."""
+
+    NONE = 0
+    LINEAR_STIFFNESS = 1
+    NONLINEAR_STIFFNESS = 2
+    FRACTIONAL_ORDER = 4
+
+
 @dataclass(frozen=True)
 class Signals:
     """Means over a block."""
@@ -94,6 +103,7 @@ class TissueState:
     signals: Signals | None = None
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
+    determined: Determined = Determined.NONE
 
 
 @dataclass(frozen=True)
@@ -136,6 +146,7 @@ class ContactSummary:
     comparison: Comparison | None = None
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
+    determined: Determined = Determined.NONE
 
 
 @dataclass(frozen=True)
@@ -183,6 +194,7 @@ def stale(state: TissueState) -> TissueState:
         innovation=None,
         apparent_stiffness=None,
         order_source=OrderSource.NONE,
+        determined=Determined.NONE,
     )
 
 
@@ -192,10 +204,31 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
         return OrderSource.NONE
     if config.fractional_order_given:
         return OrderSource.GIVEN
-    index = StateIndex.FRACTIONAL_ORDER
-    variance = float(estimate.covariance[index, index])
-    is_learned = variance < (_LEARNED_SHARE * config.prior.fractional_order_sd) ** 2
+    is_learned = estimate.fractional_order_sd < _LEARNED_SHARE * config.prior.fractional_order_sd
     return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
+
+
+def determined(estimate: Estimate | None, config: EstimatorConfig) -> Determined:
+    """Return the parameters that the data determine.
+
+    G and alpha where the data have halved the prior's standard deviation, Gn where the estimate
+    has converged. In material that is linear as far as it was pressed, G is
+    determined and Gn is not: the strain did not surely pass 1/Gn. Where it did, an estimate that
+    has not converged says nothing of G either.
+    """
+    if estimate is None:
+        return Determined.NONE
+    result = Determined.NONE
+    is_linear = estimate.probability_beyond_boundary < config.converged_probability
+    deviation = float(estimate.deviations[StateIndex.LOG_LINEAR_STIFFNESS])
+    is_learned = deviation < _LEARNED_SHARE * config.prior.linear_stiffness_log_sd
+    if is_learned and (estimate.converged or is_linear):
+        result |= Determined.LINEAR_STIFFNESS
+    if estimate.converged:
+        result |= Determined.NONLINEAR_STIFFNESS
+    if order_source(estimate, config) is OrderSource.LEARNED:
+        result |= Determined.FRACTIONAL_ORDER
+    return result
 
 
 def apparent_stiffness_of(

@@ -15,6 +15,7 @@ from fden_ros.core.outputs import (
     ApparentStiffness,
     Classification,
     ContactSummary,
+    Determined,
     DynamicModulus,
     Flag,
     Phase,
@@ -22,6 +23,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
     apparent_stiffness_of,
+    determined,
     order_source,
 )
 from fden_ros.core.site import Site
@@ -193,6 +195,9 @@ class Press:
             signals=signals,
             innovation=innovation,
             apparent_stiffness=self._apparent_stiffness(estimate, compression),
+            determined=Determined.NONE
+            if self._site.is_doubtful
+            else determined(estimate, config.estimator),
         )
 
     def _apparent_stiffness(
@@ -299,4 +304,5 @@ class Press:
             decided=answer.decided,
             comparison=answer.comparison,
             apparent_stiffness=self._apparent_stiffness(estimate, self._deepest),
+            determined=determined(estimate, self._config.estimator),
         )

@@ -270,6 +270,7 @@ def run(
     results: Results,
     client: Client,
     report: Callable[[Progress], object] = lambda progress: None,
+    on_broken: Callable[[str, str], object] = lambda bag, error: None,
 ) -> Progress:
     """Identify `bags` on the workers of `client` and keep each as it comes.
 
@@ -282,6 +283,8 @@ def run(
     client : distributed.Client
     report : callable
         Called after each bag.
+    on_broken : callable
+        Called with the path and the error of each bag that cannot be used.
 
     Returns
     -------
@@ -318,7 +321,9 @@ def run(
             skipped += 1
         else:
             results.add(record)
-            broken += record["error"] is not None
+            if record["error"] is not None:
+                broken += 1
+                on_broken(record["bag"], record["error"])
             contacts += len(record["contacts"])
         report(Progress(done, len(bags), skipped, broken, contacts))
     return Progress(done, len(bags), skipped, broken, contacts)
@@ -354,7 +359,7 @@ def _schema() -> Any:
     import pyarrow
 
     texts = {"bag", "content", "configuration", "error", "warnings"}
-    texts |= {"alpha_source", "flags", "label"}
+    texts |= {"alpha_source", "determined", "flags", "label"}
     integers = {"contact_id", "site", "start_ns", "end_ns", "samples", "rejected", "pairs"}
     booleans = {"converged", "complete"}
 

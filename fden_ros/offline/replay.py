@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output
+from fden_ros.core.outputs import ContactSummary, Determined, Failure, Flag, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import Parameters, pipeline_config
@@ -130,8 +130,8 @@ class _progress_bar:  # noqa: N801 - used as a function
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in pipeline.warnings.items()]
     warnings += map(str, pipeline.failures)
-    rejected = pipeline.rejected.total()
-    if rejected:
+    if pipeline.unusual_rejections:
+        rejected = pipeline.rejected.total()
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")
     if not pipeline.pair_count:
         warnings.append(
@@ -156,6 +156,16 @@ def result_object(result: Replay) -> dict[str, Any]:
     }
 
 
+def determined_names(determined: Determined) -> list[str]:
+    """Return the short names of the parameters that the data determine."""
+    names = {
+        "g": Determined.LINEAR_STIFFNESS,
+        "g_n": Determined.NONLINEAR_STIFFNESS,
+        "alpha": Determined.FRACTIONAL_ORDER,
+    }
+    return [name for name, flag in names.items() if flag & determined]
+
+
 def contact_object(summary: ContactSummary) -> dict[str, Any]:
     """Return one contact as a JSON-ready object; what was not estimated is null."""
     contact: dict[str, Any] = {
@@ -174,6 +184,7 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "apparent_stiffness_time_scale": None,
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
+        "determined": determined_names(summary.determined),
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,

@@ -17,11 +17,11 @@ from fden_ros.offline.session import Session
 COLUMNS = (
     "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n", "g_n_sd",
     "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale", "converged",
-    "complete", "flags", "max_strain", "max_stress", "max_force", "samples", "rejected", "label",
-    "probability", "mean_nis", "typicality", "decision_time", "decision_strain", "ratio",
-    "ratio_low", "ratio_high", "apparent_stiffness", "apparent_stiffness_sd",
-    "apparent_stiffness_time_scale", "g_g_n_correlation", "g_alpha_correlation",
-    "g_n_alpha_correlation",
+    "determined", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
+    "rejected", "label", "probability", "mean_nis", "typicality", "decision_time",
+    "decision_strain", "ratio", "ratio_low", "ratio_high", "apparent_stiffness",
+    "apparent_stiffness_sd", "apparent_stiffness_time_scale", "g_g_n_correlation",
+    "g_alpha_correlation", "g_n_alpha_correlation",
 )  # fmt: skip
 
 #: Columns of the correlations, and which of (ln G, ln Gn, alpha) each is of.
@@ -37,6 +37,7 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
     row = contact_object(summary)
     probabilities: Mapping[str, float] = row.pop("probabilities")
     row["flags"] = " ".join(row["flags"])
+    row["determined"] = " ".join(row["determined"])
     row["x"], row["y"], row["z"] = summary.position or (None, None, None)
     row["rejected"] = summary.rejected_count
     row["probability"] = max(probabilities.values(), default=None)

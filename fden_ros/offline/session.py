@@ -14,7 +14,15 @@ from scipy.stats import chi2
 
 from fden_ros.core.estimation.estimate import Innovation, StateIndex
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
+from fden_ros.core.outputs import (
+    ContactSummary,
+    Determined,
+    Flag,
+    OrderSource,
+    Output,
+    Status,
+    TissueState,
+)
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
@@ -366,8 +374,8 @@ def compression_of(geometry: Geometry, strain: float) -> float:
     return high
 
 
-def remarks(summary: ContactSummary) -> Iterator[str]:
-    """Yield, in words, what stands against a conclusion from a contact."""
+def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
+    """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
     estimate = summary.estimate
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
@@ -394,15 +402,21 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         boundary = math.exp(-estimate.log_nonlinear_stiffness)
         deviation = float(estimate.deviations[StateIndex.LOG_NONLINEAR_STIFFNESS])
         if summary.max_strain < boundary * math.exp(2.0 * deviation):
-            yield (
-                f"Not converged: the strain reached {summary.max_strain:.3f} and did not surely "
-                f"pass the boundary 1/Gn, about {boundary:.3f}. Gn is prior knowledge still: "
-                "press deeper."
+            reached = (
+                f"the strain reached {summary.max_strain:.3f} and did not surely pass the "
+                f"boundary 1/Gn, about {boundary:.3f}"
             )
+            if summary.determined & Determined.LINEAR_STIFFNESS:
+                yield (
+                    f"Gn is not observable: {reached}; below it stress is proportional to "
+                    "strain. G is known all the same."
+                )
+            else:
+                yield f"Not converged: {reached}. Gn is prior knowledge still: press deeper."
         else:
             yield f"Not converged: Gn is known to {100 * deviation:.1f} % only."
     if estimate is not None and summary.order_source is OrderSource.PRIOR:
         yield (
-            f"alpha is prior knowledge ({estimate.fractional_order:.3f}): the data did not "
-            "determine it."
+            f"alpha is not determined by the data: {estimate.fractional_order:.3f} ± "
+            f"{estimate.fractional_order_sd:.3f}, by the prior {prior_order:.3f}."
         )

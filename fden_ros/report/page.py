@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -12,10 +11,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
 from fden_ros.core.law.characteristic import exponential_scale
-from fden_ros.core.outputs import ContactSummary, OrderSource
+from fden_ros.core.outputs import ContactSummary, Determined, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
+from fden_ros.report.table import DASH, plus_minus, status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -78,6 +78,7 @@ def page(session: Session) -> str:
         comparison=(plots.comparison(session) if any(s.estimate for s in summaries) else None),
         site_map=(plots.site_map(session) if any(s.position for s in summaries) else None),
         rows=[_row(summary) for summary in summaries],
+        time_scale=f"{session.parameters.estimate.time_scale:g}",
         contacts=[_contact(session, contact) for contact in session.contacts[:DETAILED_CONTACTS]],
         left_out=max(0, len(summaries) - DETAILED_CONTACTS),
         open_contacts=len(summaries) <= _OPEN_CONTACTS,
@@ -103,10 +104,16 @@ def _headline(session: Session) -> str:
         return "No contact was found."
     sites = len({summary.site_id for summary in summaries})
     converged = sum(summary.converged for summary in summaries)
+    known = sum(_is_linear_stiffness_alone_known(summary) for summary in summaries)
     return (
         f"{_count(len(summaries), 'contact')} at {_count(sites, 'site')}; "
-        f"{'all' if converged == len(summaries) else converged or 'none'} converged."
+        f"{'all' if converged == len(summaries) else converged or 'none'} converged"
+        + (f", {known} more with G known and Gn not." if known else ".")
     )
+
+
+def _is_linear_stiffness_alone_known(summary: ContactSummary) -> bool:
+    return not summary.converged and bool(summary.determined & Determined.LINEAR_STIFFNESS)
 
 
 def _count(number: int, noun: str) -> str:
@@ -119,9 +126,16 @@ def _warnings(session: Session) -> Iterator[str]:
     for reason, count in session.replay.rejected.items():
         stream, _, why = reason.partition(".")
         yield f"{count} samples of the {stream} were rejected: {why.replace('_', ' ')}."
-    unsure = [str(s.contact_id) for s in session.replay.summaries if not s.converged]
-    if unsure:
-        yield (f"Contact {', '.join(unsure)}: the data do not allow a conclusion; see there why.")
+    unsure = [s for s in session.replay.summaries if not s.converged]
+    for is_known, words in (
+        (True, "the data determine G and not Gn"),
+        (False, "the data do not allow a conclusion"),
+    ):
+        numbers = [
+            str(s.contact_id) for s in unsure if _is_linear_stiffness_alone_known(s) is is_known
+        ]
+        if numbers:
+            yield f"Contact {', '.join(numbers)}: {words}; see there why."
     tests = [(c.contact_id, c.test) for c in session.contacts]
     poor = [str(n) for n, test in tests if test and test.count >= 10 and test.mean_square > 2.0]
     if poor:
@@ -133,20 +147,22 @@ def _warnings(session: Session) -> Iterator[str]:
 
 def _row(summary: ContactSummary) -> dict[str, Any]:
     """Return a line of the table: texts, and a dash where there is nothing."""
-    row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha"), "–")
+    row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha", "apparent"), DASH)
     estimate = summary.estimate
     if estimate is not None:
         g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
         deviations = estimate.deviations.tolist()
         row |= {
-            "g": _pm(g, estimate.linear_stiffness_sd),
-            "gn": _pm(gn, estimate.nonlinear_stiffness_sd),
-            "boundary": _pm(1 / gn, deviations[1] / gn),
+            "g": plus_minus(g, estimate.linear_stiffness_sd),
+            "gn": plus_minus(gn, estimate.nonlinear_stiffness_sd),
+            "boundary": plus_minus(1 / gn, deviations[1] / gn),
             "gi": f"{exponential_scale(g, gn):.3g}",
-            "alpha": f"{_pm(estimate.fractional_order, deviations[2])} "
+            "alpha": f"{plus_minus(estimate.fractional_order, deviations[2])} "
             f"({_SOURCES[summary.order_source]})",
         }
-    status = "converged" if summary.converged else "not converged"
+    stiffness = summary.apparent_stiffness
+    if stiffness is not None:
+        row["apparent"] = plus_minus(stiffness.value, stiffness.sd)
     return {
         **row,
         "id": summary.contact_id,
@@ -154,18 +170,10 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
         "seconds": f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
         "strain": f"{summary.max_strain:.3f}",
         "force": f"{summary.max_force:.3g}",
-        "status": status if summary.complete else f"{status}, cut short",
+        "status": status_words(summary),
         "converged": summary.converged,
         "label": _label(summary),
     }
-
-
-def _pm(value: float, deviation: float) -> str:
-    """Return value ± deviation, with two digits of the deviation."""
-    if not deviation > 0.0:
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(deviation)))
-    return f"{value:.{digits}f} ± {deviation:.{digits}f}"
 
 
 def _label(summary: ContactSummary) -> str:
@@ -194,7 +202,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "row": _row(summary),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
-        "remarks": list(remarks(summary)),
+        "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
         "test": contact.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",

@@ -16,6 +16,7 @@ from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     Decided,
+    Determined,
     DynamicModulus,
     Flag,
     OrderSource,
@@ -45,6 +46,7 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
     message.header.frame_id = frame_id
     message.status = int(state.status)
     message.flags = int(state.flags)
+    message.determined = int(state.determined)
     message.site_id = state.site_id
     message.contact_id = state.contact_id
     message.phase = int(state.phase)
@@ -119,6 +121,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     message.site_id = summary.site_id
     message.contact_id = summary.contact_id
     message.flags = int(summary.flags)
+    message.determined = int(summary.determined)
     message.converged = summary.converged
     message.complete = summary.complete
     if summary.position is not None:
@@ -208,6 +211,7 @@ def state_of(message: TissueEstimate) -> TissueState:
         if valid & TissueEstimate.VALID_INNOVATION
         else None,
         apparent_stiffness=_apparent_stiffness_of(message),
+        determined=Determined(message.determined),
     )
 
 
@@ -241,6 +245,7 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         else None,
         decided=Decided(message.decision_time, message.decision_strain) if message.label else None,
         apparent_stiffness=_apparent_stiffness_of(message),
+        determined=Determined(message.determined),
     )
 
 
