@@ -103,6 +103,7 @@ class Diagnostics:
                     for topic, count in sorted(self._lost_by_topic().items())
                 },
             },
+            hardware_id=str(self._node.get_parameter("hardware_id").value),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()

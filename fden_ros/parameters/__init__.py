@@ -11,9 +11,16 @@ parameter files and the documentation. :func:`check` turns names and values into
 from fden_ros.parameters.files import read_parameter_file
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import geometry_of, pipeline_config, tool_weight, unit_vector
-from fden_ros.parameters.table import NODE_PARAMETERS, PARAMETERS, Parameters, check
+from fden_ros.parameters.table import (
+    DEFAULT_HARDWARE_ID,
+    NODE_PARAMETERS,
+    PARAMETERS,
+    Parameters,
+    check,
+)
 
 __all__ = [
+    "DEFAULT_HARDWARE_ID",
     "NODE_PARAMETERS",
     "PARAMETERS",
     "Parameter",

@@ -73,6 +73,8 @@ _STYLE = {
 _POINTS = 350
 #: Logarithms beyond this are drawn as this.
 _LARGEST_LOG = 600.0
+#: Makes the logarithm of 0 finite.
+_TINY = 1e-300
 _PANEL = (5.2, 2.9)
 _WIDE = (10.8, 3.4)
 
@@ -302,8 +304,8 @@ def characteristic(contact: Contact, summary: ContactSummary) -> str:
             response, deviation = _law(strain, summary)
             axes.fill_between(
                 strain,
-                response * _exp(-2 * deviation),
-                response * _exp(2 * deviation),
+                _exp(np.log(response + _TINY) - 2 * deviation),
+                _exp(np.log(response + _TINY) + 2 * deviation),
                 color=ESTIMATE,
                 alpha=0.25,
                 linewidth=0,
