@@ -168,7 +168,10 @@ def test_processes_of_this_machine_give_what_replay_gives_and_a_second_run_skips
     config = str(POSE / "identifier.yaml")
     command = ["batch", str(archive), "-o", str(table), "--config", config, "--workers", "1"]
     assert main(command) == 0
-    assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in said.out
+    (line,) = (line for line in said.err.splitlines() if line.startswith("broken: "))
+    assert str(archive / "broken.mcap") in line and "no MCAP" in line
     rows = rows_of(table)
     assert [Path(row["bag"]).name for row in rows] == ["air", "broken.mcap", "press", "press"]
     assert [bool(row["error"]) for row in rows] == [False, True, False, False]
@@ -177,8 +180,13 @@ def test_processes_of_this_machine_give_what_replay_gives_and_a_second_run_skips
     assert main(["replay", str(POSE), "--config", config, "--json"]) == 0
     contacts = json.loads(capsys.readouterr().out)["contacts"]
     for row, contact in zip(rows[2:], contacts, strict=True):
-        for name in ("g", "g_sd", "g_n", "max_force", "start_ns", "converged", "label"):
+        for name in (
+            *("g", "g_sd", "g_n", "max_force", "start_ns", "converged", "label"),
+            *("apparent_stiffness", "apparent_stiffness_sd", "apparent_stiffness_time_scale"),
+        ):
             assert row[name] == contact[name]
+        known = " ".join(contact["converged_parameters"])
+        assert row["converged_parameters"] == known != ""
 
     # What changed is done again, and it alone.
     shutil.rmtree(archive / "air")

@@ -7,10 +7,13 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from fden_ros.cli import main
 from fden_ros.core.law.geometry import FlatPunch, Sphere
@@ -24,6 +27,9 @@ from fden_ros.offline.session import (
     gather,
 )
 from fden_ros.parameters import read_parameter_file
+from fden_ros.report import figure
+from fden_ros.report.figure import save_session_figure
+from fden_ros.report.limits import interval_limits, symmetric_limit
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 POSE = GOLDEN / "golden_pose"
@@ -154,8 +160,8 @@ def test_what_the_data_do_not_allow_is_said_in_words(tmp_path: Path) -> None:
     said = out.read_text()
     assert "is cut off at byte" in said
     assert "The contact was cut short" in said
-    assert "press deeper" in said
-    assert "the data do not allow a conclusion" in said
+    assert "Gn is not observable" in said and "G is known all the same" in said
+    assert "the data determine G and not Gn" in said
 
 
 def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path: Path) -> None:
@@ -184,6 +190,82 @@ def test_the_table_has_a_row_a_contact_and_the_picture_is_one(
         assert float(row["x"]) == summary.position[0]
     image = matplotlib.image.imread(picture)
     assert image.shape[0] > 500 and float(image[..., :3].std()) > 0.02
+
+
+def drawn(states: list[Any], summaries: list[Any], truth: dict[int, Any], path: Path) -> Figure:
+    """Return the figure that is saved."""
+    shown: list[Figure] = []
+    with mock.patch.object(Figure, "savefig", lambda figure, *_, **__: shown.append(figure)):
+        save_session_figure(figure.Session(states, summaries, truth), path, "session")
+    return shown[0]
+
+
+def test_the_picture_breaks_its_lines_in_the_air_and_has_no_empty_panel(session: Session) -> None:
+    states = [state for contact in session.contacts for state in contact.states.items]
+    summaries = session.replay.summaries
+    without = drawn(states, list(summaries), {}, Path("x.png"))
+    assert [axes.get_title() for axes in without.axes if "error" in axes.get_title()] == []
+    assert len(without.axes) == 5
+    for axes in without.axes[:4]:
+        (time, value), *_ = (line.get_data() for line in axes.get_lines())
+        ends = summaries[0].end_ns, summaries[1].start_ns
+        first, second = ((ns - states[0].stamp_ns) * 1e-9 for ns in ends)
+        drawn_time = np.where(np.isfinite(value), time, np.nan)
+        gaps = np.flatnonzero(np.isnan(drawn_time))
+        assert any(time[i - 1] <= first + 0.1 and time[i + 1] >= second for i in gaps)
+    assert len(drawn(states, list(summaries), session.truth, Path("x.png")).axes) == 6
+
+
+def astray(session: Session, log_stiffness: float) -> Session:
+    """Return the session with the estimates of the first contact gone astray."""
+    from dataclasses import replace
+
+    def moved(item: Any) -> Any:
+        estimate = item.estimate
+        if estimate is None:
+            return item
+        wild = estimate._replace(
+            log_linear_stiffness=log_stiffness,
+            covariance=estimate.covariance + np.diag([900.0, 900.0, 0.0]),
+            converged=False,
+        )
+        return replace(item, estimate=wild)
+
+    first = replace(moved(session.replay.summaries[0]), converged=False)
+    contact = replace(
+        session.contacts[0],
+        summary=first,
+        states=Thinned(9999, [moved(item) for item in session.contacts[0].states.items]),
+    )
+    return replace(
+        session,
+        replay=replace(session.replay, summaries=(first, *session.replay.summaries[1:])),
+        contacts=[contact, *session.contacts[1:]],
+    )
+
+
+@pytest.mark.parametrize("log_stiffness", [417.0, 650.0, -700.0])
+def test_an_estimate_gone_astray_leaves_the_other_contacts_visible(
+    session: Session, log_stiffness: float, tmp_path: Path
+) -> None:
+    from fden_ros.report.page import page as render
+
+    wild = astray(session, log_stiffness)
+    states = [state for contact in wild.contacts for state in contact.states.items]
+    shown = drawn(states, list(wild.replay.summaries), session.truth, Path("x.png"))
+    stiffness = wild.replay.summaries[1].estimate
+    assert stiffness is not None
+    assert shown.axes[2].get_ylim()[1] < 3.0 * stiffness.linear_stiffness
+    assert shown.axes[4].get_ylim()[1] < 2.0 * wild.replay.summaries[1].max_stress
+    assert "NaN" not in render(wild)
+
+
+def test_limits_hold_most_values_and_none_gone_astray() -> None:
+    values = np.array([450.0, 500.0, 600.0, 1e181, np.inf, np.nan])
+    low, high = interval_limits(values, np.zeros(6), np.full(6, 1e200))
+    assert 0.0 < low + 200.0 < 450.0 and 600.0 < high < 3000.0
+    assert interval_limits(np.zeros(0), np.zeros(0), np.zeros(0)) == (0.0, 1.0)
+    assert symmetric_limit(np.array([0.5] * 50 + [1e181]), 0.1) == pytest.approx(0.55)
 
 
 def test_nothing_to_write_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:

@@ -262,6 +262,40 @@ def test_slow_drift_of_the_sensor_is_no_contact(rate_hz):
     assert events == []
 
 
+def sphere(tmp_path, seed):
+    """Pairs of a clean recording of a sphere, whose force rises faintly at first."""
+    path = tmp_path / "sphere.yaml"
+    path.write_text(
+        f"""\
+seed: {seed}
+geometry: {{kind: sphere, radius_m: 0.005}}
+sites:
+  - position_m: [0.0, 0.0]
+    tissue: {{linear_stiffness: 20000.0, nonlinear_stiffness: 3.0, fractional_order: 0.05}}
+    presses: [{{kind: ramp_hold, strain_rate: 0.1, max_strain: 0.25, hold_s: 0.5}}]
+force: {{rate_hz: 125.0, noise_n: 0.002}}
+displacement: {{rate_hz: 125.0, noise_m: 1.0e-6}}
+"""
+    )
+    return pairs_of(simulate(load_scenario(path)))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_touch_that_begins_too_faintly_to_tell_is_not_counted_as_a_drift(tmp_path, seed):
+    detector, events = events_of(sphere(tmp_path, seed))
+    assert len(onsets(events)) == 1
+    assert detector.drifts == 0
+
+
+def test_a_drift_that_no_contact_comes_of_is_counted_once():
+    rng = np.random.default_rng(14)
+    force = 0.01 * rng.standard_normal(8000)
+    force[3000:] += np.minimum(np.arange(5000) * 1e-4, 0.1)
+    detector, events = events_of(made(force, np.zeros(8000)))
+    assert onsets(events) == []
+    assert detector.drifts == 1
+
+
 def test_air_is_known_only_after_some_chunks_and_not_in_contact():
     rng = np.random.default_rng(11)
     force, displacement = press(rng)

@@ -18,6 +18,7 @@ pytest.importorskip("atheris", reason="no atheris for this Python")
 FOLDER = Path(__file__).parent / "fuzz"
 #: By default a fixed number of inputs from a fixed seed; so many seconds each if it is set.
 SECONDS = os.environ.get("FDEN_FUZZ_SECONDS")
+ROOT = FOLDER.parent.parent
 LIMIT = [f"-max_total_time={SECONDS}"] if SECONDS else ["-runs=250", "-seed=1"]
 
 
@@ -47,3 +48,13 @@ def test_no_input_gets_past_as_anything_but_data_or_one_line(target: str, tmp_pa
     runs = re.search(r"Done (\d+) runs", said)
     assert runs is not None, said[-3000:]
     assert int(runs[1]) > 10
+
+
+def test_the_script_leaves_nothing_behind(tmp_path: Path) -> None:
+    temporary, here = tmp_path / "temporary", tmp_path / "here"
+    temporary.mkdir()
+    here.mkdir()
+    environment = os.environ | {"TMPDIR": str(temporary)}
+    command = [str(ROOT / "scripts" / "fuzz"), "1"]
+    subprocess.run(command, cwd=here, env=environment, check=True, capture_output=True)
+    assert list(temporary.iterdir()) == list(here.iterdir()) == []

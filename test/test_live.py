@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
-from fden_ros.report.monitor import MonitorView, monitor_view
+from fden_ros.report.monitor import MonitorView, Trace, monitor_view, trace_row
 from fden_ros.ros.markers import StiffnessMap, colour_of
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -98,8 +99,6 @@ def test_stiffness_is_the_colour_and_uncertainty_the_transparency() -> None:
 
 
 def test_a_contact_without_position_or_estimate_is_not_on_the_map() -> None:
-    from dataclasses import replace
-
     stiffness_map = StiffnessMap()
     assert not stiffness_map.add(replace(summary(1), position=None))
     assert not stiffness_map.add(replace(summary(1), estimate=None))
@@ -147,6 +146,41 @@ def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
         assert words in text
     lost = MonitorView("/identifier", state=state, age=3.0, refusal=Refusal.LOST)
     assert "no estimate for 3.0 s" in shown(lost)
+
+
+def test_the_monitor_draws_the_force_and_g_with_its_band() -> None:
+    ages = np.linspace(10.0, 0.0, 501)
+    stress = np.where(ages > 5.0, np.nan, 600.0)
+    stiffness = np.where(ages > 5.0, np.nan, 500.0)
+    trace = Trace(ages, stress, stiffness, 0.8 * stiffness, 1.25 * stiffness, 3000.0)
+    lines = shown(MonitorView("/identifier", trace=trace)).splitlines()
+    begin = next(i for i, line in enumerate(lines) if "force [N]" in line)
+    assert "G [Pa s^α], ±2 sd" in lines[begin] and "-10 s" in lines[begin + 7]
+    chart = lines[begin + 1 : begin + 7]
+    assert "0.22" in chart[0] and max(map(len, chart)) <= 110
+    force, stiffness_chart = zip(*((line[:55], line[55:]) for line in chart), strict=True)
+    dots = [i for line in force for i, c in enumerate(line) if "\u2801" <= c <= "\u28ff"]
+    # Half of 10 s in the air, half in contact.
+    assert min(dots) > 9 + 20 and max(dots) > 9 + 40
+    assert sum("░" in line for line in stiffness_chart) >= 4
+    assert "stress [Pa]" in shown(MonitorView("/i", trace=replace(trace, stress_per_force=None)))
+
+
+def test_a_state_in_the_air_is_a_gap_in_the_curves() -> None:
+    state = TissueState(
+        stamp_ns=0,
+        status=Status.NO_CONTACT,
+        flags=Flag.NONE,
+        site_id=1,
+        contact_id=1,
+        phase=Phase.APPROACH,
+        estimate=ESTIMATE,
+    )
+    assert all(map(math.isnan, trace_row(state)))
+    pressing = replace(state, status=Status.CONVERGED, signals=Signals(0.2, 600.0, 400.0))
+    assert trace_row(pressing) == pytest.approx(
+        (600.0, 500.0, 500.0 * math.exp(-0.2), 500.0 * math.exp(0.2))
+    )
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> None:

@@ -11,7 +11,9 @@ import pytest
 import yaml
 
 from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
+from fden_ros.parameters import DEFAULT_HARDWARE_ID, Parameters
 from fden_ros.recording.definitions import message_class
+from fden_ros.ros.inputs import DISPLACEMENT_MESSAGES
 from fden_ros.ros.status import type_name
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
@@ -20,7 +22,7 @@ CONFIG = Path(__file__).parent.parent / "config"
 TYPES = {f"{NODE}/{topic.name}": type_name(topic.message_type) for topic in OUTPUT_TOPICS} | {
     DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
     "/force": "geometry_msgs/msg/WrenchStamped",
-    "/displacement": "geometry_msgs/msg/PoseStamped",
+    "/displacement": type_name(DISPLACEMENT_MESSAGES[Parameters().displacement.message]),
 }
 DISPLAYS = {
     "MarkerArray": "visualization_msgs/msg/MarkerArray",
@@ -73,7 +75,11 @@ def test_every_path_of_the_foxglove_layout_exists(layout: dict[str, Any]) -> Non
         topic, *fields = path.split(".")
         message = message_class(TYPES[topic])()
         for field in fields:
-            message = getattr(message, field)
+            name, _, index = field.partition("[")
+            message = getattr(message, name)
+            if index:
+                assert (index, message.typecode) == ("0]", "d"), path
+                message = 0.0
         assert not fields or isinstance(message, (int, float)), path
 
 
@@ -93,4 +99,11 @@ def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
     assert len(shown) == 4
     for display in shown:
         kind = display["Class"].rpartition("/")[2]
-        assert TYPES[display["Topic"]["Value"]] == DISPLAYS[kind]
+        # RViz shows the probe where it is published as a pose; a joint has no place.
+        types = TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
+        assert types[display["Topic"]["Value"]] == DISPLAYS[kind]
+
+
+def test_the_diagnostics_panel_shows_the_node_as_it_comes(layout: dict[str, Any]) -> None:
+    panel = layout["configById"]["DiagnosticStatusPanel!diagnostics"]
+    assert panel["selectedHardwareId"] == DEFAULT_HARDWARE_ID != ""

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         with _client(args.workers, args.scheduler) as client, _progress(len(bags)) as report:
             print(f"{len(bags)} bags; dashboard: {client.dashboard_link}", file=sys.stderr)
-            progress = batch.run(bags, work, results, client, report)
+            progress = batch.run(bags, work, results, client, report, _tell_broken)
     finally:
         results.save()
     print(
@@ -92,6 +92,11 @@ def run(args: argparse.Namespace) -> int:
         f"{progress.broken} broken; {progress.contacts} contacts new"
     )
     return 0
+
+
+def _tell_broken(bag: str, error: str) -> None:
+    # The reason often begins with the path.
+    print(f"broken: {error if bag in error else f'{bag}: {error}'}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -11,7 +11,8 @@ from typing import Any
 
 DESCRIPTION = """\
 Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
-standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it.
+standard deviations, curves of the force and of G with its interval over the last 20 s, the
+classification, the last contacts, and its warnings. Ctrl-C ends it.
 
   fden monitor                       the node /identifier
   fden monitor /left/identifier      another one

@@ -194,7 +194,7 @@ class Predictor:
         if estimate.loading_age <= 0.0:
             return np.zeros_like(grid)
         error = estimate.model_error
-        # Where relaxation is yet to come the evidence so far may widen what is stated, not shrink it.
+        # For relaxation yet to come the evidence so far may widen what is stated, not shrink it.
         kernel_error = max(stated.kernel_sd, KERNEL_SHARE * error)
         if estimate.law_error is not None:
             kernel_error = max(kernel_error, estimate.law_error.kernel)

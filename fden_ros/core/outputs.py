@@ -137,6 +137,8 @@ class ContactSummary:
     classes: ClassProbabilities | None
     decided: Decided | None = None
     comparison: Comparison | None = None
+    #: At the deepest point of the contact.
+    apparent_stiffness: ApparentStiffness | None = None
 
 
 @dataclass(frozen=True)

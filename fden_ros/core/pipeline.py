@@ -36,6 +36,8 @@ from fden_ros.core.streams.synchronize import Synchronizer
 
 #: Samples from before the detection of a touch are made up for within about this time [s].
 _CATCH_UP_TIME = 0.03
+#: Samples that are usually without a partner when two streams begin.
+_USUAL_UNPAIRED = 2
 #: Failures are kept up to this number, the newest.
 _FAILURES_KEPT = 20
 
@@ -185,6 +187,12 @@ class Pipeline:
             return False
         site_id = self._site.site_id if self._site is not None else 0
         return self.failures[-1].site_id == site_id
+
+    @property
+    def unusual_rejections(self) -> int:
+        """Rejected samples, less the first two without a partner: so many are usual."""
+        unpaired = self.rejected[f"force.{Reason.UNPAIRED}"]
+        return self.rejected.total() - min(unpaired, _USUAL_UNPAIRED)
 
     @property
     def warnings(self) -> dict[str, int]:

@@ -12,6 +12,7 @@ from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimate import Block, Estimate, Innovation, ParameterSet
 from fden_ros.core.outputs import (
+    ApparentStiffness,
     Classification,
     ContactSummary,
     DynamicModulus,
@@ -74,6 +75,7 @@ class Press:
         self.has_ended = False
         self.max_strain = self.max_stress = self.max_force = 0.0
         self.sample_count = 0
+        self._deepest: float | None = None  # compression from the nominal origin [1]
         self._config = config
         self._site = site
         self._library_name = labeller.library_name
@@ -160,6 +162,8 @@ class Press:
         """Return a block's means, the strain from the estimate's origin, and keep the largest."""
         strain = self._config.geometry.strain(block.compression - self._origin())
         self.max_strain = max(self.max_strain, strain)
+        if self._deepest is None or block.compression > self._deepest:
+            self._deepest = block.compression
         return Signals(strain, block.stress, fractional_stress)
 
     def _origin(self) -> float:
@@ -177,16 +181,8 @@ class Press:
     ) -> TissueState:
         """Return the state after a block."""
         config, estimate = self._config, self._estimate
-        stiffness = None
-        if estimate is not None:
-            if self._site.is_doubtful:
-                estimate = estimate._replace(known=ParameterSet.NONE)
-            stiffness = apparent_stiffness_of(
-                estimate,
-                config.geometry,
-                compression - estimate.strain_origin,
-                config.apparent_stiffness_time_scale,
-            )
+        if estimate is not None and self._site.is_doubtful:
+            estimate = estimate._replace(known=ParameterSet.NONE)
         return TissueState(
             stamp_ns=stamp_ns,
             status=(
@@ -202,7 +198,20 @@ class Press:
             estimate=estimate,
             signals=signals,
             innovation=innovation,
-            apparent_stiffness=stiffness,
+            apparent_stiffness=self._apparent_stiffness(estimate, compression),
+        )
+
+    def _apparent_stiffness(
+        self, estimate: Estimate | None, compression: float | None
+    ) -> ApparentStiffness | None:
+        """Return it about a compression from the nominal origin [1]; None while not known."""
+        if estimate is None or compression is None:
+            return None
+        return apparent_stiffness_of(
+            estimate,
+            self._config.geometry,
+            compression - estimate.strain_origin,
+            self._config.apparent_stiffness_time_scale,
         )
 
     def failed_state(self, stamp_ns: int, input_flags: Flag) -> TissueState:
@@ -296,4 +305,5 @@ class Press:
             classes=answer.classes,
             decided=answer.decided,
             comparison=answer.comparison,
+            apparent_stiffness=self._apparent_stiffness(estimate, self._deepest),
         )

@@ -103,12 +103,13 @@ class Diagnostics:
                     for topic, count in sorted(self._lost_by_topic().items())
                 },
             },
+            hardware_id=str(self._node.get_parameter("hardware_id").value),
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
         self._pairs_before = pipeline.pair_count
-        self._rejected_before = pipeline.rejected.total()
+        self._rejected_before = pipeline.unusual_rejections
 
     def _problems(self, pipeline: Pipeline) -> list[str]:
         problems = list(self._incompatible.values())
@@ -126,7 +127,7 @@ class Diagnostics:
                 f"{lost} messages lost in the last second: they come too fast",
                 throttle_duration_sec=10.0,
             )
-        rejected = pipeline.rejected.total() - self._rejected_before
+        rejected = pipeline.unusual_rejections - self._rejected_before
         if rejected:
             problems.append(f"{rejected} samples rejected in the last second")
             self._node.get_logger().warning(

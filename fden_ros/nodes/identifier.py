@@ -36,6 +36,7 @@ from fden_ros.core.outputs import Output, TissueState, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
+from fden_ros.nodes.decisions import Decisions
 from fden_ros.nodes.diagnostics import Diagnostics
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
@@ -201,6 +202,7 @@ class Identifier(LifecycleNode):
         self._pipeline = Pipeline(pipeline_config(parameters), self._publish)
         self._inputs = Inputs(parameters, self._pipeline)
         self._messages = OutputMessages()
+        self._decisions = Decisions(self._pipeline.rejected)
         self._last_state = None
         self._is_stale = False
         self._seen_pairs = 0
@@ -304,6 +306,8 @@ class Identifier(LifecycleNode):
         if isinstance(output, TissueState):
             self._last_state = output
         self._publish_messages(output)
+        for decision in self._decisions.of(output):
+            self.get_logger().debug(decision)
 
     def _publish_messages(self, output: Output) -> None:
         assert self._inputs is not None

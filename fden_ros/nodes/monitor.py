@@ -6,16 +6,22 @@ import time
 from collections import deque
 from types import TracebackType
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from fden_msgs.msg import PalpationSummary, TissueClassification
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from std_msgs.msg import String
 
 from fden_ros.core.outputs import ContactSummary, TissueState
-from fden_ros.report.monitor import MonitorView
+from fden_ros.errors import InputError
+from fden_ros.parameters import PARAMETERS, check, geometry_of
+from fden_ros.report.monitor import MonitorView, Trace, trace_row
 from fden_ros.ros.messages import summary_of
 from fden_ros.tissue_feed import TissueFeed
 
@@ -26,6 +32,9 @@ _LATCHED = QoSProfile(
 )
 _DEADLINE = 0.5
 _RATE_WINDOW = 2.0
+#: Curves show this much [s].
+_SPAN = 20.0
+_GEOMETRY = tuple(p.name for p in PARAMETERS if p.name.startswith("geometry."))
 
 
 class Monitor:
@@ -48,6 +57,10 @@ class Monitor:
         self._summaries: list[ContactSummary] = []
         self._diagnostics: dict[str, str] = {}
         self._gains = ""
+        self._rows: deque[tuple[float, ...]] = deque()
+        self._stress_per_force: float | None = None
+        self._asked: Future | None = None
+        self._asked_restarts = -1
 
     def __enter__(self) -> Monitor:
         self._context = Context()
@@ -70,6 +83,7 @@ class Monitor:
         node.create_subscription(
             String, f"{namespace}/force_controller/gains", self._on_gains, _LATCHED
         )
+        self._parameters = node.create_client(GetParameters, f"{self._identifier}/get_parameters")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(node)
         return self
@@ -86,6 +100,7 @@ class Monitor:
 
     def spin(self, seconds: float) -> None:
         """Receive for so long."""
+        self._ask_geometry()
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
@@ -111,11 +126,46 @@ class Monitor:
             summaries=tuple(self._summaries),
             diagnostics=dict(self._diagnostics),
             gains=self._gains,
+            trace=self._trace(now),
         )
 
     def _on_state(self, state: TissueState) -> None:
         self._state, self._heard = state, time.monotonic()
         self._arrivals.append(self._heard)
+        self._rows.append((self._heard, *trace_row(state)))
+
+    def _trace(self, now: float) -> Trace | None:
+        rows = self._rows
+        while rows and now - rows[0][0] > _SPAN:
+            rows.popleft()
+        if not rows:
+            return None
+        times, stress, stiffness, low, high = np.array(rows).T
+        return Trace(now - times, stress, stiffness, low, high, self._stress_per_force, _SPAN)
+
+    def _ask_geometry(self) -> None:
+        """Ask the identifier how stress follows from force, whenever it began anew."""
+        restarts = self._feed.restarts
+        is_due = self._asked_restarts != restarts and self._state is not None
+        if not is_due or not self._parameters.service_is_ready():
+            return
+        self._asked_restarts = restarts
+        self._asked = self._parameters.call_async(GetParameters.Request(names=list(_GEOMETRY)))
+        self._asked.add_done_callback(self._on_geometry)
+
+    def _on_geometry(self, answer: Future) -> None:
+        response = answer.result()
+        if response is None or len(response.values) != len(_GEOMETRY):
+            return
+        values = {
+            name: parameter_value_to_python(value)
+            for name, value in zip(_GEOMETRY, response.values, strict=True)
+        }
+        try:
+            self._stress_per_force = geometry_of(check(values)).stress_per_force
+        except InputError:
+            # Of another version: the stress is shown.
+            self._stress_per_force = None
 
     def _on_classification(self, message: TissueClassification) -> None:
         self._classification = message

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 #: Raise when the meaning of a row changes: earlier rows are then made anew.
-_FORMAT = 2
+_FORMAT = 3
 _BAG_COLUMNS = ("bag", "content", "configuration", "error", "warnings", "seconds", "pairs")
 _LOST = "lost: "
 #: Bags that wait at each worker beside the one in work.
@@ -270,6 +270,7 @@ def run(
     results: Results,
     client: Client,
     report: Callable[[Progress], object] = lambda progress: None,
+    on_broken: Callable[[str, str], object] = lambda bag, error: None,
 ) -> Progress:
     """Identify `bags` on the workers of `client` and keep each as it comes.
 
@@ -282,6 +283,8 @@ def run(
     client : distributed.Client
     report : callable
         Called after each bag.
+    on_broken : callable
+        Called with the path and the error of each bag that cannot be used.
 
     Returns
     -------
@@ -318,7 +321,9 @@ def run(
             skipped += 1
         else:
             results.add(record)
-            broken += record["error"] is not None
+            if record["error"] is not None:
+                broken += 1
+                on_broken(record["bag"], record["error"])
             contacts += len(record["contacts"])
         report(Progress(done, len(bags), skipped, broken, contacts))
     return Progress(done, len(bags), skipped, broken, contacts)

@@ -130,8 +130,8 @@ class _progress_bar:  # noqa: N801 - used as a function
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in pipeline.warnings.items()]
     warnings += map(str, pipeline.failures)
-    rejected = pipeline.rejected.total()
-    if rejected:
+    if pipeline.unusual_rejections:
+        rejected = pipeline.rejected.total()
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")
     if not pipeline.pair_count:
         warnings.append(
@@ -169,6 +169,9 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "g_sd": None,
         "g_n_sd": None,
         "alpha_sd": None,
+        "apparent_stiffness": None,
+        "apparent_stiffness_sd": None,
+        "apparent_stiffness_time_scale": None,
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
         "valid_parameters": [],
@@ -201,6 +204,13 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
             "valid_parameters": list(estimate.valid.names),
             "converged_parameters": list(estimate.known.names),
             "edge_parameters": list(estimate.at_edge.names),
+        }
+    stiffness = summary.apparent_stiffness
+    if stiffness is not None:
+        contact |= {
+            "apparent_stiffness": stiffness.value,
+            "apparent_stiffness_sd": stiffness.sd,
+            "apparent_stiffness_time_scale": stiffness.time_scale,
         }
     if summary.classes is not None:
         contact["label"] = summary.classes.label

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import JointState
 
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import Position, Sink
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters
@@ -21,6 +23,7 @@ from fden_ros.ros.topics import OUTPUT_TOPICS, Frames, OutputMessages
 
 NODE = "/identifier"
 DIAGNOSTICS_TOPIC = "/diagnostics"
+_FORCE_TOPIC, _DISPLACEMENT_TOPIC = "/force", "/displacement"
 
 _DIAGNOSTICS_PERIOD_NS = 1_000_000_000
 
@@ -49,7 +52,8 @@ def replay_to_bag(
     folder : path
         The bag to make.
     with_inputs : bool
-        Copy the messages on the force and displacement topics too.
+        Copy the messages on the force and displacement topics too; the rows of a table become
+        joint states on ``/force`` and ``/displacement``, whose replay gives the same numbers.
     overwrite : bool
         Replace a bag that is there.
 
@@ -61,7 +65,9 @@ def replay_to_bag(
     if Path(folder).resolve() == Path(bag).resolve():
         raise InputError(f"{folder} is the recording itself: choose another place for the results")
     with BagWriter(folder, overwrite=overwrite) as writer:
-        recorder = _Recorder(writer, _Copy(writer, bag) if with_inputs else None)
+        is_table = selection is not None and selection.columns is not None
+        rows = _RowCopy(writer, parameters) if with_inputs and is_table else None
+        recorder = _Recorder(writer, _Copy(writer, bag) if with_inputs and not is_table else None)
         return replay(
             bag,
             parameters,
@@ -69,6 +75,7 @@ def replay_to_bag(
             progress=progress,
             on_output=recorder.take,
             on_input=recorder.tick,
+            tap=rows.tap if rows is not None else None,
             on_source=recorder.read,
         )
 
@@ -93,6 +100,48 @@ class _Copy:
             )
             self._declared.add(message.topic)
         self._writer.write(message.topic, message.data, message.log_time_ns)
+
+
+class _RowCopy:
+    """Writes the samples of a table as joint states, and hands them on."""
+
+    def __init__(self, writer: BagWriter, parameters: Parameters) -> None:
+        self._writer = writer
+        # As the table has them: whoever reads the joint states turns their signs as configured.
+        self._force_sign = -1.0 if parameters.force.inverted else 1.0
+        self._displacement_sign = -1.0 if parameters.displacement.inverted else 1.0
+        self._force = JointState(name=[parameters.force.name or "force"])
+        self._displacement = JointState(name=[parameters.displacement.name or "displacement"])
+        for topic in (_FORCE_TOPIC, _DISPLACEMENT_TOPIC):
+            writer.add_topic(topic, type_name(JointState), Qos())
+
+    def tap(self, sink: Sink) -> Sink:
+        """Take the samples in place of `sink`, which gets them from here."""
+        self._sink = sink
+        return self
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        self._force.effort = [self._force_sign * force]
+        self._write(_FORCE_TOPIC, self._force, stamp_ns)
+        self._sink.add_force(stamp_ns, force)
+
+    def add_displacement(
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
+    ) -> None:
+        self._displacement.position = [self._displacement_sign * displacement]
+        self._write(_DISPLACEMENT_TOPIC, self._displacement, stamp_ns)
+        self._sink.add_displacement(stamp_ns, displacement, position, load)
+
+    def reject(self, stream: str, reason: str) -> None:
+        self._sink.reject(stream, reason)
+
+    def _write(self, topic: str, message: JointState, stamp_ns: int) -> None:
+        message.header.stamp = to_stamp(stamp_ns)
+        self._writer.write(topic, message, stamp_ns)
 
 
 class _Recorder:
@@ -140,7 +189,7 @@ class _Recorder:
         problems = []
         if pipeline.pair_count == self._pairs_before:
             problems.append("no pair of force and displacement in the last second")
-        rejected = pipeline.rejected.total() - self._rejected_before
+        rejected = pipeline.unusual_rejections - self._rejected_before
         if rejected:
             problems.append(f"{rejected} samples rejected in the last second")
         status = diagnostic_status(NODE, problems, pipeline, self._pairs_before)
@@ -148,4 +197,4 @@ class _Recorder:
         message.header.stamp = to_stamp(now_ns)
         self._writer.write(DIAGNOSTICS_TOPIC, message, now_ns)
         self._pairs_before = pipeline.pair_count
-        self._rejected_before = pipeline.rejected.total()
+        self._rejected_before = pipeline.unusual_rejections

@@ -366,8 +366,8 @@ def compression_of(geometry: Geometry, strain: float) -> float:
     return high
 
 
-def remarks(summary: ContactSummary) -> Iterator[str]:
-    """Yield, in words, what stands against a conclusion from a contact."""
+def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
+    """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
     estimate = summary.estimate
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
@@ -398,8 +398,8 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid
     ):
         yield (
-            f"alpha is prior knowledge ({estimate.fractional_order:.3f}): the data did not "
-            "determine it."
+            f"alpha is not determined by the data: {estimate.fractional_order:.3f} ± "
+            f"{estimate.fractional_order_sd:.3f}, by the prior {prior_order:.3f}."
         )
 
 

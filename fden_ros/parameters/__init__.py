@@ -17,9 +17,16 @@ from fden_ros.parameters.pipeline import (
     uncertainty_of,
     unit_vector,
 )
-from fden_ros.parameters.table import NODE_PARAMETERS, PARAMETERS, Parameters, check
+from fden_ros.parameters.table import (
+    DEFAULT_HARDWARE_ID,
+    NODE_PARAMETERS,
+    PARAMETERS,
+    Parameters,
+    check,
+)
 
 __all__ = [
+    "DEFAULT_HARDWARE_ID",
     "NODE_PARAMETERS",
     "PARAMETERS",
     "Parameter",

@@ -616,6 +616,9 @@ PARAMETERS: tuple[Parameter, ...] = tuple(
 
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
+#: What a replay says, too, which reads no parameters of the node alone.
+DEFAULT_HARDWARE_ID = "force_sensor"
+
 #: Parameters of the node alone, or of every node: not the identification's, in the same file.
 NODE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
@@ -631,6 +634,12 @@ NODE_PARAMETERS: tuple[Parameter, ...] = (
         "Time without a usable pair of samples after which the estimate is stale.",
         0.01,
         60.0,
+    ),
+    Parameter(
+        "hardware_id",
+        DEFAULT_HARDWARE_ID,
+        "1",
+        "What /diagnostics says it is about, such as the serial number of the force sensor.",
     ),
     Parameter("use_sim_time", False, "1", "Take the time from the topic /clock."),
     Parameter("start_type_description_service", True, "1", "Offer the type description service."),

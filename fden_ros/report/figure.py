@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fden_ros.core.law.characteristic import phi
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
+from fden_ros.report.limits import interval_limits, symmetric_limit
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,8 @@ _ESTIMATE = "#0b5fa5"
 _TRUTH = "#c2410c"
 _SIGNAL = "#3f3f46"
 _CONTACT = "#e8eef5"
+#: Logarithms beyond this are not drawn: no double holds their exponential for long.
+_LARGEST_LOG = 600.0
 
 
 @dataclass(frozen=True)
@@ -57,13 +60,24 @@ def save_session_figure(session: Session, path: str | Path, title: str) -> None:
     time_axes[3].set_xlabel("time [s]")
     for axes in time_axes[:3]:
         axes.tick_params(labelbottom=False)
-    _draw_characteristics(figure.add_subplot(grid[:3, 1]), session)
-    _draw_errors(figure.add_subplot(grid[3, 1]), session)
+    known = [s for s in session.summaries if s.site_id in session.truth and s.estimate is not None]
+    rows = grid[:3, 1] if known else grid[:, 1]
+    _draw_characteristics(figure.add_subplot(rows), session)
+    if known:
+        _draw_errors(figure.add_subplot(grid[3, 1]), session, known)
     figure.savefig(path, dpi=110)
 
 
 def _seconds(stamp_ns: int, start_ns: int) -> float:
     return (stamp_ns - start_ns) * 1e-9
+
+
+def _by_contact(session: Session, rows: Sequence[Sequence[float]]) -> Array:
+    """Return a row per state as columns, shape (k, n), with a break between two contacts."""
+    contacts = np.array([state.contact_id for state in session.states])
+    breaks = 1 + np.flatnonzero(np.diff(contacts))
+    columns: Array = np.insert(np.array(rows, dtype=float).T, breaks, math.nan, axis=1)
+    return columns
 
 
 def _shade_contacts(axes: Axes, session: Session, start_ns: int) -> None:
@@ -84,7 +98,7 @@ def _draw_signal(axes: Axes, session: Session, start_ns: int, name: str, label: 
         for s in session.states
     ]
     if shown:
-        axes.plot(*np.array(shown).T, color=_SIGNAL, linewidth=1.2)
+        axes.plot(*_by_contact(session, shown), color=_SIGNAL, linewidth=1.2)
     axes.set_ylabel(label)
 
 
@@ -101,16 +115,16 @@ def _draw_parameter(
             continue
         value = float(estimate.mean[index])
         sd = float(estimate.deviations[index])
-        band = (math.exp(v) for v in (value, value - 2 * sd, value + 2 * sd))
+        band = (_exp(v) for v in (value, value - 2 * sd, value + 2 * sd))
         rows.append(
             (
                 _seconds(state.stamp_ns, start_ns),
                 *band,
-                math.exp(value) if estimate.knows(index) else math.nan,
+                _exp(value) if estimate.knows(index) else math.nan,
             )
         )
     if rows:
-        time, middle, low, high, converged = np.array(rows).T
+        time, middle, low, high, converged = _by_contact(session, rows)
         axes.fill_between(time, low, high, color=_ESTIMATE, alpha=0.2, linewidth=0, label="±2 sd")
         axes.plot(time, middle, color=_ESTIMATE, linewidth=1, alpha=0.6, label="converging")
         axes.plot(time, converged, color=_ESTIMATE, linewidth=2.4, label="converged")
@@ -127,17 +141,16 @@ def _draw_parameter(
             linewidth=1.4,
             label="truth" if number == 0 else None,
         )
-    values = [
-        math.exp(s.estimate.mean[index]) for s in session.summaries if s.estimate is not None
-    ]
-    if values:
-        axes.set_ylim(0, 1.35 * max(values))
+    values = np.array([_exp(s.estimate.mean[index]) for s in session.summaries if s.estimate])
+    # Room for the legend.
+    axes.set_ylim(0.0, 1.25 * interval_limits(values, values, values)[1])
     axes.set_ylabel(label)
     axes.legend(loc="upper left", ncols=4, fontsize="x-small", frameon=False)
 
 
 def _draw_characteristics(axes: Axes, session: Session) -> None:
     colours = _colours(len(session.summaries))
+    highest = 0.0
     for colour, summary in zip(colours, session.summaries, strict=True):
         points = [
             (s.signals.strain, s.signals.fractional_stress)
@@ -146,6 +159,7 @@ def _draw_characteristics(axes: Axes, session: Session) -> None:
         ]
         if points:
             axes.plot(*np.array(points).T, ".", color=colour, markersize=3, alpha=0.5)
+            highest = max(highest, *(stress for _, stress in points))
         strain = np.linspace(0.0, max(summary.max_strain, 1e-6), 200, dtype=np.float64)
         if summary.estimate is not None:
             axes.plot(
@@ -168,8 +182,16 @@ def _draw_characteristics(axes: Axes, session: Session) -> None:
     axes.set_ylabel("fractional stress [Pa s$^\\alpha$]")
     axes.set_title("elastic characteristic, measured (dots) and estimated (lines)", fontsize=10)
     axes.spines[["top", "right"]].set_visible(False)
-    if session.summaries:
+    if highest > 0.0:
+        # By what was measured: the law of an estimate that has not converged may be anywhere.
+        axes.set_ylim(-0.05 * highest, 1.3 * highest)
+    if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize="small", frameon=False)
+
+
+def _exp(value: float) -> float:
+    """Return e^value, NaN where it overflows."""
+    return math.exp(value) if value < _LARGEST_LOG else math.nan
 
 
 def _name(summary: ContactSummary) -> str:
@@ -184,11 +206,11 @@ def _colours(count: int) -> list[Any]:
     return [colormaps["viridis"](v) for v in np.linspace(0.05, 0.85, max(count, 1))][:count]
 
 
-def _draw_errors(axes: Axes, session: Session) -> None:
-    known = [s for s in session.summaries if s.site_id in session.truth and s.estimate is not None]
+def _draw_errors(axes: Axes, session: Session, known: Sequence[ContactSummary]) -> None:
+    reaches: list[float] = []
     axes.spines[["top", "right"]].set_visible(False)
     axes.axhline(0.0, color="black", linewidth=0.8)
-    axes.set_title("error of the estimate, with ±2 sd" if known else "", fontsize=10)
+    axes.set_title("error of the estimate, with ±2 sd", fontsize=10)
     for offset, index, key, name, colour in (
         (-0.1, 0, "linear_stiffness", "G", _ESTIMATE),
         (0.1, 1, "nonlinear_stiffness", "$G_n$", _TRUTH),
@@ -199,11 +221,12 @@ def _draw_errors(axes: Axes, session: Session) -> None:
             error = summary.estimate.mean[index] - math.log(session.truth[summary.site_id][key])
             sd = summary.estimate.deviations[index]
             rows.append((summary.contact_id + offset, 100 * error, 200 * sd))
-        if rows:
-            place, error, width = np.array(rows).T
-            axes.errorbar(place, error, width, fmt="o", capsize=3, color=colour, label=name)
-    if known:
-        axes.legend(fontsize="small", frameon=False, ncols=2)
-        axes.set_xticks([s.contact_id for s in known])
+            reaches.append(100 * abs(error) + 200 * sd)
+        place, error, width = np.array(rows).T
+        axes.errorbar(place, error, width, fmt="o", capsize=3, color=colour, label=name)
+    limit = symmetric_limit(np.array(reaches), 0.1)
+    axes.set_ylim(-limit, limit)
+    axes.legend(fontsize="small", frameon=False, ncols=2)
+    axes.set_xticks([s.contact_id for s in known])
     axes.set_xlabel("contact")
     axes.set_ylabel("error [%]")

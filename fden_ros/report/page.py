@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -17,7 +16,7 @@ from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
-from fden_ros.report.table import status_words
+from fden_ros.report.table import DASH, plus_minus, status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -80,6 +79,7 @@ def page(session: Session) -> str:
         comparison=(plots.comparison(session) if any(s.estimate for s in summaries) else None),
         site_map=(plots.site_map(session) if any(s.position for s in summaries) else None),
         rows=[_row(summary) for summary in summaries],
+        time_scale=f"{session.parameters.estimate.time_scale:g}",
         contacts=[_contact(session, contact) for contact in session.contacts[:DETAILED_CONTACTS]],
         left_out=max(0, len(summaries) - DETAILED_CONTACTS),
         open_contacts=len(summaries) <= _OPEN_CONTACTS,
@@ -150,19 +150,22 @@ def _warnings(session: Session) -> Iterator[str]:
 
 def _row(summary: ContactSummary) -> dict[str, Any]:
     """Return a line of the table: texts, and a dash where there is nothing."""
-    row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha"), "–")
+    row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha", "apparent"), DASH)
     estimate = summary.estimate
     if estimate is not None:
         g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
         deviations = estimate.deviations.tolist()
         row |= {
-            "g": _pm(g, estimate.linear_stiffness_sd),
-            "gn": _pm(gn, estimate.nonlinear_stiffness_sd),
-            "boundary": _pm(1 / gn, deviations[1] / gn),
+            "g": plus_minus(g, estimate.linear_stiffness_sd),
+            "gn": plus_minus(gn, estimate.nonlinear_stiffness_sd),
+            "boundary": plus_minus(1 / gn, deviations[1] / gn),
             "gi": f"{exponential_scale(g, gn):.3g}",
-            "alpha": f"{_pm(estimate.fractional_order, deviations[2])} "
+            "alpha": f"{plus_minus(estimate.fractional_order, deviations[2])} "
             f"({_SOURCES[summary.order_source]})",
         }
+    stiffness = summary.apparent_stiffness
+    if stiffness is not None:
+        row["apparent"] = plus_minus(stiffness.value, stiffness.sd)
     return {
         **row,
         "id": summary.contact_id,
@@ -174,14 +177,6 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
         "converged": summary.converged,
         "label": _label(summary),
     }
-
-
-def _pm(value: float, deviation: float) -> str:
-    """Return value ± deviation, with two digits of the deviation."""
-    if not deviation > 0.0:
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(deviation)))
-    return f"{value:.{digits}f} ± {deviation:.{digits}f}"
 
 
 def _label(summary: ContactSummary) -> str:
@@ -210,7 +205,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "row": _row(summary),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
-        "remarks": list(remarks(summary)),
+        "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
         "test": contact.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",

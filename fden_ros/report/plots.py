@@ -26,6 +26,7 @@ from fden_ros.offline.session import (
     predicted_stress,
 )
 from fden_ros.parameters import unit_vector
+from fden_ros.report.limits import interval_limits, symmetric_limit
 
 # Each stands for a colour of the page, which differs in light and dark; see the page's style.
 INK, MUTED, GRID, SHADE, MEASURED, ESTIMATE, TRUTH, SURE = (
@@ -70,6 +71,10 @@ _STYLE = {
     "path.simplify_threshold": 0.3,
 }
 _POINTS = 350
+#: Logarithms beyond this are drawn as this.
+_LARGEST_LOG = 600.0
+#: Makes the logarithm of 0 finite.
+_TINY = 1e-300
 _PANEL = (5.2, 2.9)
 _WIDE = (10.8, 3.4)
 
@@ -168,7 +173,16 @@ def comparison(session: Session) -> str:
             axes.set_xlabel("contact")
             axes.set_title(label)
             axes.locator_params(axis="x", integer=True)
-            axes.margins(x=0.08, y=0.15)
+            axes.margins(x=0.08)
+            value, low, high = _values_with_intervals(known, index)
+            values = [value, *([np.array(true)[:, 1]] if true else [])]
+            axes.set_ylim(
+                *interval_limits(
+                    np.concatenate(values),
+                    np.concatenate([low, *values[1:]]),
+                    np.concatenate([high, *values[1:]]),
+                )
+            )
             axes.grid(axis="x", visible=False)
         figure.axes[0].legend(loc="best")
 
@@ -185,13 +199,16 @@ def site_map(session: Session) -> str:
         places = 1e3 * np.array([s.position for s in placed])
         x, y = places @ first, places @ second
         values = np.array(
-            [math.exp(s.estimate[0]) if s.estimate is not None else math.nan for s in placed]
+            [s.estimate.linear_stiffness if s.estimate is not None else math.nan for s in placed]
         )
         axes.scatter(x, y, s=260, c="none", edgecolors=MUTED)
         if np.isfinite(values).any():
-            axes.scatter(x, y, s=260, c=values, cmap="viridis", edgecolors=MUTED)
+            low, high = interval_limits(values, values, values)
+            axes.scatter(
+                x, y, s=260, c=values, cmap="viridis", edgecolors=MUTED, vmin=low, vmax=high
+            )
         for across, along, value, summary in zip(x, y, values, placed, strict=True):
-            text = f"{summary.contact_id}: {value:.0f}" if math.isfinite(value) else "no estimate"
+            text = f"{summary.contact_id}: {value:.4g}" if math.isfinite(value) else "no estimate"
             axes.annotate(
                 text, (across, along), xytext=(0, 12), textcoords="offset points", ha="center"
             )
@@ -287,8 +304,8 @@ def characteristic(contact: Contact, summary: ContactSummary) -> str:
             response, deviation = _law(strain, summary)
             axes.fill_between(
                 strain,
-                response * np.exp(-2 * deviation),
-                response * np.exp(2 * deviation),
+                _exp(np.log(response + _TINY) - 2 * deviation),
+                _exp(np.log(response + _TINY) + 2 * deviation),
                 color=ESTIMATE,
                 alpha=0.25,
                 linewidth=0,
@@ -310,6 +327,10 @@ def characteristic(contact: Contact, summary: ContactSummary) -> str:
         axes.set_title("Fractional stress against strain")
         axes.set_xlabel("strain")
         axes.set_ylabel("f' [Pa s^α]")
+        # By what was measured: the band of an estimate that has not converged may be anywhere.
+        low, high = float(min(0.0, points[:, 1].min())), float(points[:, 1].max())
+        if high > low:
+            axes.set_ylim(low - 0.05 * (high - low), high + 0.3 * (high - low))
         axes.legend(loc="upper left")
 
     return draw(plot)
@@ -343,26 +364,25 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
         ):
             value = np.array([s.estimate[index] for s in states])
             deviation = np.sqrt([s.estimate.covariance[index, index] for s in states])
-            low, high = np.exp(value - 2 * deviation), np.exp(value + 2 * deviation)
+            low, high = _exp(value - 2 * deviation), _exp(value + 2 * deviation)
             sure = np.array([s.estimate.knows(index) for s in states])
             step = -(-time.size // _POINTS)
             axes.fill_between(
                 time[::step], low[::step], high[::step], color=ESTIMATE, alpha=0.25, linewidth=0,
                 label="±2 sd",
             )  # fmt: skip
-            axes.plot(*_thin(time, np.exp(value)), color=ESTIMATE, linewidth=1, label="estimate")
+            axes.plot(*_thin(time, _exp(value)), color=ESTIMATE, linewidth=1, label="estimate")
             axes.plot(
-                *_thin(time, np.where(sure, np.exp(value), math.nan)),
+                *_thin(time, np.where(sure, _exp(value), math.nan)),
                 color=SURE,
                 linewidth=2.4,
                 label="converged",
             )
             if truth is not None:
                 axes.axhline(truth[key], color=TRUTH, linestyle=":", label="truth")
-            final = float(np.exp(value[-1]))
-            spread = np.quantile(np.abs(np.concatenate([low, high]) - final), 0.9)
-            # Before the data say anything the prior's interval is far wider.
-            spread = min(spread, final)
+            final = float(_exp(value)[-1])
+            away = np.abs(np.concatenate([low, high]) - final)
+            spread = min(float(np.quantile(away, 0.9)), 2.0 * final)
             axes.set_ylim(final - 1.3 * spread - 0.02 * final, final + 1.3 * spread + 0.02 * final)
             axes.set_ylabel(label)
         figure.axes[0].set_title("The estimate converging")
@@ -388,8 +408,19 @@ def innovations(contact: Contact) -> str:
         axes.plot(time[::step], values[::step], ".", color=MEASURED, markersize=3)
         axes.set_title("Innovations over their standard deviation")
         axes.set_xlabel("time since the touch [s]")
-        extent = max(3.0, 1.1 * float(np.max(np.abs(values))))
+        extent = symmetric_limit(values, 3.0)
         axes.set_ylim(-extent, extent)
+        beyond = int(np.count_nonzero(np.abs(values) > extent))
+        if beyond:
+            axes.annotate(
+                f"{beyond} beyond, up to {np.max(np.abs(values)):.3g}",
+                (0.99, 0.97),
+                xycoords="axes fraction",
+                ha="right",
+                va="top",
+                fontsize=8,
+                color=MUTED,
+            )
 
     return draw(plot)
 
@@ -408,22 +439,33 @@ def _thin(x: Array, y: Array) -> tuple[Array, Array]:
 def _intervals(
     axes: Axes, summaries: Sequence[ContactSummary], index: int, colour: str, name: str
 ) -> None:
-    logs = np.array([s.estimate[index] for s in summaries if s.estimate is not None])
-    deviations = np.sqrt(
-        [s.estimate.covariance[index, index] for s in summaries if s.estimate is not None]
-    )
-    value = np.exp(logs)
-    reach = [value - np.exp(logs - 2 * deviations), np.exp(logs + 2 * deviations) - value]
+    value, low, high = _values_with_intervals(summaries, index)
     axes.errorbar(
         [s.contact_id for s in summaries],
         value,
-        reach,
+        [value - low, high - value],
         fmt="o",
         markersize=4,
         capsize=3,
         color=colour,
         label=name,
     )
+
+
+def _values_with_intervals(
+    summaries: Sequence[ContactSummary], index: int
+) -> tuple[Array, Array, Array]:
+    """Return G or Gn and the ends of its interval of ±2 deviations, shape (n,) each."""
+    estimates = [s.estimate for s in summaries if s.estimate is not None]
+    logs = np.array([estimate[index] for estimate in estimates])
+    reach = 2.0 * np.array([estimate.deviations[index] for estimate in estimates])
+    return _exp(logs), _exp(logs - reach), _exp(logs + reach)
+
+
+def _exp(logs: Array) -> Array:
+    """Return e^logs, without an overflow."""
+    result: Array = np.exp(np.minimum(logs, _LARGEST_LOG))
+    return result
 
 
 def _envelope(axes: Axes, envelope: Envelope, start_ns: int, scale: float) -> None:

@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.outputs import ContactSummary
+from fden_ros.core.outputs import ContactSummary, Flag
 
 DASH = "–"
+#: Values within these have decimal places, others significant digits.
+_SMALL, _LARGE = 1e-2, 1e7
+#: Significant digits of a value.
+_DIGITS = 4
+#: A stiffness whose deviation is larger by this factor is not shown.
+_UNKNOWN = 10.0
 
 
 def contact_table(
     summaries: Iterable[ContactSummary], truth: Mapping[int, Mapping[str, Any]] | None = None
 ) -> Table:
-    """Return one row a contact.
+    """Return one row a contact, of at most 80 columns.
 
     Parameters
     ----------
     summaries : iterable of ContactSummary
     truth : mapping, optional
-        Site number to its true ``linear_stiffness`` and ``nonlinear_stiffness``, shown beside the
+        Site number to its true ``linear_stiffness`` and ``nonlinear_stiffness``, shown below the
         estimates.
     """
     table = Table(title="Contacts", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in ("#", "site", "G [Pa s^α]"):
-        table.add_column(name, justify="right", no_wrap=True)
-    if truth is not None:
-        table.add_column("true", justify="right", style="dim", no_wrap=True)
-    table.add_column("Gn", justify="right", no_wrap=True)
-    if truth is not None:
-        table.add_column("true", justify="right", style="dim", no_wrap=True)
-    table.add_column("α", justify="right", no_wrap=True)
-    table.add_column("status")
-    table.add_column("tissue", no_wrap=True)
+    for name in ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m"):
+        table.add_column(Text(name), justify="right", no_wrap=True)
+    table.add_column("status", min_width=10)
+    table.add_column("tissue", min_width=12)
     for summary in summaries:
         table.add_row(*_cells(summary, truth))
         if summary.estimate is not None and summary.estimate.valid != ParameterSet.ALL:
@@ -44,41 +46,62 @@ def contact_table(
     return table
 
 
+def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
+    """Return value ± deviation, with two digits of the deviation.
+
+    The value has at most `most_digits` significant digits.
+    """
+    if not deviation > 0.0 or not math.isfinite(deviation):
+        return f"{value:.4g}"
+    if not _SMALL <= abs(value) < _LARGE or deviation >= _LARGE:
+        return f"{value:.3g} ± {deviation:.2g}"
+    places = 1 - math.floor(math.log10(deviation))
+    places = max(0, min(places, most_digits - 1 - math.floor(math.log10(abs(value)))))
+    shown = f"{deviation:.{places}f}"
+    return f"{value:.{places}f} ± {shown if float(shown) else f'{deviation:.1g}'}"
+
+
 def status_words(summary: ContactSummary) -> str:
-    """Return how far a contact's parameters are known."""
+    """Return how far a contact's parameters are known, and its flags."""
     words = "not converged"
     if summary.converged:
         words = "converged"
-    elif summary.estimate is not None:
-        if summary.estimate.at_edge:
-            words = "at the edge"
-        elif ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
-            words = "G known"
-    return words if summary.complete else f"{words}, cut short"
+    elif summary.estimate is not None and ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
+        words = "G known"
+    parts = [words] if summary.complete else [words, "cut short"]
+    parts += [
+        flag.name.lower().replace("_", " ")
+        for flag in Flag
+        if flag and flag.name and flag & summary.flags
+    ]
+    return ", ".join(parts)
 
 
 def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | None) -> list[str]:
-    estimate = summary.estimate
+    estimate, stiffness = summary.estimate, summary.apparent_stiffness
     g = g_n = alpha = DASH
     if estimate is not None:
         g, g_n, alpha = (
             text if estimate.determines(index) else f"({text})"
             for index, text in enumerate(
                 (
-                    f"{estimate.linear_stiffness:.1f} ± {estimate.linear_stiffness_sd:.1f}",
-                    f"{estimate.nonlinear_stiffness:.2f} ± {estimate.nonlinear_stiffness_sd:.2f}",
+                    plus_minus(estimate.linear_stiffness, estimate.linear_stiffness_sd, _DIGITS),
+                    plus_minus(
+                        estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd, _DIGITS
+                    ),
                     f"{estimate.fractional_order:.3f}",
                 )
             )
         )
     site = (truth or {}).get(summary.site_id)
-    cells = [str(summary.contact_id), str(summary.site_id), g]
-    if truth is not None:
-        cells.append(f"{site['linear_stiffness']:.1f}" if site else DASH)
-    cells.append(g_n)
-    if truth is not None:
-        cells.append(f"{site['nonlinear_stiffness']:.2f}" if site else DASH)
-    return [*cells, alpha, status_words(summary), _label(summary)]
+    if site is not None:
+        g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
+        g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
+    apparent = DASH
+    if stiffness is not None and stiffness.sd < _UNKNOWN * stiffness.value:
+        apparent = plus_minus(stiffness.value, stiffness.sd, _DIGITS)
+    numbers = (str(summary.contact_id), str(summary.site_id), g, g_n, alpha, apparent)
+    return [*numbers, status_words(summary), _label(summary)]
 
 
 def _label(summary: ContactSummary) -> str:

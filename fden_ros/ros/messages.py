@@ -68,9 +68,7 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
         message.normalized_innovation_squared = state.innovation.normalized_squared
     if state.apparent_stiffness is not None:
         valid |= TissueEstimate.VALID_APPARENT_STIFFNESS
-        message.apparent_stiffness = state.apparent_stiffness.value
-        message.apparent_stiffness_sd = state.apparent_stiffness.sd
-        message.apparent_stiffness_time_scale = state.apparent_stiffness.time_scale
+        _fill_apparent_stiffness(message, state.apparent_stiffness)
     message.valid = valid
     return message
 
@@ -133,6 +131,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     message.max_force = summary.max_force
     message.sample_count = summary.sample_count
     message.rejected_count = summary.rejected_count
+    _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_classes(message, summary)
     return message
 
@@ -167,6 +166,16 @@ def _fill_parameters(
 def _law_error_field(name: str) -> str:
     """Return the message's field: kernel_error for kernel, kernel_error_sd for kernel_sd."""
     return f"{name.removesuffix('_sd')}_error{'_sd' if name.endswith('_sd') else ''}"
+
+
+def _fill_apparent_stiffness(
+    message: TissueEstimate | PalpationSummary, stiffness: ApparentStiffness | None
+) -> None:
+    if stiffness is None:
+        return
+    message.apparent_stiffness = stiffness.value
+    message.apparent_stiffness_sd = stiffness.sd
+    message.apparent_stiffness_time_scale = stiffness.time_scale
 
 
 def _fill_classes(
@@ -209,13 +218,7 @@ def state_of(message: TissueEstimate) -> TissueState:
         )
         if valid & TissueEstimate.VALID_INNOVATION
         else None,
-        apparent_stiffness=ApparentStiffness(
-            message.apparent_stiffness,
-            message.apparent_stiffness_sd,
-            message.apparent_stiffness_time_scale,
-        )
-        if valid & TissueEstimate.VALID_APPARENT_STIFFNESS
-        else None,
+        apparent_stiffness=_apparent_stiffness_of(message),
     )
 
 
@@ -248,6 +251,19 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         if message.class_names
         else None,
         decided=Decided(message.decision_time, message.decision_strain) if message.label else None,
+        apparent_stiffness=_apparent_stiffness_of(message),
+    )
+
+
+def _apparent_stiffness_of(
+    message: TissueEstimate | PalpationSummary,
+) -> ApparentStiffness | None:
+    if message.apparent_stiffness_time_scale == 0.0:
+        return None
+    return ApparentStiffness(
+        message.apparent_stiffness,
+        message.apparent_stiffness_sd,
+        message.apparent_stiffness_time_scale,
     )
 
 

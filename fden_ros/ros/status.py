@@ -8,6 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.parameters import DEFAULT_HARDWARE_ID
 
 
 def diagnostic_status(
@@ -16,11 +17,12 @@ def diagnostic_status(
     pipeline: Pipeline,
     pairs_before: int,
     more: Mapping[str, int] | None = None,
+    hardware_id: str = DEFAULT_HARDWARE_ID,
 ) -> DiagnosticStatus:
     """Return the status of a node called `node_name`, `pairs_before` as of a second ago."""
     status = DiagnosticStatus()
     status.name = f"{node_name.lstrip('/')}: tissue identification"
-    status.hardware_id = ""
+    status.hardware_id = hardware_id
     status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
     if pipeline.is_failed:
         status.level = DiagnosticStatus.ERROR

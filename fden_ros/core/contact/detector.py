@@ -91,6 +91,9 @@ _RELEASE_CHUNKS = 2
 #: line in time does is a drift; it is tested again when it has grown by the factor.
 _MIN_EVIDENCE = 12.0
 _RETRY = 1.25
+#: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
+#: within 1 s [ns].
+_DRIFT_CHUNKS, _DOUBT_NS = 2, 1_000_000_000
 #: A probe has come to the surface through the air when its way there is more than this many
 #: deviations of the surface [1], and than this many usual steps of the displacement [1]: noise
 #: alone reaches six.
@@ -143,6 +146,8 @@ class ContactDetector:
         self._low_chunks = 0
         self._low_start_ns = 0
         self._doubted_rise = 0.0
+        self._doubted_ns: int | None = None
+        self._doubted_chunks = 0
         self._surface = self._deepest = 0.0
         self._behind_chunks = 0
 
@@ -207,16 +212,26 @@ class ContactDetector:
         if rise > max(threshold, _RETRY * self._doubted_rise):
             onset = self._begin(bias, threshold, chunk.end_ns)
             if onset is not None:
+                self._settle_doubt()
                 return onset
-            # A force that rises in a straight line, whatever the probe does, is a drift.
-            self.drifts += self._doubted_rise == 0.0
+            # A drift, or the beginning of a contact that is still too faint to tell.
+            if self._doubted_ns is None:
+                self._doubted_ns = chunk.end_ns
             self._doubted_rise = rise
         elif rise < threshold:
             self._doubted_rise = 0.0
+            if self._doubted_ns is not None and chunk.end_ns - self._doubted_ns > _DOUBT_NS:
+                self.drifts += self._doubted_chunks >= _DRIFT_CHUNKS
+                self._settle_doubt()
+        self._doubted_chunks += self._doubted_ns is not None and rise >= threshold
         baseline.keep(chunk)
         baseline.is_suspected = self._doubted_rise == 0.0 and baseline.is_rising(bias, noise)
         self._watch_below_baseline(rise < -threshold)
         return None
+
+    def _settle_doubt(self) -> None:
+        self._doubted_ns = None
+        self._doubted_chunks = 0
 
     def _watch_below_baseline(self, below: bool) -> None:
         self._low_chunks = self._low_chunks + 1 if below and self._config.measure_bias else 0
@@ -239,9 +254,7 @@ class ContactDetector:
         steps = np.diff(displacement[: surface.first])
         noise = float(np.median(np.abs(steps))) if steps.size else 0.0
         way = surface.displacement - float(displacement[: surface.first].min())
-        return way > max(
-            _APPROACH_DEVIATIONS * surface.displacement_sd, _APPROACH_STEPS * noise
-        )
+        return way > max(_APPROACH_DEVIATIONS * surface.displacement_sd, _APPROACH_STEPS * noise)
 
     def _begin(self, bias: float, threshold: float, now_ns: int) -> Onset | None:
         pairs = self._samples

@@ -1,0 +1,317 @@
+"""What is said of a contact, and where: stiffness in N/m, what is determined, flags, warnings."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pipeline_helpers import identified, items_of, parameters_of, summaries_of
+from rich.console import Console
+
+from fden_ros.cli import main
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.outputs import (
+    ContactSummary,
+    Flag,
+    OrderSource,
+    Phase,
+    Status,
+    TissueState,
+)
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.nodes.decisions import Decisions
+from fden_ros.offline.replay import replay
+from fden_ros.offline.results import replay_to_bag
+from fden_ros.offline.session import remarks
+from fden_ros.parameters import DEFAULT_HARDWARE_ID, check, pipeline_config, read_parameter_file
+from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.source import Selection
+from fden_ros.recording.table import Columns
+from fden_ros.report.table import contact_table, plus_minus
+from fden_ros.ros.status import diagnostic_status
+from fden_ros.simulation.scenario import Tissue, ramp_scenario
+from fden_ros.simulation.simulate import simulate
+
+ROOT = Path(__file__).parent.parent
+PRESS = ROOT / "bags" / "golden" / "golden_press"
+TABLE = ROOT / "examples" / "press.csv"
+PROBE = ROOT / "examples" / "probe.yaml"
+COLUMNS = "time_s,force_N,depth_mm*1e-3"
+ESTIMATE = Estimate(
+    math.log(500.0),
+    math.log(8.0),
+    0.13,
+    np.diag([0.01, 0.0004, 0.0001]),
+    strain_origin=0.0,
+    strain_origin_sd=0.0,
+    probability_beyond_boundary=1.0,
+    valid=ParameterSet.ALL,
+    known=ParameterSet.ALL,
+    sample_count=1000,
+)
+
+
+def summary(**changes: Any) -> ContactSummary:
+    values: dict[str, Any] = {
+        "stamp_ns": 2,
+        "start_ns": 0,
+        "end_ns": 2,
+        "site_id": 1,
+        "contact_id": 1,
+        "flags": Flag.NONE,
+        "converged": True,
+        "complete": True,
+        "position": None,
+        "order_source": OrderSource.LEARNED,
+        "estimate": ESTIMATE,
+        "max_strain": 0.3,
+        "max_stress": 900.0,
+        "max_force": 0.3,
+        "sample_count": 100,
+        "rejected_count": 0,
+        "classes": None,
+    }
+    return ContactSummary(**values | changes)
+
+
+def state(**changes: Any) -> TissueState:
+    values: dict[str, Any] = {
+        "stamp_ns": 1,
+        "status": Status.CONVERGING,
+        "flags": Flag.NONE,
+        "site_id": 1,
+        "contact_id": 1,
+        "phase": Phase.LOADING,
+        "estimate": ESTIMATE,
+    }
+    return TissueState(**values | changes)
+
+
+# The apparent stiffness
+
+
+def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest_point() -> None:
+    tissue = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
+    scenario = ramp_scenario(
+        strain_rate=0.2, max_strain=0.25, hold_s=1.0, tissue=tissue, rate_hz=250.0, seed=3
+    )
+    recording = simulate(scenario)
+    parameters = parameters_of(recording) | {"estimate.time_scale": 0.5}
+    _, outputs = identified(items_of(recording), parameters)
+    (contact,) = summaries_of(outputs)
+    found = contact.apparent_stiffness
+    assert found is not None and found.time_scale == 0.5
+    geometry = pipeline_config(check(parameters)).geometry
+    assert isinstance(geometry, FlatPunch)
+    tangent = 520.0 * math.exp(8.5 * 0.25 - 1.0) * 0.5**-0.131 / math.gamma(1.0 - 0.131)
+    true = tangent * geometry.area / geometry.thickness
+    assert abs(found.value - true) < 4.0 * found.sd
+    assert found.sd < 0.02 * true
+
+
+def test_the_apparent_stiffness_is_in_the_json_the_bag_of_results_and_the_table_of_the_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = str(PRESS / "identifier.yaml")
+    out, table, page = (str(tmp_path / name) for name in ("out", "contacts.csv", "page.html"))
+    assert main(["replay", str(PRESS), "--config", config, "--json", "-o", out]) == 0
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    palpation = "/identifier/palpation"
+    messages = [decode(message) for message in BagReader(out).messages([palpation])]
+    assert main(["report", str(PRESS), "--config", config, "--csv", table, "-o", page]) == 0
+    rows = Path(table).read_text().splitlines()
+    columns = rows[0].split(",")
+    for contact, message, row in zip(contacts, messages, rows[1:], strict=True):
+        cells = dict(zip(columns, row.split(","), strict=True))
+        assert contact["apparent_stiffness"] > 0.0 < contact["apparent_stiffness_sd"]
+        assert contact["apparent_stiffness_time_scale"] == 0.1
+        for key in (
+            *("apparent_stiffness", "apparent_stiffness_sd"),
+            "apparent_stiffness_time_scale",
+        ):
+            assert getattr(message, key) == contact[key] == float(cells[key])
+        shown = plus_minus(contact["apparent_stiffness"], contact["apparent_stiffness_sd"])
+        assert shown in Path(page).read_text()
+        known = ["linear_stiffness", "nonlinear_stiffness"]
+        assert contact["converged_parameters"][:2] == known
+        assert cells["converged_parameters"].split()[:2] == known
+        assert message.converged_parameters & ParameterSet.NONLINEAR_STIFFNESS
+
+
+# What the data determine
+
+
+def pressed(nonlinear_stiffness: float, max_strain: float, seed: int) -> ContactSummary:
+    tissue = Tissue(577.0, nonlinear_stiffness, 0.131)
+    scenario = ramp_scenario(
+        strain_rate=0.2,
+        max_strain=max_strain,
+        hold_s=0.5,
+        tissue=tissue,
+        rate_hz=250.0,
+        seed=seed,
+    )
+    recording = simulate(scenario)
+    _, outputs = identified(items_of(recording), parameters_of(recording))
+    (contact,) = summaries_of(outputs)
+    return contact
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_material_that_is_linear_so_far_g_is_known_and_gn_is_not(seed: int) -> None:
+    contact = pressed(1.0, 0.08, seed)
+    assert not contact.converged
+    estimate = contact.estimate
+    assert estimate is not None
+    known = estimate.known & ParameterSet.STIFFNESS
+    assert known is ParameterSet.LINEAR_STIFFNESS
+    assert abs(estimate[0] - math.log(577.0)) < 4.0 * estimate.deviations[0]
+    (text,) = (text for text in remarks(contact, 0.131) if "Gn" in text)
+    assert "Gn is not observable" in text and "G is known" in text
+    assert "press deeper" not in text
+
+
+def test_a_strain_that_cannot_be_determines_nothing() -> None:
+    parameters = read_parameter_file(PROBE)
+    selection = Selection(columns=Columns.parse("time_s,force_N,depth_mm"))
+    for contact in replay(TABLE, parameters, selection).summaries:
+        assert not contact.converged
+        assert contact.estimate is None or not contact.estimate.known & ParameterSet.STIFFNESS
+
+
+def test_an_alpha_that_is_not_the_prior_s_is_not_called_prior_knowledge() -> None:
+    estimate = ESTIMATE._replace(fractional_order=0.01)
+    contact = summary(estimate=estimate, order_source=OrderSource.PRIOR)
+    (text,) = remarks(contact, 0.131)
+    assert "0.010 ± 0.010" in text and "prior 0.131" in text
+    assert "is prior knowledge" not in text
+
+
+# The table
+
+
+def printed(*contacts: ContactSummary, truth: dict[int, dict[str, float]] | None = None) -> str:
+    console = Console(width=80, record=True, file=Path("/dev/null").open("w"))  # noqa: SIM115
+    console.print(contact_table(contacts, truth))
+    return console.export_text()
+
+
+def test_the_table_with_the_truth_and_flags_is_whole_in_80_columns() -> None:
+    from fden_ros.core.classification.classifier import ClassProbabilities
+    from fden_ros.core.outputs import ApparentStiffness
+
+    flagged = summary(
+        contact_id=12,
+        site_id=12,
+        converged=False,
+        flags=Flag.TISSUE_CHANGED | Flag.ORIGIN_UNCERTAIN,
+        estimate=ESTIMATE._replace(
+            log_linear_stiffness=math.log(12345.6), known=ParameterSet.LINEAR_STIFFNESS
+        ),
+        apparent_stiffness=ApparentStiffness(1235.4, 12.8, 0.1),
+        classes=ClassProbabilities("unknown", ("liver", "unknown"), (0.06, 0.94)),
+    )
+    truth = {12: {"linear_stiffness": 12000.0, "nonlinear_stiffness": 8.0}}
+    text = printed(flagged, truth=truth)
+    assert "…" not in text
+    for words in (
+        *("12346 ± 1235", "true 12000", "8.00 ± 0.16", "true 8.00", "0.130", "1235 ± 13"),
+        *("G known", "tissue", "changed", "origin", "uncertain", "unknown 94%"),
+    ):
+        assert words in text, text
+
+
+def test_numbers_of_any_size_stay_short() -> None:
+    for value, deviation in ((1e181, 1e180), (8e20, 1.8e23), (4.4e-4, 2e-4), (10.0064, 0.0076)):
+        text = plus_minus(value, deviation, 4)
+        assert len(text) <= 20, text
+    assert plus_minus(460.05, 52.66, 4) == "460 ± 53"
+    assert plus_minus(10.0064, 0.0004, 4) == "10.01 ± 0.0004"
+
+
+# Rejections that are usual
+
+
+def test_the_first_samples_without_a_partner_are_no_reason_to_warn() -> None:
+    pipeline = Pipeline(pipeline_config(check({})), lambda output: None)
+    pipeline.reject("force", "unpaired")
+    pipeline.reject("force", "unpaired")
+    assert pipeline.unusual_rejections == 0
+    pipeline.reject("force", "unpaired")
+    pipeline.reject("force", "spike")
+    assert pipeline.unusual_rejections == 2
+    assert pipeline.rejected.total() == 4
+
+
+def test_a_replay_does_not_warn_of_what_is_usual(tmp_path: Path) -> None:
+    lines = TABLE.read_text().splitlines()
+    parameters = read_parameter_file(PROBE)
+    # Displacement that comes 8 ms late leaves the first forces without a partner.
+    late = parameters.changed({"displacement.delay": -0.008})
+    table = tmp_path / "air.csv"
+    table.write_text("\n".join(lines[:200]))
+    result = replay(table, late, Selection(columns=Columns.parse(COLUMNS)))
+    assert 0 < result.rejected["force.unpaired"] <= 2
+    assert not any("rejected" in text for text in result.warnings)
+
+
+def test_diagnostics_name_the_hardware() -> None:
+    pipeline = Pipeline(pipeline_config(check({})), lambda output: None)
+    assert diagnostic_status("/identifier", [], pipeline, 0).hardware_id == DEFAULT_HARDWARE_ID
+    status = diagnostic_status("/identifier", [], pipeline, 0, hardware_id="FT-0815")
+    assert status.hardware_id == "FT-0815"
+
+
+# What the node says at the level of debug
+
+
+def test_what_is_decided_is_said_once() -> None:
+    decisions = Decisions(Counter({"force.spike": 2}))
+    said: list[str] = []
+    replay(
+        PRESS,
+        read_parameter_file(PRESS / "identifier.yaml"),
+        on_output=lambda output, _frame: said.extend(decisions.of(output)),
+    )
+    text = "\n".join(said)
+    for words in (
+        *("unknown -> no contact", "contact 1 begins, at site 1", "converging -> converged; G "),
+        *("determined by the data: linear_stiffness, nonlinear_stiffness", "contact 1: class"),
+        *("contact 2 ends: converged, released, ", "strain up to 0."),
+    ):
+        assert words in text, text
+    assert len(said) < 60
+    spiked = list(decisions.of(state(contact_id=2, flags=Flag.INPUT_REJECTED | Flag.GAP)))
+    assert spiked[:2] == ["rejected: force.spike 2", "contact 2: flags raised: gap"]
+    assert list(decisions.of(state(contact_id=2, flags=Flag.GAP))) == []
+
+
+# Results of a table
+
+
+def test_the_rows_of_a_table_go_into_the_bag_of_results_and_replay_alike(tmp_path: Path) -> None:
+    parameters = read_parameter_file(PROBE).changed(
+        {"force.inverted": True, "displacement.inverted": True}
+    )
+    selection = Selection(columns=Columns.parse("time_s,force_N*-1,depth_mm*-1e-3"))
+    out = tmp_path / "results"
+    of_table = replay_to_bag(TABLE, parameters, selection, out, with_inputs=True)
+    assert len(of_table.summaries) == 2
+    topics = {topic.name: topic for topic in BagReader(out).topics}
+    for name in ("/force", "/displacement"):
+        assert topics[name].message_count == 2226
+    of_bag = replay(out, parameters)
+    assert of_bag.inputs == {"force": "/force", "displacement": "/displacement"}
+    for one, other in zip(of_table.summaries, of_bag.summaries, strict=True):
+        assert one.estimate is not None and other.estimate is not None
+        assert one.estimate.mean.tolist() == other.estimate.mean.tolist()
+        assert replace(one, estimate=None, classes=None, stamp_ns=0) == replace(
+            other, estimate=None, classes=None, stamp_ns=0
+        )
