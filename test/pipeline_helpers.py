@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.simulation.simulate import Recording, simulate
 
 FORCE, DISPLACEMENT = 0, 1
+#: The paper's liver, for what was measured with it as the prior: the numbers, and by name.
+LIVER_FILE = Path(__file__).resolve().parents[1] / "config" / "priors" / "liver.yaml"
+LIVER = pipeline_config(read_parameter_file(LIVER_FILE)).estimator.prior
+LIVER_PARAMETERS = {
+    f"prior.{k}": v for k, v in asdict(read_parameter_file(LIVER_FILE).prior).items()
+}
 
 
 class Item(NamedTuple):

@@ -10,17 +10,18 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import example, given
 from hypothesis import strategies as st
+from pipeline_helpers import LIVER
 from property_helpers import examples
 from scipy.special import gamma
 
-from fden_ros.core.estimation.estimate import EstimatorConfig, Prior
+from fden_ros.core.estimation.estimate import EstimatorConfig
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalBlock, GaussianSum
 from fden_ros.core.law.geometry import PassThrough, Sphere
 
 #: No test depends on the time it takes, nor on chance.
 steady = examples(30)
 
-PRIOR = Prior(fractional_order_sd=0.0)
+PRIOR = replace(LIVER, fractional_order_sd=0.0)
 ORDER = PRIOR.fractional_order
 
 

@@ -271,8 +271,9 @@ FORGETTING: dict[str, Callable[[], Outcome]] = {
 
 def test_without_a_reset_the_second_contact_begins_with_what_the_first_has_taught() -> None:
     result = outcome(beside())
-    first, second = (states_in(result, contact_id)[0] for contact_id in (1, 2))
-    assert sd_of(second) < 0.1 * sd_of(first)
+    taught, second = states_in(result, 1)[-1], states_in(result, 2)[0]
+    # Less the deviations: the tissue of another place is soon seen to be another.
+    assert second.estimate.mean == pytest.approx(taught.estimate.mean, abs=0.02)
     assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
 
 

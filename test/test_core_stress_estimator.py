@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import identified, items_of, parameters_of, summaries_of
+from pipeline_helpers import LIVER, identified, items_of, parameters_of, summaries_of
 from scipy.signal import fftconvolve
 from scipy.special import gamma
 from scipy.stats import chi2
 
 from fden_ros.benchmarks.simulated import STRESS, Case, run_trial
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig, Prior
+from fden_ros.core.estimation.estimate import Block, EstimatorConfig
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.geometry import PassThrough
 from fden_ros.core.outputs import Flag, TissueState
@@ -38,7 +39,7 @@ def drawn(rng):
 def estimator_of(
     fractional_order_given=False, order=ORDER, order_sd=ORDER_SD, origin_sd=0.0, bias_sd=0.0
 ):
-    prior = Prior(fractional_order=order, fractional_order_sd=order_sd)
+    prior = replace(LIVER, fractional_order=order, fractional_order_sd=order_sd)
     config = EstimatorConfig(prior, fractional_order_given=fractional_order_given)
     estimator = StressEstimator(config, PassThrough(), NOISE, origin_sd)
     estimator.begin_contact(bias_sd, 0.0)

@@ -25,7 +25,7 @@ import fden_ros.core
 from fden_ros.cli import build_parser, main
 from fden_ros.commands.parameters import parameter_file
 from fden_ros.core import Decision, Flag, OrderSource, Phase, Status, TissueState
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import Output
 from fden_ros.core.streams.samples import Reason
 from fden_ros.offline.replay import Replay, replay
@@ -225,14 +225,15 @@ def test_a_wrong_sign_shows_as_the_readme_says() -> None:
 def test_depth_in_mm_shows_as_the_readme_says() -> None:
     result = identified({}, "time_s,force_N,depth_mm")
     assert not any(converged(result))
-    assert result.summaries[0].max_strain == pytest.approx(297, abs=1)
+    assert all(summary.flags & Flag.ESTIMATE_AT_EDGE for summary in result.summaries)
+    assert result.summaries[0].max_strain == pytest.approx(295, abs=1)
 
 
 def test_a_geometry_left_at_its_default_shows_as_the_readme_says() -> None:
     area = {"geometry.area": Parameters().geometry.area}
     result = identified(area)
     assert all(converged(result))
-    assert stiffness(result) == pytest.approx([1210.0, 2001.0], rel=0.01)
+    assert stiffness(result) == pytest.approx([1386.0, 2221.0], rel=0.01)
     # Where nothing is left open, the prior counts nothing beside the data.
     for wrong, right in zip(
         stiffness(identified({**area, **EXACT})), stiffness(identified(EXACT)), strict=True
@@ -245,19 +246,25 @@ def test_a_shallow_press_shows_as_the_readme_says(tmp_path: Path) -> None:
     (summary,) = result.summaries
     assert not summary.converged
     assert summary.estimate is not None
+    assert summary.estimate.valid == summary.estimate.known == ParameterSet.LINEAR_STIFFNESS
     g_n = math.exp(summary.estimate.log_nonlinear_stiffness)
-    assert g_n == pytest.approx(8.40, abs=0.01)
-    assert g_n * math.sqrt(summary.estimate.covariance[1, 1]) == pytest.approx(1.69, abs=0.01)
+    assert g_n == pytest.approx(5.67, abs=0.01)
+    assert g_n * math.sqrt(summary.estimate.covariance[1, 1]) == pytest.approx(4.36, abs=0.02)
+
+
+#: Four deviations either way hold Gn from 13.5 to 67.
+NARROW = {"prior.nonlinear_stiffness": 30.0, "prior.nonlinear_stiffness_log_sd": 0.2}
 
 
 def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
-    result = identified({"prior.nonlinear_stiffness": 30.0})
+    result = identified(NARROW)
     for summary in result.summaries:
-        assert not summary.converged and not summary.flags
+        assert not summary.converged and summary.flags == Flag.ESTIMATE_AT_EDGE
         assert summary.estimate is not None and summary.classes is None
+        assert summary.estimate.at_edge == ParameterSet.NONLINEAR_STIFFNESS
         g_n = math.exp(summary.estimate.log_nonlinear_stiffness)
         assert g_n == pytest.approx(30.0 * math.exp(-0.8), abs=0.01)
-    wide = {"prior.nonlinear_stiffness": 30.0, "prior.nonlinear_stiffness_log_sd": 1.0}
+    wide = {**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT}
     for summary, truth in zip(identified(wide).summaries, (9.0, 8.0), strict=True):
         assert summary.converged and summary.estimate is not None
         assert math.exp(summary.estimate.log_nonlinear_stiffness) == pytest.approx(truth, rel=0.01)
@@ -267,13 +274,14 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
 def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
     result = identified({"displacement.delay": delay})
     assert all(converged(result))
-    assert all(abs(error) < 3.0 for contact in errors(result) for error in contact)
+    assert all(abs(error) < 4.0 for contact in errors(result) for error in contact)
     for estimate, truth in zip(estimates(result), TRUTH, strict=True):
-        assert math.exp(estimate[0]) == pytest.approx(truth[0], rel=0.27)
-        assert math.exp(estimate[1]) == pytest.approx(truth[1], rel=0.08)
+        assert math.exp(estimate[0]) == pytest.approx(truth[0], rel=0.28)
+        assert math.exp(estimate[1]) == pytest.approx(truth[1], rel=0.19)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary in exact.summaries:
-        assert not summary.converged and summary.flags & Flag.MODEL_MISMATCH
+        assert not summary.converged
+        assert summary.flags & (Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED)
         assert summary.estimate is not None
         assert math.sqrt(summary.estimate.covariance[0, 0]) > 0.33
 
@@ -281,16 +289,19 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
 @pytest.mark.xfail(strict=True, reason="docs/limits.md: beyond what is stated nothing is said")
 def test_a_delay_of_20_ms_gives_no_wrong_number_under_a_good_status() -> None:
     result = identified({"displacement.delay": -0.02})
-    for contact, is_converged in zip(errors(result), converged(result), strict=True):
-        assert not is_converged or max(map(abs, contact)) < 5.0
+    for estimate, (g, g_n) in zip(estimates(result), TRUTH, strict=True):
+        error = estimate.mean - [math.log(g), math.log(g_n), 0.131]
+        for index in range(3):
+            assert (
+                not estimate.knows(index) or abs(error[index]) < 5.0 * estimate.deviations[index]
+            )
 
 
-@pytest.mark.xfail(strict=True, reason="docs/limits.md: some states on the way say CONVERGED")
 def test_no_state_converges_where_the_prior_excludes_the_tissue() -> None:
     found: list[Output] = []
     replay(
         PRESS,
-        read_parameter_file(EXAMPLES / "probe.yaml").changed({"prior.nonlinear_stiffness": 30.0}),
+        read_parameter_file(EXAMPLES / "probe.yaml").changed(NARROW),
         Selection(columns=Columns.parse(IN_MM)),
         on_output=lambda output, _frame: found.append(output),
     )
@@ -321,16 +332,10 @@ def test_the_page_on_robots_has_the_default_of_every_parameter_of_what_is_not_kn
 
 @pytest.mark.parametrize("row", costs(), ids=lambda row: row[0])
 def test_what_is_not_known_costs_as_much_as_the_page_on_robots_says(row: list[str]) -> None:
-    wide = {
-        "prior.linear_stiffness_log_sd": 1.0,
-        "prior.nonlinear_stiffness_log_sd": 0.5,
-        "prior.alpha": 0.2,
-        "prior.alpha_sd": 0.1,
-    }
     left_out = {} if row[0] == "all" else dict(EXACT)
     for name in quoted(row[0]):
         del left_out[name]
-    first, _ = estimates(identified({**wide, **left_out}))
+    first, _ = estimates(identified(left_out))
     deviations = [math.sqrt(variance) for variance in first.covariance.diagonal()]
     assert deviations == pytest.approx([float(cell) for cell in row[-3:]], rel=0.02, abs=6e-5)
 

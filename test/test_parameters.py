@@ -296,6 +296,13 @@ ARRIVES = {
     "prior.alpha": (0.3, {}, lambda c: c.estimator.prior.fractional_order, 0.3),
     "prior.alpha_sd": (0.1, {}, lambda c: c.estimator.prior.fractional_order_sd, 0.1),
     "converged.log_sd": (0.05, {}, lambda c: c.estimator.converged_log_sd, 0.05),
+    "converged.linear_log_sd": (
+        0.2,
+        {},
+        lambda c: c.estimator.converged_linear_log_sd,
+        0.2,
+    ),
+    "converged.alpha_sd": (0.02, {}, lambda c: c.estimator.converged_order_sd, 0.02),
     "converged.probability": (0.9, {}, lambda c: c.estimator.converged_probability, 0.9),
     "estimate.period": (0.02, {}, lambda c: c.block_duration, 0.02),
     "estimate.time_scale": (1.0, {}, lambda c: c.apparent_stiffness_time_scale, 1.0),
