@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Contact, Session
@@ -120,7 +121,9 @@ def _combined(parts: Sequence[Array], floors: Sequence[float]) -> Axis | None:
     across = [part - (part @ direction) * direction for part in parts]
     scatter = math.sqrt(sum(float(a @ a) for a in across) / 2.0) / length
     if len(parts) > 1:
+        # Few contacts tell their own scatter badly: Student's factor, two directions each.
         scatter *= math.sqrt(len(parts) / (len(parts) - 1))
+        scatter *= float(student.ppf(0.975, 2 * (len(parts) - 1))) / 1.96
     floor = math.sqrt(sum(f**2 for f in floors)) / length
     return Axis(direction, max(scatter, floor))
 

@@ -28,10 +28,14 @@ _SHARE = 0.003
 #: A stretch of this time [s] is flat if it scatters by less than 2.5 times the usual.
 _WINDOW = 0.6
 _FLAT = 2.5
+#: The first stretch of air is taken up to a pause of this time [s].
+_PAUSE = 2.0
 #: The level in the air drifts by some 0.2 % of the range a second, before more is known.
 _DRIFT_SHARE = 0.002
 #: The force in the air is followed by medians over this time [s].
 _FOLLOW = 2.0
+#: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off.
+_SAME = 0.5
 #: A contact has at least this many chunks.
 _LEAST = 4
 #: A recording whose largest change of force is below this many deviations holds no contact.
@@ -68,6 +72,8 @@ class Session:
         Whether the force in the air is seen.
     force_noise, motion_noise : Array
         Standard deviation per sample of each component (k,), (j,).
+    unloaded : Array
+        Force at its own stamps, the tool's weight taken off (m, k).
     """
 
     streams: Streams
@@ -82,6 +88,7 @@ class Session:
     leaves: bool
     force_noise: Array
     motion_noise: Array
+    unloaded: Array
 
     @property
     def net(self) -> Array:
@@ -138,6 +145,7 @@ def make_session(streams: Streams, load: Array | None = None) -> Session:
         found.leaves,
         noise,
         noise_of(streams.motion_times, streams.position),
+        raw,
     )
 
 
@@ -260,43 +268,38 @@ class _Air:
     def _grow(self, windows: _Windows, level: float, spread: float) -> Mask:
         """Follow the level through its drift, from where it is found to before and after."""
         sd = windows.noise
-        taken: Mask = np.abs(windows.levels - level) < 0.5 * self._limit
+        taken = _longest(windows.times, np.abs(windows.levels - level) < 0.5 * self._limit)
         slope_prior = _DRIFT_SHARE * spread
-        while True:
+        while not taken.all():
             open_ones = np.flatnonzero(~taken)
-            if not open_ones.size:
-                return taken
             times, levels = windows.times[taken], windows.levels[taken]
-            gaps = np.abs(windows.times[open_ones, None] - times[None])
-            order = open_ones[np.argsort(gaps.min(axis=1))]
-            joined = False
-            for one in order.tolist():
-                nearest = np.argsort(np.abs(times - windows.times[one]))[:20]
-                since = times[nearest] - windows.times[one]
-                centre = float(since.mean())
-                spread_of_times = float(np.sum((since - centre) ** 2))
-                precision = spread_of_times / sd**2 + 1.0 / slope_prior**2
-                slope = (
-                    float(np.sum((since - centre) * levels[nearest])) / sd**2 / precision
-                )
-                predicted = float(levels[nearest].mean()) - slope * centre
-                allowed = self._limit + 3.0 * abs(centre) / math.sqrt(precision)
-                if abs(windows.levels[one] - predicted) < allowed:
-                    taken[one] = joined = True
-                    break
-            if not joined:
-                return taken
+            since = times[None] - windows.times[open_ones, None]
+            nearest = np.argsort(np.abs(since), axis=1)[:, :20]
+            since, near_levels = np.take_along_axis(since, nearest, axis=1), levels[nearest]
+            centre = since.mean(axis=1)
+            away = since - centre[:, None]
+            precision = (away**2).sum(axis=1) / sd**2 + 1.0 / slope_prior**2
+            slope = (away * near_levels).sum(axis=1) / sd**2 / precision
+            predicted = near_levels.mean(axis=1) - slope * centre
+            allowed = self._limit + 3.0 * np.abs(centre) / np.sqrt(precision)
+            off = np.abs(windows.levels[open_ones] - predicted) / allowed
+            # The surest first: once the air after a long contact has joined, a hold cannot.
+            if off.min() > 1.0:
+                break
+            taken[open_ones[off <= max(0.2, float(off.min()))]] = True
+        return taken
 
     def contacts(self, edges: Array) -> tuple[Contact, ...]:
         """Return the stretches in contact; the whole recording where it has no air."""
         if not self.leaves:
             return (Contact(0, self._times.size, float(edges[0]), float(edges[-1])),)
-        pressed = self._height > self._limit
-        return tuple(
-            Contact(a, b, float(edges[a]), float(edges[b]))
-            for a, b in runs(pressed)
-            if b - a >= _LEAST
-        )
+        joined: list[list[int]] = []
+        for a, b in runs(self._height > self._limit):
+            if joined and float(edges[a] - edges[joined[-1][1]]) < _SAME:
+                joined[-1][1] = b
+            elif b - a >= _LEAST:
+                joined.append([a, b])
+        return tuple(Contact(a, b, float(edges[a]), float(edges[b])) for a, b in joined)
 
 
 def _level(windows: _Windows, width: float) -> float:
@@ -310,6 +313,15 @@ def _level(windows: _Windows, width: float) -> float:
     inside = masses[high] - np.where(low > 0, masses[low - 1], 0.0)
     best = int(np.argmax(inside))
     return float(np.median(levels[low[best] : high[best] + 1]))
+
+
+def _longest(times: Array, mask: Mask) -> Mask:
+    """Return the longest part of the mask without a pause of more than 2 s."""
+    index = np.flatnonzero(mask)
+    parts = np.split(index, np.flatnonzero(np.diff(times[index]) > _PAUSE) + 1)
+    chosen = np.zeros_like(mask)
+    chosen[max(parts, key=len)] = True
+    return chosen
 
 
 def _through(times: Array, knots: Array, levels: Array) -> Array:
