@@ -33,6 +33,7 @@ ROOMS = (
     "control",
     "tissue_feed",
     "offline",
+    "configure",
     "report",
     "nodes",
     "benchmarks",

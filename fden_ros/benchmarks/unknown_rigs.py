@@ -140,7 +140,7 @@ def simulate_rig(seed: int) -> SimulatedRig:
     force[kind == _RIGID] = push[kind == _RIGID]
     depth = depth + truth.compliance * np.where(kind == _RIGID, push, 0.0)
     # Lifting slowly to a shallower depth may leave the tissue for a moment, too.
-    truth = replace(truth, leaves=truth.leaves or bool(np.mean(force == 0.0) > 0.02))
+    truth = replace(truth, leaves=truth.leaves or bool(np.mean(force == 0.0) > 0.1))
     across, turn = np.concatenate(plan.across), np.concatenate(plan.turn)
     return SimulatedRig(_measure(truth, mount, times, depth, across, turn, force, draw), truth)
 

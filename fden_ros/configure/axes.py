@@ -20,6 +20,8 @@ LARGEST_SD = math.radians(2.0) / 2.45
 _TOGETHER = 0.5
 #: A bend of force over displacement shows the sign from this many deviations on.
 _BEND = 5.0
+#: No drive runs straighter than this [m]: a short stroke shows no direction.
+_STRAIGHT = 5e-6
 _PRESS = (
     "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
 )
@@ -83,6 +85,13 @@ def _from_touches(sessions: tuple[Session, ...]) -> Axes:
         motion_floors.append(floor)
         together.append((float(np.linalg.norm(part)), correlation))
     displacement = _combined(motion_parts, motion_floors)
+    if displacement is not None and displacement.direction.size > 1:
+        stroke = max(
+            float(np.ptp(s.position[c.first : c.last] @ displacement.direction))
+            for s, c, _ in pushes
+        )
+        bent = _STRAIGHT / max(stroke, 1e-300)
+        displacement = Axis(displacement.direction, math.hypot(displacement.sd, bent))
     weight = sum(w for w, _ in together)
     agreed = sum(w * c for w, c in together) / weight if weight > 0.0 else 0.0
     if agreed < _TOGETHER:
@@ -140,25 +149,19 @@ def _from_preload(sessions: tuple[Session, ...]) -> Axes:
     assert cross is not None
     left, _, right = np.linalg.svd(cross)
     into, grows = left[:, 0], right[0]
-    bends, curves = [], []
+    bends = []
     for session in sessions:
-        still = ~session.turning
-        depth = (session.position[still] - session.position[still].mean(axis=0)) @ into
-        force = (session.force[still] - session.force[still].mean(axis=0)) @ grows
-        depth = depth / max(float(depth.std()), 1e-300)
-        correlation = float(np.corrcoef(depth, force)[0, 1])
-        if correlation < _TOGETHER:
+        depth, force = _aligned(session, into, grows)
+        if float(np.corrcoef(depth, force)[0, 1]) < _TOGETHER:
             return Axes(None, None, sessions, "force and motion do not go together")
-        for part in np.array_split(np.arange(depth.size), 8):
+        for part in np.array_split(np.arange(depth.size), 9)[1:]:
             design = np.stack([np.ones(part.size), depth[part], depth[part] ** 2], axis=1)
             if part.size > 8 and float(depth[part].std()) > 0.3:
-                solution = np.linalg.lstsq(design, force[part], rcond=None)[0]
-                bends.append(float(solution[2]))
-                curves.append(float(solution[1]))
+                bends.append(float(np.linalg.lstsq(design, force[part], rcond=None)[0][2]))
     if len(bends) < 3:
         return Axes(None, None, sessions, "the probe hardly moves in contact")
-    mean = float(np.mean(bends))
-    sd = float(np.std(bends, ddof=1)) / math.sqrt(len(bends))
+    mean = float(np.median(bends))
+    sd = float(np.median(np.abs(np.array(bends) - mean))) / 0.6745 / math.sqrt(len(bends))
     if abs(mean) < _BEND * sd:
         return Axes(None, None, sessions, "it never leaves the surface, and shows no sign")
     sign = math.copysign(1.0, mean)
@@ -170,6 +173,21 @@ def _from_preload(sessions: tuple[Session, ...]) -> Axes:
         return Axes(Axis(np.array([sign * grows[0]]), 0.0), displacement, sessions)
     force_axis = _split_axis([s.force[~s.turning] for s in sessions], sign * grows)
     return Axes(force_axis, displacement, sessions)
+
+
+def _aligned(session: Session, into: Array, grows: Array) -> tuple[Array, Array]:
+    """Return depth, scaled to 1, and force at the same instants: the lag that fits best."""
+    streams = session.streams
+    step = max(float(np.median(np.diff(streams.force_times))), 5e-3)
+    times = np.arange(streams.start + 0.1, streams.end - 0.1, step)
+    columns = [np.interp(times, streams.force_times, column) for column in session.unloaded.T]
+    force = np.stack(columns, axis=1) @ grows
+    ways = [streams.position_at(times + lag) @ into for lag in np.linspace(-0.03, 0.08, 23)]
+    depth = max(ways, key=lambda way: float(np.corrcoef(way, force)[0, 1]))
+    depth = depth - depth.mean()
+    turning = np.interp(times, session.times, session.turning.astype(float)) > 0.0
+    depth, force = depth[~turning], (force - force.mean())[~turning]
+    return depth / max(float(depth.std()), 1e-300), force
 
 
 def _split_axis(values: Sequence[Array], direction: Array) -> Axis:

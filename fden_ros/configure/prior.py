@@ -21,6 +21,8 @@ _ALPHA, _ALPHA_SD = 0.2, 0.1
 _GRID = np.geomspace(2.0, 30.0, 15)
 #: A press to less than this strain says nothing of Gn.
 _LEAST_STRAIN = 0.05
+#: A press to less than this strain is no press of tissue.
+_TOUCHED = 0.02
 _NONLINEAR = 8.4
 _INDENTER = "state the indenter: --flat-punch AREA --thickness H, or --sphere R"
 
@@ -101,6 +103,8 @@ def _fit(
         return None
     strain = np.array([geometry.strain(max(d, 0.0) / geometry.length) for d in depth[: top + 1]])
     stress = geometry.stress_per_force * push[: top + 1]
+    if float(strain.max()) < _TOUCHED:
+        return None
     duration = float(session.times[first + top] - session.times[first])
     misfits, sizes = [], []
     for bend in _GRID:

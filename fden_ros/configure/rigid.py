@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fden_ros.configure.axes import Axes
+from fden_ros.configure.axes import Axes, Axis
+from fden_ros.configure.sampling import step_of
 from fden_ros.configure.session import Contact, Session
 from fden_ros.configure.statistics import Fit, fit
 from fden_ros.configure.streams import Array
@@ -20,6 +21,11 @@ _EARLIEST, _LATEST = -0.03, 0.08
 _LEAST_PUSH = 0.1
 #: What a line may leave: 1.5 deviations of the noise, or 2 % of the stroke.
 _MOST_NOISE, _MOST_SHARE = 1.5, 0.02
+#: The probe comes and leaves within this time [s], by more than 10 deviations of the noise, and
+#: the recording goes on around it for some chunks.
+_COMES = 1.0
+_CLEAR = 10.0
+_AROUND = 5
 #: A rigid press is this many times as stiff as the softest contact of the recordings.
 STIFFER = 3.0
 
@@ -38,6 +44,9 @@ class Press:
         Of the displacement behind the force [s].
     is_line : bool
         Whether the line is all there is: no relaxation, no bend, no loop.
+    is_whole : bool
+        Whether the probe came, pressed and left: a surface that comes to a probe at rest shows
+        nothing of the tool.
     stiffness : float
         Largest force over stroke [N/m].
     """
@@ -49,6 +58,7 @@ class Press:
     delay: float
     delay_sd: float
     is_line: bool
+    is_whole: bool
     stiffness: float
 
 
@@ -73,6 +83,7 @@ def rigid_presses(
         press
         for press in presses
         if press.is_line
+        and press.is_whole
         and (
             press.session.streams.name in named
             or 1.0 / max(press.compliance + 2.0 * press.compliance_sd, 1e-12)
@@ -146,6 +157,8 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
     )
     delay_sd = straight.sd * math.sqrt(spread / max(float(beside @ beside), 1e-300))
     noise = float(np.linalg.norm(session.motion_noise * axes.displacement.direction))
+    steps = [step_of(column) or 0.0 for column in streams.position.T]
+    noise = max(noise, max(steps) / math.sqrt(12.0))
     stroke = abs(slope) * float(np.ptp(push))
     return Press(
         session,
@@ -156,8 +169,18 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         delay,
         delay_sd,
         straight.sd < max(_MOST_NOISE * noise, _MOST_SHARE * stroke),
+        _is_whole(session, contact, axes.displacement, noise),
         float(push.max()) / max(float(np.ptp(way)), 1e-9),
     )
+
+
+def _is_whole(session: Session, contact: Contact, axis: Axis, noise: float) -> bool:
+    along = session.position @ axis.direction
+    before = (session.times > contact.start - _COMES) & (session.times <= contact.start + 0.1)
+    after = (session.times >= contact.end - 0.1) & (session.times < contact.end + _COMES)
+    if contact.first < _AROUND or contact.last > session.times.size - _AROUND:
+        return False
+    return bool(min(np.ptp(along[before]), np.ptp(along[after])) > _CLEAR * noise)
 
 
 def _rate(times: Array, push: Array, at: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fden_ros.configure.axes import Axis
 from fden_ros.configure.finding import Finding, unknown
-from fden_ros.configure.session import Mask, Session
+from fden_ros.configure.session import Mask, Session, runs
 from fden_ros.configure.statistics import noise_of
 from fden_ros.configure.streams import Array
 
@@ -70,7 +70,7 @@ def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding
         line = values @ axis.direction if axis is not None else values.mean(axis=1) * math.sqrt(
             values.shape[1]
         )
-        for start, stop in _stretches(inside):
+        for start, stop in runs(inside):
             part, at = line[start:stop], times[start:stop]
             if part.size < 8:
                 continue
@@ -85,7 +85,7 @@ def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding
         # Neighbouring distances share samples: the sum of their squared correlations is 1.94.
         sd = value * math.sqrt(1.94 / (2.0 * count))
         evidence = f"{count} samples at rest in the air"
-        step = max((_step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T))
+        step = max((step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T))
         if step > 2.0 * value:
             # Such steps hide the noise: what is left is the error of rounding.
             value, sd = step / math.sqrt(12.0), 0.2 * step / math.sqrt(12.0)
@@ -117,18 +117,12 @@ def _at_rest(session: Session, times: Array) -> Mask:
     return mask
 
 
-def _stretches(mask: Mask) -> list[tuple[int, int]]:
-    from fden_ros.configure.session import runs
-
-    return runs(mask)
-
-
 def _resolution(what: str, sessions: Sequence[Session]) -> Finding:
     subject, unit = f"{what} resolution", "N" if what == "force" else "m"
     steps = []
     for session in sessions:
         for column in _values(what, session)[1].T:
-            step = _step_of(column)
+            step = step_of(column)
             if step is None:
                 return Finding(
                     subject, True, None, None, unit, _all(sessions),
@@ -139,7 +133,7 @@ def _resolution(what: str, sessions: Sequence[Session]) -> Finding:
     return Finding(subject, True, step, 0.0, unit, _all(sessions), "values come in steps")
 
 
-def _step_of(values: Array) -> float | None:
+def step_of(values: Array) -> float | None:
     """Return the step in which values come; None where there is none."""
     different = np.unique(values)
     if different.size > _REPEATED * values.size or different.size < 4:

@@ -28,6 +28,8 @@ _SHARE = 0.003
 #: A stretch of this time [s] is flat if it scatters by less than 2.5 times the usual.
 _WINDOW = 0.6
 _FLAT = 2.5
+#: Scatter of more than this share of the range is motion in contact, not noise.
+_STILL = 0.02
 #: The first stretch of air is taken up to a pause of this time [s].
 _PAUSE = 2.0
 #: The level in the air drifts by some 0.2 % of the range a second, before more is known.
@@ -259,7 +261,8 @@ class _Air:
         if index.shape[0] < 3:
             return _Windows(np.empty(0), np.empty(0), np.empty(0), 0.0)
         levels, scatter = line[index].mean(axis=1), line[index].std(axis=1, ddof=1)
-        usual = max(noise, float(np.quantile(scatter, 0.1)))
+        usual = min(float(np.quantile(scatter, 0.1)), _STILL * float(np.ptp(line)))
+        usual = max(noise, usual)
         flat = scatter < _FLAT * usual
         path = np.linalg.norm(np.diff(position[index], axis=1), axis=2).sum(axis=1)
         times = self._times[index].mean(axis=1)
