@@ -92,7 +92,7 @@ class _Plan:
         wave: tuple[float, float] | None = None,
     ) -> None:
         """Go on for `duration` s to what is given; `push` is from and to on something rigid."""
-        n = max(int(round(duration / _STEP)), 1)
+        n = max(round(duration / _STEP), 1)
         share = np.arange(1, n + 1) / n
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
         to_depth = self.at_depth if depth is None else depth
@@ -135,7 +135,7 @@ def simulate_rig(seed: int) -> SimulatedRig:
     depth = np.concatenate(plan.depth)
     kind = np.concatenate(plan.kind)
     push = np.concatenate(plan.push)
-    times = _START + _STEP * np.arange(1, depth.size + 1)
+    times: Array = np.asarray(_START + _STEP * np.arange(1, depth.size + 1), dtype=np.float64)
     force = _tissue_force(truth, depth, kind == _TISSUE, draw)
     force[kind == _RIGID] = push[kind == _RIGID]
     depth = depth + truth.compliance * np.where(kind == _RIGID, push, 0.0)
@@ -299,7 +299,12 @@ def rotations(vectors: Array) -> Array:
     axes = vectors / np.maximum(angles, 1e-12)[:, None]
     cross = np.zeros((angles.size, 3, 3))
     for row, column, part, sign in (
-        (0, 1, 2, -1), (0, 2, 1, 1), (1, 0, 2, 1), (1, 2, 0, -1), (2, 0, 1, -1), (2, 1, 0, 1)
+        (0, 1, 2, -1),
+        (0, 2, 1, 1),
+        (1, 0, 2, 1),
+        (1, 2, 0, -1),
+        (2, 0, 1, -1),
+        (2, 1, 0, 1),
     ):
         cross[:, row, column] = sign * axes[:, part]
     sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]

@@ -54,7 +54,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="RECORDING",
         help="rosbag2 folders, .mcap files or tables of one rig",
     )
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="parameter file to write")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"
+    )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the evidence")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

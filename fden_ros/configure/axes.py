@@ -138,7 +138,7 @@ def _combined(parts: Sequence[Array], floors: Sequence[float]) -> Axis | None:
 
 
 def _from_preload(sessions: tuple[Session, ...]) -> Axes:
-    """The probe never leaves: a common line, and the sign from the law's stiffening."""
+    """Return a common line where the probe never leaves; its sign from the stiffening."""
     cross: Array | None = None
     for session in sessions:
         still = ~session.turning
@@ -201,9 +201,7 @@ def _split_axis(values: Sequence[Array], direction: Array) -> Axis:
     return axis if axis is not None else Axis(direction, math.inf)
 
 
-def _finding(
-    what: str, axis: Axis | None, sessions: tuple[Session, ...], reason: str
-) -> Finding:
+def _finding(what: str, axis: Axis | None, sessions: tuple[Session, ...], reason: str) -> Finding:
     subject = f"{what} axis"
     if axis is None:
         return unknown(subject, reason or "no contact was seen", _PRESS)

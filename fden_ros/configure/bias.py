@@ -43,15 +43,17 @@ def _bias(sessions: Sequence[Session], axis: Axis, load_sd: float) -> Finding:
             end = min(float(session.edges[last]), start + _MOST)
             if end - start < _LEAST:
                 continue
-            inside = (session.streams.force_times >= start) & (
-                session.streams.force_times < end
-            )
+            inside = (session.streams.force_times >= start) & (session.streams.force_times < end)
             values = session.unloaded[inside] @ axis.direction
             found = fit(np.ones((values.size, 1)), values)
             zero = session.streams.start
             return Finding(
-                "force bias", True, float(found.solution[0]),
-                math.hypot(math.sqrt(float(found.covariance[0, 0])), load_sd), "N", ((start - zero, end - zero),),
+                "force bias",
+                True,
+                float(found.solution[0]),
+                math.hypot(math.sqrt(float(found.covariance[0, 0])), load_sd),
+                "N",
+                ((start - zero, end - zero),),
                 "mean force along the axis, the tool's weight taken off; measured anew before "
                 "each contact",
             )
@@ -81,8 +83,14 @@ def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
     parameters = {"force.drift_sd": round(worst, 5)} if worst > _DEFAULT_DRIFT else {}
     kept = "" if parameters else "; within the default of force.drift_sd, which stays"
     return Finding(
-        "force drift", True, slope, sd, "N/s", tuple(seconds),
-        f"line through {len(seconds)} stretches in the air{kept}", parameters=parameters,
+        "force drift",
+        True,
+        slope,
+        sd,
+        "N/s",
+        tuple(seconds),
+        f"line through {len(seconds)} stretches in the air{kept}",
+        parameters=parameters,
     )
 
 

@@ -38,7 +38,12 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
     if sd > _LARGEST_SHARE * abs(value):
         limit = max(value, 0.0) + 2.0 * sd
         return Finding(
-            subject, True, max(value, 0.0), sd, "m/N", seconds,
+            subject,
+            True,
+            max(value, 0.0),
+            sd,
+            "m/N",
+            seconds,
             f"too small to measure: below {1e3 * limit:.2g} mm/N, by {count}",
             parameters={
                 "displacement.compliance": round(max(value, 0.0), 9),
@@ -50,7 +55,13 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
             subject, f"the probe goes back as the force rises, by {count}: not one axis", _MOTION
         )
     return Finding(
-        subject, True, value, sd, "m/N", seconds, count,
+        subject,
+        True,
+        value,
+        sd,
+        "m/N",
+        seconds,
+        count,
         parameters={
             "displacement.compliance": float(f"{value:.5g}"),
             "displacement.compliance_sd": float(f"{max(sd, 0.02 * value):.3g}"),

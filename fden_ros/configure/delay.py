@@ -71,7 +71,9 @@ def delay_finding(
     if good:
         return _combined(good)
     singles = [
-        (oscillation, seconds) for result, seconds in results for oscillation in result.oscillations
+        (oscillation, seconds)
+        for result, seconds in results
+        for oscillation in result.oscillations
     ]
     if singles:
         return _undecided(singles, sources)
@@ -129,7 +131,9 @@ def _oscillations(
             assumed = delay if found is None or found.delay is None else found.delay
             bent = gives * np.interp(stamps - assumed, force_times, push)
             try:
-                found = find_delay(force, Samples(stamps - zero, way - bent))
+                # A probe that stands still has strokes of 0, which are no oscillation.
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    found = find_delay(force, Samples(stamps - zero, way - bent))
             except InputError:
                 break
             if not gives or found.delay is None:
@@ -166,7 +170,11 @@ def _combined(sources: Sequence[_Source]) -> Finding:
     value = float(weights @ [source.delay for source in sources] / weights.sum())
     sd = math.sqrt(1.0 / float(weights.sum()))
     return Finding(
-        "delay", True, value, sd, "s",
+        "delay",
+        True,
+        value,
+        sd,
+        "s",
         tuple(span for source in sources for span in source.seconds),
         "from " + " and ".join(source.name for source in sources),
         parameters={
@@ -189,8 +197,14 @@ def _undecided(
         else f"and no tissue has the alpha of {order:.2f} that no delay would mean"
     )
     return Finding(
-        "delay", False, longest.delay(0.0), None, "s", seconds,
-        f"at {longest.frequency:.3g} Hz the force leads by {math.degrees(longest.lead):.1f} degrees: "
+        "delay",
+        False,
+        longest.delay(0.0),
+        None,
+        "s",
+        seconds,
+        f"at {longest.frequency:.3g} Hz the force leads by {math.degrees(longest.lead):.1f} "
+        "degrees: "
         f"a delay of {1e3 * longest.delay(0.0):.1f} ms if alpha is 0, {explained}; with an alpha "
         f"of {_LARGEST_ALPHA:g} {at_least:.1f} ms",
         "oscillate at a second frequency too, four times as fast, or " + _MOTION,

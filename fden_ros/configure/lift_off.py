@@ -21,7 +21,12 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
     if not all(session.leaves for session in sessions):
         names = ", ".join(s.streams.name for s in sessions if not s.leaves)
         return Finding(
-            subject, True, "never", None, "", tuple(s.seconds()[0] for s in sessions),
+            subject,
+            True,
+            "never",
+            None,
+            "",
+            tuple(s.seconds()[0] for s in sessions),
             f"in {names} the force follows the motion throughout: nothing is known of the air",
             "begin with 2 s in the air, and lift off by 3 mm after each press",
         )
@@ -33,6 +38,12 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
     motion = "" if first >= _LEAST else f"begin with 2 s in the air: there is only {first:.1f} s"
     share = float(np.mean(np.concatenate([s.air for s in sessions])))
     return Finding(
-        subject, True, "yes", None, "", seconds,
-        f"{count} contacts, in the air for {100.0 * share:.0f} % of the time", motion,
+        subject,
+        True,
+        "yes",
+        None,
+        "",
+        seconds,
+        f"{count} contacts, in the air for {100.0 * share:.0f} % of the time",
+        motion,
     )

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from fden_ros.configure.finding import Finding
 from fden_ros.configure.session import Session
+from fden_ros.configure.streams import Array
 from fden_ros.configure.survey import Survey
 from fden_ros.configure.writer import value_text
 
@@ -38,7 +39,7 @@ def _title(panel: Panel, finding: Finding) -> None:
     panel.set_title(f"{finding.subject}: {text}", fontsize=10, loc="left")
 
 
-def _along(survey: Survey, session: Session) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+def _along(survey: Survey, session: Session) -> tuple[Array, Array]:
     axes = survey.axes
     force = axes.force.direction if axes.force is not None else None
     motion = axes.displacement.direction if axes.displacement is not None else None
@@ -148,4 +149,6 @@ def _words(panel: Panel, survey: Survey) -> None:
         lines.append(f"{name}: {text}")
     panel.text(0.0, 0.95, "\n".join(lines), va="top", transform=panel.transAxes, fontsize=10)
     delay = survey.finding("delay")
-    panel.text(0.0, 0.5, delay.evidence, va="top", transform=panel.transAxes, fontsize=8, wrap=True)
+    panel.text(
+        0.0, 0.5, delay.evidence, va="top", transform=panel.transAxes, fontsize=8, wrap=True
+    )

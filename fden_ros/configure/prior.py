@@ -35,7 +35,13 @@ def geometry_finding(stated: dict[str, float | str] | None) -> Finding:
         )
     words = ", ".join(f"{name} {value}" for name, value in stated.items())
     return Finding(
-        "indenter", True, words, None, "", (), "as stated",
+        "indenter",
+        True,
+        words,
+        None,
+        "",
+        (),
+        "as stated",
         parameters={f"geometry.{name}": value for name, value in stated.items()},
     )
 
@@ -66,7 +72,8 @@ def prior_finding(
                 seconds.append(session.seconds((contact,))[0])
     if not fits:
         return unknown(
-            subject, "no press of tissue from the air on was seen",
+            subject,
+            "no press of tissue from the air on was seen",
             "press tissue to a strain of 0.2 in a second, hold for 2 s, lift off",
         )
     logs = np.log([stiffness for stiffness, _ in fits])
@@ -75,7 +82,12 @@ def prior_finding(
     bends = [bend for _, bend in fits if bend is not None]
     bend = float(np.exp(np.median(np.log(bends)))) if bends else _NONLINEAR
     return Finding(
-        subject, True, (median, bend, _ALPHA), None, "", tuple(seconds),
+        subject,
+        True,
+        (median, bend, _ALPHA),
+        None,
+        "",
+        tuple(seconds),
         f"loading of {len(fits)} presses, made wide: the same data are identified with it",
         parameters={
             "prior.linear_stiffness": float(f"{median:.3g}"),

@@ -12,11 +12,11 @@ import numpy as np
 
 from fden_ros.configure.streams import Array, Streams
 from fden_ros.errors import InputError
+from fden_ros.parameters import check
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import Topic
 from fden_ros.recording.source import BagSource, Selection
 from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
-from fden_ros.parameters import check
 from fden_ros.ros.messages import stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
@@ -33,8 +33,17 @@ _WORDS = {
     "time": ("time", "t", "stamp", "timestamp", "zeit"),
     "force": ("force", "f", "fz", "load", "kraft"),
     "displacement": (
-        "displacement", "depth", "position", "indentation", "penetration", "z", "x", "pos",
-        "disp", "stroke", "extension",
+        "displacement",
+        "depth",
+        "position",
+        "indentation",
+        "penetration",
+        "z",
+        "x",
+        "pos",
+        "disp",
+        "stroke",
+        "extension",
     ),
 }
 _UNITS = {
@@ -135,9 +144,17 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     times, kept = _times(stamps, int(stamps.min()), np.isfinite(values).all(axis=1))
     streams = Streams(str(path), times, values[kept, :1], times, values[kept, 1:])
     return Reading(
-        path, streams, selection,
-        {"force": f"column {columns.force.name}", "displacement": f"column {columns.displacement.name}"},
-        {}, {}, {}, table.warnings,
+        path,
+        streams,
+        selection,
+        {
+            "force": f"column {columns.force.name}",
+            "displacement": f"column {columns.displacement.name}",
+        },
+        {},
+        {},
+        {},
+        table.warnings,
     )
 
 
@@ -211,9 +228,7 @@ class _Column:
         return place.x, place.y, place.z
 
 
-def _read_bag(
-    path: Path, selection: Selection, show: Callable[[int, int], object]
-) -> Reading:
+def _read_bag(path: Path, selection: Selection, show: Callable[[int, int], object]) -> Reading:
     source = BagSource(path, check({}), selection)
     force = _Column(source.force, selection.force_field, "force")
     displacement = _Column(source.displacement, selection.displacement_field, "displacement")
@@ -237,10 +252,14 @@ def _read_bag(
     for column in columns.values():
         if column.damaged:
             warnings.append(
-                f"{column.topic.name}: {column.damaged} messages without stamp or value are left out"
+                f"{column.topic.name}: {column.damaged} messages without stamp or value are left "
+                "out"
             )
     return Reading(
-        path, streams, selection, source.inputs,
+        path,
+        streams,
+        selection,
+        source.inputs,
         {what: column.topic.type_name for what, column in columns.items()},
         joints,
         {what: column.frame for what, column in columns.items()},
@@ -252,7 +271,10 @@ def _streams(name: str, force: _Column, displacement: _Column) -> Streams:
     force_stamps = np.array(force.stamps, dtype=np.int64)
     motion_stamps = np.array(displacement.stamps, dtype=np.int64)
     first = int(min(force_stamps.min(), motion_stamps.min()))
-    forces, places = np.array(force.values, dtype=float), np.array(displacement.values, dtype=float)
+    forces, places = (
+        np.array(force.values, dtype=float),
+        np.array(displacement.values, dtype=float),
+    )
     torques = np.array(force.torques, dtype=float)
     turns = np.array(displacement.turns, dtype=float)
     force_times, kept = _times(force_stamps, first, np.isfinite(forces).all(axis=1))
@@ -263,7 +285,11 @@ def _streams(name: str, force: _Column, displacement: _Column) -> Streams:
         whole = bool(np.mean(np.abs(np.linalg.norm(turns, axis=1) - 1.0) < 0.01) > 0.99)
     motion_times, kept_motion = _times(motion_stamps, first, good)
     return Streams(
-        name, force_times, forces[kept], motion_times, places[kept_motion],
+        name,
+        force_times,
+        forces[kept],
+        motion_times,
+        places[kept_motion],
         torques[kept] if torques.shape[:1] == force_stamps.shape else None,
         turns[kept_motion] if whole else None,
     )
@@ -296,8 +322,13 @@ def _picked(
             named["displacement"] = joints[int(best[0])]
     return (
         Streams(
-            streams.name, streams.force_times, force, streams.motion_times, position,
-            streams.torque, streams.orientation,
+            streams.name,
+            streams.force_times,
+            force,
+            streams.motion_times,
+            position,
+            streams.torque,
+            streams.orientation,
         ),
         named,
     )

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from fden_ros.configure.axes import Axes, Axis
@@ -86,8 +87,7 @@ def rigid_presses(
         and press.is_whole
         and (
             press.session.streams.name in named
-            or 1.0 / max(press.compliance + 2.0 * press.compliance_sd, 1e-12)
-            > STIFFER * softest
+            or 1.0 / max(press.compliance + 2.0 * press.compliance_sd, 1e-12) > STIFFER * softest
         )
     )
 
@@ -119,7 +119,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
     least = _LEAST_PUSH * float(push.max())
     thin = max(stamps.size // 3000, 1)
 
-    def line(delay: float, some: int = 1) -> tuple[Fit, Array] | None:
+    def line(delay: float, some: int = 1) -> tuple[Fit, NDArray[np.intp]] | None:
         at = np.interp(stamps[::some] - delay, times, push)
         chosen = at > least
         if chosen.sum() < 15:

@@ -19,6 +19,8 @@ _GAP_STEPS, _GAP = 10.0, 0.02
 _REPEATED = 0.5
 #: The rate that a contact of a second needs [Hz]; below, touches are seen late.
 _SLOW = 50.0
+#: White noise stays the same within this share where every other sample is left out.
+_SAME = 0.15
 #: Fewer samples at rest do not tell the noise.
 _LEAST = 60
 
@@ -67,8 +69,10 @@ def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding
     for session in sessions:
         times, values = _values(what, session)
         inside = _at_rest(session, times)
-        line = values @ axis.direction if axis is not None else values.mean(axis=1) * math.sqrt(
-            values.shape[1]
+        line = (
+            values @ axis.direction
+            if axis is not None
+            else values.mean(axis=1) * math.sqrt(values.shape[1])
         )
         for start, stop in runs(inside):
             part, at = line[start:stop], times[start:stop]
@@ -85,25 +89,39 @@ def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding
         # Neighbouring distances share samples: the sum of their squared correlations is 1.94.
         sd = value * math.sqrt(1.94 / (2.0 * count))
         evidence = f"{count} samples at rest in the air"
-        step = max((step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T))
-        if step > 2.0 * value:
+        rounded = max(step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T)
+        if rounded > 2.0 * value:
             # Such steps hide the noise: what is left is the error of rounding.
-            value, sd = step / math.sqrt(12.0), 0.2 * step / math.sqrt(12.0)
+            value = rounded / math.sqrt(12.0)
+            sd = 0.2 * value
             evidence = "that of rounding: the values come in larger steps than the noise"
         return Finding(subject, True, value, sd, unit, _all(sessions), evidence)
-    noises = [
-        float(np.median(noise_of(*_values(what, session)))) for session in sessions
-    ]
-    if not noises or not math.isfinite(noises[0]):
+    noises = [_in_motion(*_values(what, session)) for session in sessions]
+    if not noises or not math.isfinite(noises[0][0]):
         return unknown(subject, "too few samples", "hold still in the air for 2 s")
+    value = float(np.mean([one for one, _ in noises]))
+    white = all(is_white for _, is_white in noises)
     return Finding(
-        subject, False, float(np.mean(noises)), None, unit, _all(sessions),
-        "from samples in motion", "hold still in the air for 2 s",
+        subject,
+        white,
+        value,
+        0.1 * value if white else None,
+        unit,
+        _all(sessions),
+        "from samples in motion, which lie that far from the lines between their neighbours",
+        "" if white else "hold still in the air for 2 s",
     )
 
 
+def _in_motion(times: Array, values: Array) -> tuple[float, bool]:
+    """Return the noise of moving samples, and whether it is: the same of every other sample."""
+    noise = float(np.median(noise_of(times, values)))
+    thinned = float(np.median(noise_of(times[::2], values[::2])))
+    return noise, abs(thinned - noise) < _SAME * noise
+
+
 def _at_rest(session: Session, times: Array) -> Mask:
-    """Samples in chunks in the air in which the probe neither moves nor turns."""
+    """Return which samples are in chunks in the air in which the probe neither moves nor turns."""
     steps = np.zeros(session.times.size)
     moved = np.linalg.norm(np.diff(session.position, axis=0), axis=1)
     steps[1:] = moved
@@ -125,7 +143,12 @@ def _resolution(what: str, sessions: Sequence[Session]) -> Finding:
             step = step_of(column)
             if step is None:
                 return Finding(
-                    subject, True, None, None, unit, _all(sessions),
+                    subject,
+                    True,
+                    None,
+                    None,
+                    unit,
+                    _all(sessions),
                     "no steps are seen: finer than the noise",
                 )
             steps.append(step)

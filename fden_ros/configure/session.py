@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fden_ros.configure.finding import Seconds
 from fden_ros.configure.statistics import noise_of
 from fden_ros.configure.streams import Array, Streams
 
@@ -97,13 +98,13 @@ class Session:
         """Force of the contact (n, k)."""
         return self.force - self.baseline
 
-    def seconds(self, contacts: tuple[Contact, ...] | None = None) -> tuple:  # type: ignore[type-arg]
+    def seconds(self, contacts: tuple[Contact, ...] | None = None) -> Seconds:
         """Return the times of contacts since the first stamp."""
         chosen = self.contacts if contacts is None else contacts
         first = self.streams.start
         return tuple((c.start - first, c.end - first) for c in chosen)
 
-    def air_seconds(self) -> tuple:  # type: ignore[type-arg]
+    def air_seconds(self) -> Seconds:
         """Return the stretches in the air since the first stamp."""
         first = self.streams.start
         return tuple(
@@ -156,7 +157,11 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
     padded = np.concatenate([[False], mask, [False]]).astype(np.int8)
     change = np.diff(padded)
     return list(
-        zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True)
+        zip(
+            np.flatnonzero(change == 1).tolist(),
+            np.flatnonzero(change == -1).tolist(),
+            strict=True,
+        )
     )
 
 
@@ -168,7 +173,7 @@ def _edges(streams: Streams) -> Array:
     ]
     width = max(_CHUNK, 4.0 / rates[0], 3.0 / rates[1])
     count = max(int(length / width), 1)
-    return streams.start + width * np.arange(count + 1)
+    return np.asarray(streams.start + width * np.arange(count + 1), dtype=np.float64)
 
 
 def _means(times: Array, values: Array, edges: Array) -> Array:

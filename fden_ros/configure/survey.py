@@ -119,7 +119,10 @@ def _in_known_units(finding: Finding, units: Units) -> Finding:
     if not finding.claim or known.get(finding.unit, True) or finding.subject.endswith("unit"):
         return finding
     return replace(
-        finding, claim=False, evidence=f"{finding.evidence}; the unit is not known", parameters={},
+        finding,
+        claim=False,
+        evidence=f"{finding.evidence}; the unit is not known",
+        parameters={},
         motion="say which unit it is",
     )
 

@@ -1,4 +1,4 @@
-"""Units that are off: millimetres for metres, grams for newtons, by the range of what is plausible.
+"""Units that are off: millimetres for metres, grams for newtons, by the range of the plausible.
 
 Each clue is a quantity with its usual size and spread among palpating probes; the unit under
 which all clues together are likelier is named, where the odds are large.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,13 @@ def _position_unit(sessions: Sequence[Session], axes: Axes) -> tuple[float, Find
     odds = _odds(clues, {"m": 1.0, "mm": 1e-3})
     described = ", ".join(f"{usual.name} of {value:.3g}" for usual, value in clues)
     return _named(
-        "displacement unit", odds, described, "m", "mm", 1e-3, _seconds(sessions),
+        "displacement unit",
+        odds,
+        described,
+        "m",
+        "mm",
+        1e-3,
+        _seconds(sessions),
         "the positions are millimetres (or degrees of a joint that turns), not metres: "
         "divide by 1000 in the driver; a table takes *1e-3",
     )
@@ -83,9 +90,10 @@ def _force_unit(
     if noise > 0.0:
         clues.append((_NOISE, noise))
     if axes.force is not None and axes.sessions:
-        push = [s.net @ axes.force.direction for s in axes.sessions if s.leaves]
+        push: list[Any] = [s.net @ axes.force.direction for s in axes.sessions if s.leaves]
+        push += [np.ptp(s.force @ axes.force.direction) for s in axes.sessions if not s.leaves]
         if push:
-            clues.append((_PEAK, max(float(p.max()) for p in push)))
+            clues.append((_PEAK, max(float(np.max(p)) for p in push)))
         stiffness = _softest(axes, metre)
         if stiffness > 0.0:
             clues.append((_STIFFNESS, stiffness))
@@ -94,7 +102,13 @@ def _force_unit(
     odds = _odds(clues, {"N": 1.0, "g": GRAM_FORCE})
     described = ", ".join(f"{usual.name} of {value:.3g}" for usual, value in clues)
     return _named(
-        "force unit", odds, described, "N", "g", GRAM_FORCE, _seconds(sessions),
+        "force unit",
+        odds,
+        described,
+        "N",
+        "g",
+        GRAM_FORCE,
+        _seconds(sessions),
         "the forces are grams, not newtons: multiply by 9.80665e-3 in the driver; a table takes "
         "*9.80665e-3",
     )

@@ -181,7 +181,13 @@ def weight_finding(
         limit = size + 2.0 * sd
         evidence = f"less than {limit:.2g} N goes with the turns: the driver has taken it off"
         nothing = Finding(
-            names[0], True, 0.0, (limit / GRAVITY) / 2.0, "kg", weight.seconds, evidence,
+            names[0],
+            True,
+            0.0,
+            (limit / GRAVITY) / 2.0,
+            "kg",
+            weight.seconds,
+            evidence,
             parameters={"tool.mass": 0.0},
         )
         return nothing, unknown(names[1], evidence, "nothing: there is no weight to take off")
@@ -202,7 +208,13 @@ def weight_finding(
     gravity = [round(float(v), 4) for v in GRAVITY * weight.down]
     evidence = f"least squares over the turns leave {newton * weight.left:.2g} N of {size:.3g} N"
     found = Finding(
-        names[0], True, mass, mass_sd, "kg", weight.seconds, evidence,
+        names[0],
+        True,
+        mass,
+        mass_sd,
+        "kg",
+        weight.seconds,
+        evidence,
         parameters={"tool.mass": round(mass, 5), "tool.gravity": gravity},
     )
     if not math.isfinite(weight.centre_sd) or weight.centre_sd > 0.005:
@@ -210,7 +222,12 @@ def weight_finding(
         return found, unknown(names[1], reason, _MOTION)
     centre = tuple(float(v) for v in weight.centre)
     return found, Finding(
-        names[1], True, centre, weight.centre_sd, "m", weight.seconds,
+        names[1],
+        True,
+        centre,
+        weight.centre_sd,
+        "m",
+        weight.seconds,
         "from the torques in the same turns",
         parameters={"tool.centre_of_mass": [round(v, 5) for v in centre]},
     )
@@ -291,9 +308,7 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     values, nuisance = turns.values(), turns.nuisance()
     aligned = _fit_one(turns, values, nuisance, _aligned_columns)
     free = _fit_one(turns, values, nuisance, _free_columns)
-    noise = float(
-        np.mean([noise_of(s.force_times, s.force).mean() for s in turns.streams])
-    )
+    noise = float(np.mean([noise_of(s.force_times, s.force).mean() for s in turns.streams]))
     weight = float(np.linalg.norm(aligned.solution[:3]))
     strained = math.sqrt(float(np.mean(aligned.residual**2)))
     relaxed = math.sqrt(float(np.mean(free.residual**2)))
@@ -329,8 +344,20 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     else:
         centre, centre_sd = np.full(3, np.nan), math.nan
     return Weight(
-        matrix, down, weight, sd, is_aligned, turned_by, chosen.delay, chosen.delay_sd, centre,
-        centre_sd, strained, noise, seconds, holds,
+        matrix,
+        down,
+        weight,
+        sd,
+        is_aligned,
+        turned_by,
+        chosen.delay,
+        chosen.delay_sd,
+        centre,
+        centre_sd,
+        strained,
+        noise,
+        seconds,
+        holds,
     )
 
 

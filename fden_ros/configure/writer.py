@@ -119,9 +119,9 @@ def value_text(finding: Finding) -> str:
     if isinstance(value, tuple):
         text = "[" + ", ".join(f"{scale * part:.4g}" for part in value) + "]"
     else:
-        digits = 4 if not sd or not value else max(2, min(6, _digits(value / sd)))
+        digits = 4 if not sd or not value else max(2, min(6, _digits(value / sd) + 1))
         text = f"{scale * value:.{digits}g}"
-    if sd:
+    if sd and not (isinstance(value, float) and sd < 1e-6 * abs(value)):
         text += f" ± {scale * sd:.2g}"
     return f"{text} {unit}".strip()
 
@@ -160,7 +160,8 @@ def _head(survey: Survey, readings: Sequence[Reading]) -> list[str]:
     for reading in readings:
         lines += _comment(
             f"{reading.path}: force {_source(reading, 'force')}, displacement "
-            f"{_source(reading, 'displacement')}", "",
+            f"{_source(reading, 'displacement')}",
+            "",
         )
         for warning in reading.warnings:
             lines += _comment(f"warning: {warning}", "")
@@ -175,9 +176,7 @@ def _head(survey: Survey, readings: Sequence[Reading]) -> list[str]:
         lines += _comment(f"ATTENTION: {problem}", "")
     lines.append("#")
     for finding in survey.findings:
-        if finding.subject not in _GROUPS and not finding.parameters:
-            lines += _comment(_sentence(finding), "")
-        elif finding.subject not in _GROUPS:
+        if finding.subject not in _GROUPS:
             lines += _comment(_sentence(finding), "")
     return lines
 
@@ -207,8 +206,12 @@ def _ordered(values: dict[str, Value]) -> list[str]:
 
 def _comment(text: str, indent: str) -> list[str]:
     return textwrap.wrap(
-        text, _WIDTH, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}#   ",
-        break_long_words=False, break_on_hyphens=False,
+        text,
+        _WIDTH,
+        initial_indent=f"{indent}# ",
+        subsequent_indent=f"{indent}#   ",
+        break_long_words=False,
+        break_on_hyphens=False,
     )
 
 
