@@ -2,8 +2,8 @@
 
 Each rig is drawn whole: axes, signs, units, rates of 30 Hz to 1 kHz, delays of -5 to 30 ms,
 compliances up to 1 mm/N, tools up to 1 kg (or taken off by the driver), bias, drift, noise, steps,
-breathing, the tissue, and what its recording holds: turns in the air, presses of a rigid plate,
-presses of tissue, oscillations at one or two frequencies, or a probe that never leaves the surface.
+breathing, the tissue, and what its recording holds: turns in the air, presses of a plate,
+presses of tissue, oscillations at one or two frequencies, or a probe that never leaves it.
 """
 
 from __future__ import annotations

@@ -27,13 +27,13 @@ class Fit(NamedTuple):
 def fit(design: Array, values: Array) -> Fit:
     """Fit `values` (n,) by the columns of `design` (n, p), in order of time."""
     solution, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
-    solution = solution.astype(np.float64)
     residual = values - design @ solution
     freedom = max(values.size - int(rank), 1)
     variance = float(residual @ residual) / freedom
     inverse = np.linalg.pinv(design.T @ design)
     covariance = inverse * variance * inflation(residual)
-    return Fit(solution, np.asarray(covariance, np.float64), residual, math.sqrt(variance))
+    sd = math.sqrt(variance)
+    return Fit(solution.astype(float), np.asarray(covariance, np.float64), residual, sd)
 
 
 def inflation(residual: Array) -> float:
