@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,10 +128,32 @@ class _Mount:
     lever: Array  #: from the centre of the turns to the reported point, in the pose's frame [m]
 
 
-def simulate_rig(seed: int) -> SimulatedRig:
-    """Return the recording of one rig, everything drawn from `seed`."""
+def simulate_rig(seed: int, *, along_tool: bool = False, **chosen: Any) -> SimulatedRig:
+    """Return the recording of one rig.
+
+    Parameters
+    ----------
+    seed : int
+        Everything is drawn from it ...
+    along_tool : bool
+        ... but for the directions, if the probe presses along the z of its poses ...
+    **chosen
+        ... and for these fields of :class:`RigTruth`.
+    """
     draw = np.random.default_rng([seed, 17])
     truth, mount = _draw_rig(seed, draw)
+    truth = replace(truth, **chosen)
+    if along_tool:
+        into = mount.facing[:, 2]
+        mount = replace(mount, into=into, sensor=np.eye(3))
+        truth = replace(
+            truth,
+            sensor_turned=False,
+            force_axis=-truth.sensor_sign * np.array([0.0, 0.0, 1.0]),
+            displacement_axis=into,
+            bias=np.resize(truth.bias, 3),
+            drift=np.resize(truth.drift, 3),
+        )
     plan, truth = _draw_motion(truth, draw)
     depth = np.concatenate(plan.depth)
     kind = np.concatenate(plan.kind)

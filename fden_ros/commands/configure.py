@@ -15,6 +15,7 @@ from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
     from fden_ros.configure.reading import Reading
+    from fden_ros.configure.robots import Robot
     from fden_ros.configure.survey import Survey
 
 DESCRIPTION = """\
@@ -50,7 +51,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "recordings",
         type=Path,
-        nargs="+",
+        nargs="*",
         metavar="RECORDING",
         help="rosbag2 folders, .mcap files or tables of one rig",
     )
@@ -58,6 +59,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the evidence")
+    parser.add_argument(
+        "--robot",
+        metavar="NAME",
+        help="topics and conventions of a known robot: crtk, franka, kuka_iiwa, ros2_control, ur, "
+        "xarm; without a recording: a file from its conventions alone",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
         "--rigid",
@@ -77,18 +84,24 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Read, find out, print and write; return the exit code."""
+    from fden_ros.configure.robots import robot_named, robot_notes
     from fden_ros.configure.writer import parameter_file, replay_command, replay_problems
 
     stated, geometry = _indenter(args)
+    robot = robot_named(args.robot) if args.robot else None
+    if not args.recordings:
+        if robot is None:
+            args.parser.error("name a recording, or a robot with --robot")
+        return _from_conventions(args.output, robot)
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     if unknown:
         args.parser.error(f"--rigid {unknown[0]} is none of the recordings")
-    readings = _read(args)
+    readings = _read(args, robot)
     found = _survey(readings, stated, geometry, [str(path) for path in args.rigid])
-    text = parameter_file(found, readings)
-    for path, save in ((args.output, lambda p: p.write_text(text, encoding="utf-8")),):
-        if path is not None:
-            _save(path, save)
+    notes = robot_notes(robot, found) if robot is not None else []
+    if args.output is not None:
+        text = parameter_file(found, readings, notes)
+        _save(args.output, lambda path: path.write_text(text, encoding="utf-8"))
     if args.plot is not None:
         from fden_ros.configure.picture import save_picture
 
@@ -98,6 +111,8 @@ def run(args: argparse.Namespace) -> int:
         print()
         return 0
     _show(found, readings)
+    for note in notes:
+        print(f"note: {note}")
     for problem in replay_problems(found, readings):
         print(f"ATTENTION: {problem}")
     if args.plot is not None:
@@ -158,12 +173,27 @@ def _indenter(args: argparse.Namespace) -> tuple[dict[str, float | str] | None, 
     return stated, geometry_of(parameters)
 
 
-def _read(args: argparse.Namespace) -> list[Reading]:
-    from fden_ros.configure.reading import read
+def _from_conventions(output: Path | None, robot: Robot) -> int:
+    from fden_ros.configure.robots import robot_file
 
-    selection = selection_of(args)
+    text = robot_file(robot)
+    if output is None:
+        print(text, end="")
+        return 0
+    _save(output, lambda path: path.write_text(text, encoding="utf-8"))
+    print(f"wrote {output}")
+    print(f"Next: record a press, then fden configure --robot {robot.name} RECORDING")
+    return 0
+
+
+def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
+    from fden_ros.configure.reading import read
+    from fden_ros.configure.robots import robot_selection
+
+    given = selection_of(args)
     readings = []
     for path in args.recordings:
+        selection = given if robot is None else robot_selection(robot, path, given)
         with _bar(f"reading {path.name}") as show:
             readings.append(read(path, selection, show))
     first = readings[0].streams

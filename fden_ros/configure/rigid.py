@@ -76,8 +76,6 @@ def rigid_presses(
     named : collection of str
         Recordings of which it is known that something rigid was pressed.
     """
-    if axes.force is None or axes.displacement is None:
-        return ()
     presses = contact_lines(sessions, axes)
     softest = min((press.stiffness for press in presses), default=math.inf)
     return tuple(
@@ -94,6 +92,8 @@ def rigid_presses(
 
 def contact_lines(sessions: Sequence[Session], axes: Axes) -> tuple[Press, ...]:
     """Return every contact from the air on as a line of displacement over force."""
+    if axes.force is None or axes.displacement is None:
+        return ()
     return tuple(
         press
         for session in sessions

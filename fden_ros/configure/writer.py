@@ -75,11 +75,13 @@ def replay_command(path: str, reading: Reading) -> str:
     return " ".join(parts)
 
 
-def parameter_file(survey: Survey, readings: Sequence[Reading]) -> str:
-    """Return the commented parameter file."""
+def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[str] = ()) -> str:
+    """Return the commented parameter file, with notes at its head."""
     values = parameter_values(survey, readings)
     owners = {name: finding for finding in survey.findings for name in finding.parameters}
     lines = _head(survey, readings)
+    for note in notes:
+        lines += _comment(f"note: {note}", "")
     lines += ["/**:", "  ros__parameters:" + ("" if values else " {}")]
     groups = dict.fromkeys(parameter.name.partition(".")[0] for parameter in PARAMETERS)
     for group in groups:
