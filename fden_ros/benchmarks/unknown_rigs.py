@@ -363,6 +363,10 @@ def _tissue_force(truth: RigTruth, depth: Array, pressing: Array, draw: Generato
     weights = rates**alpha * spacing / (math.gamma(alpha) * math.gamma(1.0 - alpha))
     decay = np.exp(-rates * _STEP)
     gains = weights * (1.0 - decay) / (rates * _STEP)
+    # All that is slower than the slowest element stays: a spring.
+    slow = (float(rates[0]) * math.exp(-0.5 * spacing)) ** alpha
+    slow /= alpha * math.gamma(alpha) * math.gamma(1.0 - alpha)
+    decay, gains = np.append(decay, 1.0), np.append(gains, slow)
     at_once = float(gains.sum())
     breathing = truth.breathing * np.sin(
         2.0 * np.pi * draw.uniform(0.2, 0.35) * _STEP * np.arange(depth.size)
@@ -370,10 +374,10 @@ def _tissue_force(truth: RigTruth, depth: Array, pressing: Array, draw: Generato
     )
     scale, bend = truth.linear_stiffness, 1.0 / truth.nonlinear_stiffness
     force = np.zeros_like(depth)
-    elements, phi_before, stress = np.zeros_like(rates), 0.0, 0.0
+    elements, phi_before, stress = np.zeros_like(gains), 0.0, 0.0
     for n in np.flatnonzero(pressing).tolist():
         if n and not pressing[n - 1]:
-            elements, phi_before, stress = np.zeros_like(rates), 0.0, 0.0
+            elements, phi_before, stress = np.zeros_like(gains), 0.0, 0.0
         memory = float(decay @ elements)
         free = (depth[n] - breathing[n]) / truth.thickness
         gives = truth.compliance * truth.area / truth.thickness

@@ -90,9 +90,9 @@ def run(args: argparse.Namespace) -> int:
     stated, geometry = _indenter(args)
     robot = robot_named(args.robot) if args.robot else None
     if not args.recordings:
-        if robot is None:
-            args.parser.error("name a recording, or a robot with --robot")
-        return _from_conventions(args.output, robot)
+        if robot is not None:
+            return _from_conventions(args.output, robot)
+        args.parser.error("name a recording, or a robot with --robot")
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     if unknown:
         args.parser.error(f"--rigid {unknown[0]} is none of the recordings")

@@ -152,7 +152,7 @@ def _from_preload(sessions: tuple[Session, ...]) -> Axes:
     bends = []
     for session in sessions:
         depth, force = _aligned(session, into, grows)
-        if float(np.corrcoef(depth, force)[0, 1]) < _TOGETHER:
+        if not _correlation(depth, force) > _TOGETHER:
             return Axes(None, None, sessions, "force and motion do not go together")
         for part in np.array_split(np.arange(depth.size), 9)[1:]:
             design = np.stack([np.ones(part.size), depth[part], depth[part] ** 2], axis=1)
@@ -183,11 +183,16 @@ def _aligned(session: Session, into: Array, grows: Array) -> tuple[Array, Array]
     columns = [np.interp(times, streams.force_times, column) for column in session.unloaded.T]
     force = np.stack(columns, axis=1) @ grows
     ways = [streams.position_at(times + lag) @ into for lag in np.linspace(-0.03, 0.08, 23)]
-    depth = max(ways, key=lambda way: float(np.corrcoef(way, force)[0, 1]))
+    depth = max(ways, key=lambda way: _correlation(way, force))
     depth = depth - depth.mean()
     turning = np.interp(times, session.times, session.turning.astype(float)) > 0.0
     depth, force = depth[~turning], (force - force.mean())[~turning]
     return depth / max(float(depth.std()), 1e-300), force
+
+
+def _correlation(a: Array, b: Array) -> float:
+    spread = float(a.std() * b.std())
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
 
 
 def _split_axis(values: Sequence[Array], direction: Array) -> Axis:

@@ -13,7 +13,7 @@ from fden_ros.configure.rigid import Press
 #: A compliance is stated as such up to this relative deviation: 10 % are then 2.5 deviations.
 _LARGEST_SHARE = 0.04
 #: Least deviation, relative, that is stated: a tool bends differently at other places.
-_LEAST_SHARE = 0.005
+_LEAST_SHARE = 0.002
 _MOTION = (
     "press a rigid plate twice, slowly, to the largest force of your presses, and in the same "
     "recording press tissue (or say that the recording is of a rigid plate: --rigid)"

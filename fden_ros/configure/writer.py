@@ -96,12 +96,12 @@ def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[
         if not inside:
             continue
         lines.append(f"    {group}:")
-        told: Finding | None = None
+        told: list[str] = []
         for name in inside:
             owner = owners.get(name)
-            if owner is not None and owner is not told:
+            if owner is not None and owner.subject not in told:
                 lines += _comment(_sentence(owner), "      ")
-                told = owner
+                told.append(owner.subject)
             lines.append(f"      {name.partition('.')[2]}: {_yaml(values[name])}")
     return "\n".join(lines) + "\n"
 
