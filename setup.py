@@ -20,6 +20,7 @@ setup(
         ("share/fden_ros/launch", sorted(glob("launch/*.launch.py"))),
         ("share/fden_ros/config", sorted(glob("config/*.*"))),
         ("share/fden_ros/config/priors", sorted(glob("config/priors/*.*"))),
+        ("share/fden_ros/config/robots", sorted(glob("config/robots/*.yaml"))),
         ("share/fden_ros/bags", sorted(glob("bags/*.yaml"))),
     ],
     zip_safe=False,

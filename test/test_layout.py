@@ -34,6 +34,7 @@ ROOMS = (
     "control",
     "tissue_feed",
     "offline",
+    "configure",
     "report",
     "nodes",
     "benchmarks",

@@ -40,6 +40,7 @@ BENCHMARKS: dict[str, str] = {
     "replay": "speed and memory of replay and batch, beside merely decoding the same messages",
     "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
     "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",
+    "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "core": "a sample through the pipeline beside other fractional integrals, over its history",
     "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
 }

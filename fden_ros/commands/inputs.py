@@ -18,6 +18,11 @@ _Value = TypeVar("_Value")
 def add_input_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--config`` and the options that say where force and displacement are."""
     add_config_options(parser)
+    add_selection_options(parser)
+
+
+def add_selection_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where in a recording force and displacement are."""
     group = parser.add_argument_group(
         "what is force, what is displacement (found where it can be)"
     )

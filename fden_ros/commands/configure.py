@@ -1,0 +1,286 @@
+"""``fden configure``: a parameter file from recordings of a probe nobody has configured."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fden_ros.commands.inputs import add_selection_options, selection_of
+from fden_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from fden_ros.configure.reading import Reading
+    from fden_ros.configure.robots import Robot
+    from fden_ros.configure.survey import Survey
+
+DESCRIPTION = """\
+Find out what a recording tells of a probe: axes and signs, units, rates, noise, bias, drift, the
+delay between force and displacement, the compliance and the weight of the tool. Each finding says
+how sure it is and which seconds it rests on; what the recording cannot tell it says, with the
+motion that would. The parameter file that comes out is commented.
+"""
+
+EPILOG = """\
+examples:
+  fden configure palpation.mcap -o probe.yaml --flat-punch 3.14e-4 --thickness 0.02
+  fden configure plate.mcap tissue.mcap --rigid plate.mcap -o probe.yaml --plot evidence.png
+  fden configure robot.csv --columns @500,5,3*1e-3        500 Hz, force and depth by number
+  fden configure press.csv --json | jq '.findings[] | select(.claim == false)'
+
+A recording that tells everything: 2 s in the air; the tool turned through three orientations; a
+rigid plate pressed twice; three presses of tissue with a hold of 2 s, in the air in between; a
+sine of 0.5 mm in tissue at 1 and 4 Hz. No recording tells the indenter: state it.
+Exit codes: 0 a file was proposed, 1 the input cannot be used, 2 wrong usage.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to ``fden``."""
+    parser = subparsers.add_parser(
+        "configure",
+        help="propose a parameter file from recordings of an unknown probe",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "recordings",
+        type=Path,
+        nargs="*",
+        metavar="RECORDING",
+        help="rosbag2 folders, .mcap files or tables of one rig",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the evidence")
+    parser.add_argument(
+        "--robot",
+        metavar="NAME",
+        help="topics and conventions of a known robot: crtk, franka, kuka_iiwa, ros2_control, ur, "
+        "xarm; without a recording: a file from its conventions alone",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--rigid",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="RECORDING",
+        help="one of the recordings: in it something rigid was pressed",
+    )
+    indenter = parser.add_argument_group("the indenter, which no recording shows")
+    indenter.add_argument("--flat-punch", type=float, metavar="AREA", help="face [m^2]")
+    indenter.add_argument("--thickness", type=float, metavar="H", help="of the tissue [m]")
+    indenter.add_argument("--sphere", type=float, metavar="R", help="radius of the tip [m]")
+    add_selection_options(parser)
+    parser.set_defaults(run=run, parser=parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, find out, print and write; return the exit code."""
+    from fden_ros.configure.robots import robot_named, robot_notes
+    from fden_ros.configure.writer import parameter_file, replay_command, replay_problems
+
+    stated, geometry = _indenter(args)
+    robot = robot_named(args.robot) if args.robot else None
+    if not args.recordings:
+        if robot is not None:
+            return _from_conventions(args.output, robot)
+        args.parser.error("name a recording, or a robot with --robot")
+    unknown = [str(path) for path in args.rigid if path not in args.recordings]
+    if unknown:
+        args.parser.error(f"--rigid {unknown[0]} is none of the recordings")
+    readings = _read(args, robot)
+    found = _survey(readings, stated, geometry, [str(path) for path in args.rigid])
+    notes = robot_notes(robot, found) if robot is not None else []
+    if args.output is not None:
+        text = parameter_file(found, readings, notes)
+        _save(args.output, lambda path: path.write_text(text, encoding="utf-8"))
+    if args.plot is not None:
+        from fden_ros.configure.picture import save_picture
+
+        _save(args.plot, lambda path: save_picture(found, path))
+    if args.json:
+        json.dump(result_object(found, readings), sys.stdout, allow_nan=False)
+        print()
+        return 0
+    _show(found, readings)
+    for note in notes:
+        print(f"note: {note}")
+    for problem in replay_problems(found, readings):
+        print(f"ATTENTION: {problem}")
+    if args.plot is not None:
+        print(f"wrote {args.plot}")
+    if args.output is not None:
+        print(f"wrote {args.output}")
+        print(f"Next: {replay_command(str(args.output), readings[-1])}")
+    else:
+        print("Next: the same with -o probe.yaml")
+    return 0
+
+
+def result_object(found: Survey, readings: Sequence[Reading]) -> dict[str, Any]:
+    """Return what ``--json`` prints."""
+    from fden_ros.configure.writer import parameter_values, replay_problems
+
+    return {
+        "inputs": [
+            {"recording": str(r.path), **r.inputs, "types": r.types, "joints": r.joints}
+            for r in readings
+        ],
+        "findings": [
+            {
+                "subject": f.subject,
+                "claim": f.claim,
+                "value": list(f.value) if isinstance(f.value, tuple) else f.value,
+                "deviation": f.deviation,
+                "unit": f.unit,
+                "seconds": [list(span) for span in f.seconds],
+                "evidence": f.evidence,
+                "motion": f.motion,
+            }
+            for f in found.findings
+        ],
+        "parameters": parameter_values(found, readings),
+        "problems": replay_problems(found, readings),
+    }
+
+
+def _indenter(args: argparse.Namespace) -> tuple[dict[str, float | str] | None, Any]:
+    from fden_ros.parameters import check, geometry_of
+
+    if args.sphere is not None and (args.flat_punch is not None or args.thickness is not None):
+        args.parser.error("--sphere and --flat-punch exclude each other")
+    if (args.flat_punch is None) != (args.thickness is None):
+        args.parser.error("--flat-punch AREA needs --thickness H, and the other way round")
+    stated: dict[str, float | str] = {}
+    if args.sphere is not None:
+        stated = {"kind": "sphere", "radius": args.sphere}
+    elif args.flat_punch is not None:
+        stated = {"kind": "flat_punch", "area": args.flat_punch, "thickness": args.thickness}
+    else:
+        return None, None
+    try:
+        parameters = check({f"geometry.{name}": value for name, value in stated.items()})
+    except InputError as error:
+        args.parser.error(str(error))
+    return stated, geometry_of(parameters)
+
+
+def _from_conventions(output: Path | None, robot: Robot) -> int:
+    from fden_ros.configure.robots import robot_file
+
+    text = robot_file(robot)
+    if output is None:
+        print(text, end="")
+        return 0
+    _save(output, lambda path: path.write_text(text, encoding="utf-8"))
+    print(f"wrote {output}")
+    print(f"Next: record a press, then fden configure --robot {robot.name} RECORDING")
+    return 0
+
+
+def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
+    from fden_ros.configure.reading import read
+    from fden_ros.configure.robots import robot_selection
+
+    given = selection_of(args)
+    readings = []
+    for path in args.recordings:
+        selection = given if robot is None else robot_selection(robot, path, given)
+        with _bar(f"reading {path.name}") as show:
+            readings.append(read(path, selection, show))
+    first = readings[0].streams
+    for reading in readings[1:]:
+        streams = reading.streams
+        if (
+            streams.force.shape[1] != first.force.shape[1]
+            or streams.position.shape[1] != first.position.shape[1]
+        ):
+            raise InputError(
+                f"{reading.path} is of another kind than {readings[0].path}: recordings of one "
+                "rig have the same types"
+            )
+    return readings
+
+
+def _survey(
+    readings: Sequence[Reading], stated: dict[str, float | str] | None, geometry: Any, rigid: Any
+) -> Survey:
+    from rich.console import Console
+
+    from fden_ros.configure.survey import survey
+
+    streams = [reading.streams for reading in readings]
+    console = Console(stderr=True)
+    if not sys.stderr.isatty():
+        return survey(streams, stated, geometry, rigid)
+    with console.status("looking") as status:
+        return survey(streams, stated, geometry, rigid, status.update)
+
+
+@contextmanager
+def _bar(description: str) -> Iterator[Any]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(
+        console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+    ) as bar:
+        task = bar.add_task(description, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total or None)
+
+
+def _save(path: Path, save: Any) -> None:
+    try:
+        save(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise InputError(f"{path} cannot be written: {reason}") from None
+
+
+def _show(found: Survey, readings: Sequence[Reading]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from fden_ros.configure.writer import value_text
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = 120
+    for reading in readings:
+        console.print(
+            f"{reading.path}: force from {reading.inputs['force']}, displacement from "
+            f"{reading.inputs['displacement']}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        for warning in reading.warnings:
+            console.print(f"[yellow]warning:[/yellow] {escape(warning)}", soft_wrap=True)
+    for claim, title in ((True, "Found"), (False, "Cannot tell")):
+        table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table.add_column("")
+        if claim:
+            table.add_column("", no_wrap=True)
+        table.add_column("by" if claim else "because")
+        if not claim:
+            table.add_column("do")
+        for finding in found.findings:
+            if finding.claim != claim:
+                continue
+            cells = [finding.subject, escape(finding.evidence)]
+            if claim:
+                cells.insert(1, escape(value_text(finding)))
+            else:
+                cells.append(escape(finding.motion))
+            table.add_row(*cells)
+        if table.row_count:
+            console.print(table)

@@ -1,0 +1,256 @@
+"""Axis and sign of force and displacement: where the force of a contact points, and the motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from fden_ros.configure.finding import Finding, unknown
+from fden_ros.configure.session import Contact, Session
+from fden_ros.configure.streams import Array
+
+#: An axis is claimed from a standard deviation of its direction of this size on [rad]: 2 degrees
+#: are then 2.45 deviations, the 95 % of an error in two directions.
+LARGEST_SD = math.radians(2.0) / 2.45
+#: Force and motion of a contact go together from this correlation on.
+_TOGETHER = 0.5
+#: A bend of force over displacement shows the sign from this many deviations on.
+_BEND = 5.0
+#: No drive runs straighter than this [m]: a short stroke shows no direction.
+_STRAIGHT = 5e-6
+_PRESS = (
+    "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
+)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A direction, and how well it is known."""
+
+    direction: Array  #: unit vector (3,), or a sign (1,)
+    sd: float  #: of each of its two angles [rad]
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Axes of force and displacement; None where the recording does not tell."""
+
+    force: Axis | None
+    displacement: Axis | None
+    sessions: tuple[Session, ...]
+    reason: str = ""
+
+    def findings(self) -> tuple[Finding, Finding]:
+        """Return what to say of the force's axis and of the displacement's."""
+        return (
+            _finding("force", self.force, self.sessions, self.reason),
+            _finding("displacement", self.displacement, self.sessions, self.reason),
+        )
+
+
+def find_axes(sessions: Sequence[Session]) -> Axes:
+    """Find both axes from the contacts of one rig's recordings."""
+    chosen = tuple(session for session in sessions if session.contacts and session.leaves)
+    if chosen:
+        return _from_touches(chosen)
+    resting = tuple(session for session in sessions if not session.leaves)
+    if resting:
+        return _from_preload(resting)
+    return Axes(None, None, (), "no contact was seen")
+
+
+def _from_touches(sessions: tuple[Session, ...]) -> Axes:
+    """Contact force against the air, and motion where it rises and falls with it."""
+    pushes = [(s, c, s.net[c.first : c.last]) for s in sessions for c in s.contacts]
+    moment = sum((push.T @ push for _, _, push in pushes), np.zeros((pushes[0][2].shape[1],) * 2))
+    direction = np.linalg.eigh(moment)[1][:, -1]
+    if sum(float((push @ direction).sum()) for _, _, push in pushes) < 0.0:
+        direction = -direction
+    parts = [push.T @ (push @ direction) for _, _, push in pushes]
+    floors = []
+    for session, _, push in pushes:
+        # Noise of the force and, as large again, of the level in the air.
+        chunk = float(np.mean(session.force_noise)) / math.sqrt(_per_chunk(session))
+        floors.append(chunk * math.sqrt(2.0 * float(np.sum((push @ direction) ** 2))))
+        floors[-1] = math.hypot(floors[-1], 0.3 * chunk * float(np.sum(push @ direction)))
+    force = _combined(parts, floors)
+    motion_parts, motion_floors, together = [], [], []
+    for session, contact, push in pushes:
+        part, floor, correlation = _motion_part(session, contact, push @ direction)
+        motion_parts.append(part)
+        motion_floors.append(floor)
+        together.append((float(np.linalg.norm(part)), correlation))
+    displacement = _combined(motion_parts, motion_floors)
+    if displacement is not None and displacement.direction.size > 1:
+        stroke = max(
+            float(np.ptp(s.position[c.first : c.last] @ displacement.direction))
+            for s, c, _ in pushes
+        )
+        bent = _STRAIGHT / max(stroke, 1e-300)
+        displacement = Axis(displacement.direction, math.hypot(displacement.sd, bent))
+    weight = sum(w for w, _ in together)
+    agreed = sum(w * c for w, c in together) / weight if weight > 0.0 else 0.0
+    if agreed < _TOGETHER:
+        return Axes(force, None, sessions, "the force does not rise with any motion of the probe")
+    return Axes(force, displacement, sessions)
+
+
+def _motion_part(session: Session, contact: Contact, push: Array) -> tuple[Array, float, float]:
+    """Return the motion that goes with the force (j,), its noise, and the correlation."""
+    position = session.position[contact.first : contact.last]
+    # Changes over two chunks: in a hold the force relaxes without any motion.
+    moved, rose = position[2:] - position[:-2], push[2:] - push[:-2]
+    rose = rose / max(float(np.sqrt(np.mean(rose**2))), 1e-300)
+    part: Array = moved.T @ rose
+    noise = float(np.mean(session.motion_noise)) / math.sqrt(_per_chunk(session, motion=True))
+    length = float(np.linalg.norm(part))
+    along = moved @ (part / max(length, 1e-300))
+    correlation = length / max(rose.size * float(np.sqrt(np.mean(along**2))), 1e-300)
+    return part, 2.0 * noise * math.sqrt(rose.size), correlation
+
+
+def _per_chunk(session: Session, *, motion: bool = False) -> float:
+    times = session.streams.motion_times if motion else session.streams.force_times
+    return max(times.size / max(session.times.size, 1), 1.0)
+
+
+def _combined(parts: Sequence[Array], floors: Sequence[float]) -> Axis | None:
+    """Return the direction of the sum, its deviation from the scatter of the parts."""
+    total = np.sum(parts, axis=0)
+    length = float(np.linalg.norm(total))
+    if length <= 0.0:
+        return None
+    direction = total / length
+    if direction.size == 1:
+        return Axis(np.sign(direction), 0.0)
+    across = [part - (part @ direction) * direction for part in parts]
+    scatter = math.sqrt(sum(float(a @ a) for a in across) / 2.0) / length
+    if len(parts) > 1:
+        # Few contacts tell their own scatter badly: Student's factor, two directions each.
+        scatter *= math.sqrt(len(parts) / (len(parts) - 1))
+        scatter *= float(student.ppf(0.975, 2 * (len(parts) - 1))) / 1.96
+    floor = math.sqrt(sum(f**2 for f in floors)) / length
+    return Axis(direction, max(scatter, floor))
+
+
+def _from_preload(sessions: tuple[Session, ...]) -> Axes:
+    """Return a common line where the probe never leaves; its sign from the stiffening."""
+    cross: Array | None = None
+    for session in sessions:
+        still = ~session.turning
+        force = session.force[still] - session.force[still].mean(axis=0)
+        position = session.position[still] - session.position[still].mean(axis=0)
+        product = position.T @ force
+        cross = product if cross is None else cross + product
+    assert cross is not None
+    left, _, right = np.linalg.svd(cross)
+    into, grows = left[:, 0], right[0]
+    bends = []
+    for session in sessions:
+        depth, force = _aligned(session, into, grows)
+        if not _correlation(depth, force) > _TOGETHER:
+            return Axes(None, None, sessions, "force and motion do not go together")
+        for part in np.array_split(np.arange(depth.size), 9)[1:]:
+            design = np.stack([np.ones(part.size), depth[part], depth[part] ** 2], axis=1)
+            if part.size > 8 and float(depth[part].std()) > 0.3:
+                bends.append(float(np.linalg.lstsq(design, force[part], rcond=None)[0][2]))
+    if len(bends) < 3:
+        return Axes(None, None, sessions, "the probe hardly moves in contact")
+    mean = float(np.median(bends))
+    sd = float(np.median(np.abs(np.array(bends) - mean))) / 0.6745 / math.sqrt(len(bends))
+    if abs(mean) < _BEND * sd:
+        return Axes(None, None, sessions, "it never leaves the surface, and shows no sign")
+    sign = math.copysign(1.0, mean)
+    if into.size == 1:
+        displacement = Axis(np.array([sign * into[0]]), 0.0)
+    else:
+        displacement = _split_axis([s.position[~s.turning] for s in sessions], sign * into)
+    if grows.size == 1:
+        return Axes(Axis(np.array([sign * grows[0]]), 0.0), displacement, sessions)
+    force_axis = _split_axis([s.force[~s.turning] for s in sessions], sign * grows)
+    return Axes(force_axis, displacement, sessions)
+
+
+def _aligned(session: Session, into: Array, grows: Array) -> tuple[Array, Array]:
+    """Return depth, scaled to 1, and force at the same instants: the lag that fits best."""
+    streams = session.streams
+    step = max(float(np.median(np.diff(streams.force_times))), 5e-3)
+    times = np.arange(streams.start + 0.1, streams.end - 0.1, step)
+    columns = [np.interp(times, streams.force_times, column) for column in session.unloaded.T]
+    force = np.stack(columns, axis=1) @ grows
+    ways = [streams.position_at(times + lag) @ into for lag in np.linspace(-0.03, 0.08, 23)]
+    depth = max(ways, key=lambda way: _correlation(way, force))
+    depth = depth - depth.mean()
+    turning = np.interp(times, session.times, session.turning.astype(float)) > 0.0
+    depth, force = depth[~turning], (force - force.mean())[~turning]
+    return depth / max(float(depth.std()), 1e-300), force
+
+
+def _correlation(a: Array, b: Array) -> float:
+    spread = float(a.std() * b.std())
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
+
+
+def _split_axis(values: Sequence[Array], direction: Array) -> Axis:
+    """Return the main direction of parts of the values, with the scatter of eight of them."""
+    parts = []
+    for block in values:
+        for some in np.array_split(block, 8):
+            centred = some - some.mean(axis=0)
+            parts.append(centred.T @ (centred @ direction))
+    axis = _combined(parts, [0.0])
+    return axis if axis is not None else Axis(direction, math.inf)
+
+
+def _finding(what: str, axis: Axis | None, sessions: tuple[Session, ...], reason: str) -> Finding:
+    subject = f"{what} axis"
+    if axis is None:
+        return unknown(subject, reason or "no contact was seen", _PRESS)
+    count = sum(len(s.contacts) for s in sessions)
+    seconds = tuple(span for s in sessions for span in s.seconds())
+    basis = (
+        f"{count} contacts against the air"
+        if all(s.leaves for s in sessions)
+        else "one contact that never ends; the sign from its stiffening"
+    )
+    if axis.direction.size == 1:
+        falls = bool(axis.direction[0] < 0.0)
+        grows = "the force falls" if what == "force" else "the displacement falls"
+        rises = "the force grows" if what == "force" else "the displacement grows"
+        return Finding(
+            subject,
+            True,
+            float(axis.direction[0]),
+            0.0,
+            "",
+            seconds,
+            f"{grows if falls else rises} as the probe presses; {basis}",
+            parameters={f"{what}.inverted": falls},
+        )
+    value = tuple(float(v) for v in axis.direction)
+    degrees = math.degrees(axis.sd)
+    if axis.sd > LARGEST_SD:
+        return Finding(
+            subject,
+            False,
+            value,
+            axis.sd,
+            "rad",
+            seconds,
+            f"only known to {degrees:.1f} degrees from {basis}",
+            _PRESS,
+        )
+    return Finding(
+        subject,
+        True,
+        value,
+        axis.sd,
+        "rad",
+        seconds,
+        f"within {degrees:.2g} degrees, from {basis}",
+        parameters={f"{what}.axis": [round(v, 4) for v in value]},
+    )

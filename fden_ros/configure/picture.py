@@ -1,0 +1,154 @@
+"""The evidence of a survey as a picture: a panel a finding."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes as Panel
+from matplotlib.figure import Figure
+
+from fden_ros.configure.finding import Finding
+from fden_ros.configure.session import Session
+from fden_ros.configure.streams import Array
+from fden_ros.configure.survey import Survey
+from fden_ros.configure.writer import value_text
+
+_FORCE, _MOTION, _CONTACT, _LINE = "#0b5fa5", "#3f3f46", "#e8eef5", "#c2410c"
+_PARTS = ("x", "y", "z")
+_POINTS = 4000
+
+
+def save_picture(survey: Survey, path: str | Path) -> None:
+    """Draw the evidence and save it as PNG, SVG or PDF, by the ending of `path`."""
+    figure = Figure(figsize=(13, 11), layout="constrained")
+    grid = figure.add_gridspec(4, 2)
+    session = survey.sessions[0]
+    _times(figure.add_subplot(grid[0, :]), survey, session)
+    _push(figure.add_subplot(grid[1, 0]), survey, session)
+    _motion(figure.add_subplot(grid[1, 1]), survey, session)
+    _weight(figure.add_subplot(grid[2, 0]), survey)
+    _air(figure.add_subplot(grid[2, 1]), survey, session)
+    _rigid(figure.add_subplot(grid[3, 0]), survey)
+    _words(figure.add_subplot(grid[3, 1]), survey)
+    figure.savefig(path, dpi=110)
+
+
+def _title(panel: Panel, finding: Finding) -> None:
+    text = value_text(finding) if finding.claim else "cannot tell"
+    panel.set_title(f"{finding.subject}: {text}", fontsize=10, loc="left")
+
+
+def _along(survey: Survey, session: Session) -> tuple[Array, Array]:
+    axes = survey.axes
+    force = axes.force.direction if axes.force is not None else None
+    motion = axes.displacement.direction if axes.displacement is not None else None
+    push = session.net @ force if force is not None else np.linalg.norm(session.net, axis=1)
+    if motion is not None:
+        return push, session.position @ motion
+    return push, np.linalg.norm(session.position - session.position[0], axis=1)
+
+
+def _times(panel: Panel, survey: Survey, session: Session) -> None:
+    push, way = _along(survey, session)
+    times = session.times - session.streams.start
+    panel.plot(times, push, color=_FORCE, linewidth=0.9)
+    panel.set_ylabel("force [N]", color=_FORCE)
+    panel.set_xlabel("time [s]")
+    if session.leaves:
+        for start, end in session.seconds():
+            panel.axvspan(start, end, color=_CONTACT, zorder=0)
+    beside = panel.twinx()
+    beside.plot(times, 1e3 * (way - way.min()), color=_MOTION, linewidth=0.9)
+    beside.set_ylabel("displacement [mm]", color=_MOTION)
+    _title(panel, survey.finding("lift-off"))
+
+
+def _push(panel: Panel, survey: Survey, session: Session) -> None:
+    push, _ = _along(survey, session)
+    for part, column in zip(_PARTS, session.net.T, strict=False):
+        panel.plot(push[~session.turning], column[~session.turning], ".", markersize=2, label=part)
+    panel.set_xlabel("force along its axis [N]")
+    panel.set_ylabel("components [N]")
+    panel.legend(fontsize=8)
+    _title(panel, survey.finding("force axis"))
+
+
+def _motion(panel: Panel, survey: Survey, session: Session) -> None:
+    push, way = _along(survey, session)
+    for contact in session.contacts[:12]:
+        span = slice(contact.first, contact.last)
+        panel.plot(1e3 * (way[span] - way[span][0]), push[span], linewidth=0.8)
+    panel.set_xlabel("displacement along its axis in contact [mm]")
+    panel.set_ylabel("force [N]")
+    _title(panel, survey.finding("displacement axis"))
+
+
+def _weight(panel: Panel, survey: Survey) -> None:
+    finding, weight = survey.finding("tool mass"), survey.weight
+    _title(panel, finding)
+    if weight is None:
+        panel.text(0.02, 0.5, finding.evidence, transform=panel.transAxes, wrap=True)
+        return
+    streams = survey.sessions[0].streams
+    load = weight.load(streams)
+    if load is None:
+        return
+    times = streams.force_times - streams.start
+    inside = np.zeros(times.size, dtype=bool)
+    for start, end in weight.seconds:
+        inside |= (times >= start) & (times <= end)
+    thin = max(int(inside.sum()) // _POINTS, 1)
+    for column, fitted in zip(streams.force[inside].T, load[inside].T, strict=True):
+        level = float(np.mean(column - fitted))
+        panel.plot(times[inside][::thin], column[::thin] - level, ".", markersize=1.5)
+        panel.plot(times[inside], fitted, color=_LINE, linewidth=0.8)
+    panel.set_xlabel("time [s]")
+    panel.set_ylabel("force in the turns [N]")
+
+
+def _air(panel: Panel, survey: Survey, session: Session) -> None:
+    axis = survey.axes.force
+    _title(panel, survey.finding("force drift"))
+    if axis is None or not session.air.any():
+        return
+    times = session.times - session.streams.start
+    level = session.force @ axis.direction
+    panel.plot(times[session.air], level[session.air], ".", markersize=2, color=_FORCE)
+    panel.plot(times, session.baseline @ axis.direction, color=_LINE, linewidth=0.8)
+    panel.set_xlabel("time [s]")
+    panel.set_ylabel("force in the air [N]")
+
+
+def _rigid(panel: Panel, survey: Survey) -> None:
+    finding = survey.finding("compliance")
+    _title(panel, finding)
+    axes = survey.axes
+    if not survey.presses or axes.force is None or axes.displacement is None:
+        panel.text(0.02, 0.5, finding.evidence, transform=panel.transAxes, wrap=True)
+        return
+    for press in survey.presses:
+        session, contact = press.session, press.contact
+        span = slice(contact.first, contact.last)
+        push = session.net[span] @ axes.force.direction
+        stamps = session.times[span] + press.delay
+        way = session.streams.position_at(stamps) @ axes.displacement.direction
+        line = np.array([push.min(), push.max()])
+        panel.plot(push, 1e3 * (way - way.mean()), ".", markersize=2)
+        panel.plot(line, 1e3 * press.compliance * (line - push.mean()), color=_LINE, linewidth=0.8)
+    panel.set_xlabel("force on something rigid [N]")
+    panel.set_ylabel("displacement, delay taken out [mm]")
+
+
+def _words(panel: Panel, survey: Survey) -> None:
+    panel.axis("off")
+    lines = []
+    for name in ("delay", "force noise", "displacement noise", "force unit", "displacement unit"):
+        finding = survey.finding(name)
+        text = value_text(finding) if finding.claim else "cannot tell"
+        lines.append(f"{name}: {text}")
+    panel.text(0.0, 0.95, "\n".join(lines), va="top", transform=panel.transAxes, fontsize=10)
+    delay = survey.finding("delay")
+    panel.text(
+        0.0, 0.5, delay.evidence, va="top", transform=panel.transAxes, fontsize=8, wrap=True
+    )

@@ -1,0 +1,77 @@
+"""Small estimates that several findings share."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.configure.streams import Array
+
+#: The median of the magnitude of a normal variable, in standard deviations.
+_MEDIAN_OF_NORMAL = 0.6745
+#: Blocks whose means show how far residuals hang together.
+_BLOCKS = 20
+
+
+class Fit(NamedTuple):
+    """A linear least-squares fit."""
+
+    solution: Array  #: (p,)
+    covariance: Array  #: (p, p), residuals that hang together allowed for
+    residual: Array  #: (n,)
+    sd: float  #: of the residual
+
+
+def fit(design: Array, values: Array) -> Fit:
+    """Fit `values` (n,) by the columns of `design` (n, p), in order of time."""
+    solution, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
+    residual = values - design @ solution
+    freedom = max(values.size - int(rank), 1)
+    variance = float(residual @ residual) / freedom
+    inverse = np.linalg.pinv(design.T @ design)
+    covariance = inverse * variance * inflation(residual)
+    sd = math.sqrt(variance)
+    return Fit(solution.astype(float), np.asarray(covariance, np.float64), residual, sd)
+
+
+def inflation(residual: Array) -> float:
+    """Return by what factor the variance of means exceeds that of white residuals; 1 or more.
+
+    From the means of 20 blocks, in order of time.
+    """
+    size = residual.size // _BLOCKS
+    if size < 4:
+        return 1.0
+    blocks = residual[: size * _BLOCKS].reshape(_BLOCKS, size)
+    variance = float(np.var(residual))
+    if variance <= 0.0:
+        return 1.0
+    # Of white residuals this ratio is 1 with a deviation of 0.32: less than 1.65 is no evidence.
+    ratio = size * float(np.var(blocks.mean(axis=1))) / variance
+    return ratio if ratio > 1.65 else 1.0
+
+
+def noise_of(times: Array, values: Array) -> Array:
+    """Return the standard deviation per sample of white noise on smooth values (n, k): (k,).
+
+    From the distances of the samples from the lines between their neighbours, by the median of
+    their magnitudes, which bends and contacts do not move.
+    """
+    if times.size < 8:
+        return np.full(values.shape[1], np.nan)
+    step = np.diff(times)
+    share = (step[:-1] / (step[:-1] + step[1:]))[:, None]
+    apart = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
+    scaled = np.abs(apart) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    median = np.median(scaled, axis=0) / _MEDIAN_OF_NORMAL
+    # Where most samples repeat, as of a coarse sensor, the median is 0: then the mean square.
+    square = np.sqrt(np.mean(scaled**2, axis=0))
+    return np.where(median > 0.0, median, square)
+
+
+def angle_between(a: Array, b: Array) -> float:
+    """Return the angle of two vectors [rad]."""
+    cosine = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
+    return math.acos(min(max(cosine, -1.0), 1.0))

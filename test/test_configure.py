@@ -1,0 +1,349 @@
+"""What `fden configure` finds on simulated rigs, and says where a recording cannot tell."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from unknown_rig_bags import RigBag
+
+from fden_ros.benchmarks.configure import judge
+from fden_ros.benchmarks.unknown_rigs import SimulatedRig, simulate_rig
+from fden_ros.cli import main
+from fden_ros.configure.picture import save_picture
+from fden_ros.configure.reading import guessed_columns, read
+from fden_ros.configure.streams import Streams
+from fden_ros.configure.survey import Survey, survey
+from fden_ros.configure.writer import parameter_file
+from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.parameters import read_parameter_file
+from fden_ros.parameters.files import read_sections
+
+DATA = os.environ.get("FDEN_DATA")
+#: A dozen rigs of every kind; see `test_the_dozen_rigs_are_of_every_kind`.
+DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
+    (1002, {}),
+    (1009, {}),
+    (1025, {"tissue": False}),
+    (1028, {}),
+    (1031, {}),
+    (1058, {"displacement_unit": 1e-3}),
+    (1062, {}),
+    (1064, {}),
+    (1071, {"leaves": False}),
+    (1075, {}),
+    (1086, {}),
+    (1089, {}),
+)
+#: Whole recordings: turns, a plate, tissue and two frequencies.
+WHOLE: dict[str, Any] = {
+    "turns": True,
+    "rigid": True,
+    "tissue": True,
+    "leaves": True,
+    "compliance": 3e-4,
+    "mass": 0.4,
+    "delay": 0.012,
+    "force_unit": 1.0,
+    "displacement_unit": 1.0,
+    "force_rate": 200.0,
+    "displacement_rate": 150.0,
+    "force_noise": 0.01,
+    "displacement_noise": 5e-6,
+    "force_step": 0.0,
+    "displacement_step": 0.0,
+    "breathing": 0.0,
+}
+
+
+def whole_rig(seed: int = 7, **chosen: Any) -> SimulatedRig:
+    return simulate_rig(seed, along_tool=True, **{**WHOLE, **chosen})
+
+
+def look(rig: SimulatedRig, **options: Any) -> Survey:
+    truth = rig.truth
+    stated: dict[str, float | str] = {
+        "kind": "flat_punch",
+        "area": truth.area,
+        "thickness": truth.thickness,
+    }
+    return survey([rig.streams], stated, FlatPunch(truth.area, truth.thickness), **options)
+
+
+def run(*arguments: Any) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rig = whole_rig()
+    return RigBag(rig.streams).write(tmp_path_factory.mktemp("rig") / "bag")
+
+
+@pytest.mark.parametrize(("seed", "chosen"), DOZEN)
+def test_what_is_stated_of_an_unknown_rig_is_right(
+    seed: int, chosen: dict[str, Any], tmp_path: Path
+) -> None:
+    rig = simulate_rig(seed, **chosen)
+    path = RigBag(rig.streams).write(tmp_path / "bag")
+    reading = read(path)
+    truth = rig.truth
+    stated: dict[str, float | str] = {"kind": "flat_punch"}
+    found = survey([reading.streams], stated, FlatPunch(truth.area, truth.thickness))
+    judged = judge(found, truth)
+    assert not judged.misses
+    assert not judged.unfounded
+    worst = {name: max(map(abs, errors)) for name, errors in judged.errors.items()}
+    assert all(error < 4.0 for error in worst.values()), worst
+
+
+def test_the_dozen_rigs_are_of_every_kind() -> None:
+    truths = [simulate_rig(seed, **chosen).truth for seed, chosen in DOZEN]
+    for kind in ("turns", "rigid", "tissue", "leaves"):
+        assert {getattr(truth, kind) for truth in truths} == {True, False}, kind
+    assert {truth.displacement_axis.size for truth in truths} == {1, 3}
+    assert {truth.displacement_unit for truth in truths} == {1.0, 1e-3}
+    assert {truth.force_unit for truth in truths} == {1.0, 9.80665e-3}
+    assert {truth.sensor_sign for truth in truths} == {1.0, -1.0}
+
+
+def test_a_whole_recording_tells_everything() -> None:
+    rig = whole_rig()
+    found = look(rig)
+    assert [f.subject for f in found.findings if not f.claim] == []
+    judged = judge(found, rig.truth)
+    assert not judged.misses
+    assert set(judged.errors) >= {"delay", "compliance", "tool mass", "force axis"}
+
+
+@pytest.mark.parametrize(
+    ("left_out", "silent"),
+    [
+        ({"turns": False}, {"tool mass", "tool centre of mass"}),
+        ({"rigid": False}, {"compliance"}),
+        ({"turns": False, "rigid": False, "seed": 9}, {"tool mass", "compliance", "delay"}),
+    ],
+)
+def test_what_was_not_done_is_not_stated_but_asked_for(
+    left_out: dict[str, Any], silent: set[str]
+) -> None:
+    found = look(whole_rig(**left_out))
+    for name in silent:
+        finding = found.finding(name)
+        assert not finding.claim
+        assert finding.motion
+        assert not finding.parameters
+
+
+def test_a_driver_that_takes_the_weight_off_is_seen() -> None:
+    finding = look(whole_rig(mass=0.0)).finding("tool mass")
+    assert finding.claim
+    assert finding.value == 0.0
+    assert "driver has taken it off" in finding.evidence
+
+
+def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> None:
+    rig = whole_rig()
+    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = replace(rig.streams, force=rig.streams.force @ quarter)
+    finding = survey([turned]).finding("tool mass")
+    assert finding.value == pytest.approx(rig.truth.mass, rel=0.02)
+    assert "turned by 90.0 degrees" in finding.evidence
+    assert not finding.parameters
+
+
+@pytest.mark.parametrize(
+    ("force", "displacement"), [(1.0, 1.0), (9.80665e-3, 1.0), (1.0, 1e-3), (9.80665e-3, 1e-3)]
+)
+def test_grams_and_millimetres_are_named_and_the_rest_is_still_si(
+    force: float, displacement: float
+) -> None:
+    rig = whole_rig(force_unit=force, displacement_unit=displacement)
+    found = look(rig)
+    assert found.finding("force unit").value == ("N" if force == 1.0 else "g")
+    assert found.finding("displacement unit").value == ("m" if displacement == 1.0 else "mm")
+    assert not judge(found, rig.truth).misses
+
+
+def test_a_surface_that_comes_to_a_resting_probe_shows_no_compliance() -> None:
+    rig = simulate_rig(150)
+    assert not rig.truth.rigid
+    assert not look(rig).finding("compliance").claim
+
+
+def test_rubber_without_softer_tissue_beside_it_is_no_rigid_plate_unless_it_is_said() -> None:
+    rig = whole_rig(tissue=False)
+    assert not look(rig).finding("compliance").claim
+    finding = look(rig, rigid=[rig.streams.name]).finding("compliance")
+    assert finding.value == pytest.approx(rig.truth.compliance, rel=0.1)
+
+
+def test_noise_alone_is_no_contact() -> None:
+    draw = np.random.default_rng(3)
+    times = np.arange(0.0, 20.0, 0.005)
+    streams = Streams(
+        "air",
+        times,
+        draw.normal(0.0, 0.01, (times.size, 3)),
+        times,
+        draw.normal(0.0, 1e-5, (times.size, 3)) + np.sin(times)[:, None] * [0.0, 0.0, 0.02],
+    )
+    found = survey([streams])
+    assert not any(found.finding(f"{what} axis").claim for what in ("force", "displacement"))
+    assert not found.finding("lift-off").claim
+
+
+def test_two_recordings_of_a_rig_tell_together_what_neither_tells_alone() -> None:
+    plate = whole_rig(tissue=False, turns=False)
+    tissue = whole_rig(rigid=False, turns=False)
+    alone = [survey([rig.streams]) for rig in (plate, tissue)]
+    assert not any(found.finding("compliance").claim for found in alone)
+    both = survey([replace(plate.streams, name="plate"), tissue.streams])
+    assert both.finding("compliance").value == pytest.approx(3e-4, rel=0.1)
+
+
+# The command
+
+
+def test_the_file_replays_on_the_same_recording(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = whole_rig().truth
+    output, picture = tmp_path / "probe.yaml", tmp_path / "evidence.png"
+    indenter = ["--flat-punch", truth.area, "--thickness", truth.thickness]
+    assert run("configure", bag, "-o", output, "--plot", picture, *indenter) == 0
+    printed = capsys.readouterr().out
+    assert f"Next: fden replay {bag} --config {output}" in printed
+    assert "ATTENTION" not in printed
+    assert picture.stat().st_size > 20_000
+    parameters = read_parameter_file(output)
+    assert parameters.tool.mass == pytest.approx(truth.mass, rel=0.02)
+    assert parameters.displacement.delay == pytest.approx(truth.delay, abs=1e-3)
+    assert parameters.displacement.compliance == pytest.approx(truth.compliance, rel=0.1)
+    assert run("replay", bag, "--config", output, "--json") == 0
+    last = json.loads(capsys.readouterr().out)["contacts"][-1]
+    assert last["converged"]
+    assert last["g"] == pytest.approx(truth.linear_stiffness, abs=3.0 * last["g_sd"])
+    assert last["g_n"] == pytest.approx(truth.nonlinear_stiffness, abs=3.0 * last["g_n_sd"])
+
+
+def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_path: Path) -> None:
+    output = tmp_path / "probe.yaml"
+    assert run("configure", bag, "-o", output) == 0
+    text = output.read_text(encoding="utf-8")
+    assert "# delay: 12." in text
+    assert "from the tool's weight in turns and rigid presses" in text
+    assert "# indenter: CANNOT TELL" in text
+    values = read_sections(output)[0].values
+    assert values["displacement.message"] == "pose"
+
+
+def test_of_several_joints_that_is_taken_which_moves_with_the_force(tmp_path: Path) -> None:
+    rig = whole_rig(turns=False, mass=0.0)
+    way = (rig.streams.position @ rig.truth.displacement_axis)[:, None]
+    streams = replace(rig.streams, position=-way, orientation=None)
+    reading = read(RigBag(streams, displacement_topic="/joint_states").write(tmp_path / "bag"))
+    assert reading.joints == {"displacement": "probe"}
+    found = survey([reading.streams])
+    assert found.finding("displacement axis").parameters == {"displacement.inverted": True}
+    assert 'name: "probe"' in parameter_file(found, [reading])
+
+
+def test_a_table_in_millimetres_is_told_and_its_headings_are_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    press = Path(__file__).parents[1] / "examples" / "press.csv"
+    assert run("configure", press, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["parameters"]["force.inverted"] is False
+    assert run("configure", press, "--columns", "time_s,force_N,depth_mm", "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    units = [f for f in answer["findings"] if f["subject"] == "displacement unit"]
+    assert units[0]["value"] == "mm"
+    assert any("millimetres" in problem for problem in answer["problems"])
+
+
+@pytest.mark.parametrize(
+    ("headings", "columns"),
+    [
+        (["time_s", "force_N", "depth_mm"], "time_s,force_N,depth_mm*0.001"),
+        (["Depth [mm]", "Load [N]", "Time [s]"], "Time [s],Load [N],Depth [mm]*0.001"),
+        (["t", "f", "z"], None),
+        (["time_s", "force_N", "temperature_K"], None),
+    ],
+)
+def test_headings_with_units_say_the_columns(headings: list[str], columns: str | None) -> None:
+    assert guessed_columns(headings) == columns
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--flat-punch", "1e-4"], "needs --thickness"),
+        (["--sphere", "0.005", "--thickness", "0.01"], "exclude each other"),
+        (["--rigid", "other"], "none of the recordings"),
+        (["--sphere", "-1"], "geometry.radius"),
+    ],
+)
+def test_wrong_usage_is_told(
+    arguments: list[str], words: str, bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as error:
+        run("configure", bag, *arguments)
+    assert error.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_picture_is_drawn_where_nothing_is_known(tmp_path: Path) -> None:
+    times = np.arange(0.0, 5.0, 0.01)
+    streams = Streams("rest", times, np.zeros((times.size, 1)), times, np.ones((times.size, 1)))
+    save_picture(survey([streams]), tmp_path / "empty.png")
+    assert (tmp_path / "empty.png").stat().st_size > 10_000
+
+
+# Measured
+
+
+@pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
+def test_the_robot_recording_has_two_explanations(capsys: pytest.CaptureFixture[str]) -> None:
+    assert DATA is not None
+    path = Path(DATA, "robot_on_silicone_500hz.csv")
+    assert run("configure", path, "--columns", "@500,5,1", "--json") == 0
+    downwards = json.loads(capsys.readouterr().out)["parameters"]
+    assert downwards["displacement.inverted"] is True
+    assert run("configure", path, "--columns", "@500,5,3", "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    found = {finding["subject"]: finding for finding in answer["findings"]}
+    assert found["displacement unit"]["value"] == "mm"
+    assert answer["parameters"]["displacement.inverted"] is False
+    assert answer["parameters"]["force.inverted"] is False
+    assert found["lift-off"]["value"] == "never"
+    assert not found["delay"]["claim"]
+    assert found["delay"]["value"] == pytest.approx(0.031, abs=0.001)
+    assert "alpha 0.25" in found["delay"]["evidence"]
+    assert not found["compliance"]["claim"]
+    assert math.isclose(found["force rate"]["value"], 500.0)
+
+
+@pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
+@pytest.mark.parametrize("test", ["1", "30", "52"])
+def test_measured_presses_of_a_test_machine_claim_neither_delay_nor_compliance(
+    test: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert DATA is not None
+    path = Path(DATA, "beef_silicone_indentation_hold.csv")
+    with path.open(encoding="utf-8") as file:
+        names = list(dict.fromkeys(line.split(",")[0] for line in file))[1:]
+    name = names[int(test)]
+    columns = ["--columns", "3,4,5*1e-3", "--rows", f"1={name}"]
+    assert run("configure", path, *columns, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    found = {finding["subject"]: finding for finding in answer["findings"]}
+    assert not found["compliance"]["claim"]
+    assert not found["delay"]["claim"]
