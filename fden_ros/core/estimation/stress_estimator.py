@@ -25,7 +25,9 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.motion_noise import MotionNoise
+from fden_ros.core.estimation.normal_equations import BlockResponse
 from fden_ros.core.estimation.posterior import Prediction, StressPosterior
+from fden_ros.core.estimation.rig import RigResponse
 from fden_ros.core.estimation.tissue_change import Change, Knowledge, TissueChange
 from fden_ros.core.estimation.unmodelled import (
     LoadingAge,
@@ -65,10 +67,6 @@ _KNOWN_SHARE = 0.5
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.
 _SURFACE_TIME = 0.25
-#: Speed at which friction has half its full square [m/s]: slower is a hold.
-_FRICTION_SPEED = 5e-4
-#: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
-_DELAY_TIME = 0.1
 
 
 class StressEstimator:
@@ -116,7 +114,8 @@ class StressEstimator:
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
-        self._last_compression = math.nan
+        self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
+        self._last_response: BlockResponse | None = None
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -144,7 +143,8 @@ class StressEstimator:
         self._motion.interrupt()
         self._change.begin_contact()
         self._age.interrupt()
-        self._last_compression = math.nan
+        self._rig.begin_contact()
+        self._last_response = None
         self._contact_start = None
         for posterior in self._bank:
             posterior.begin_contact(bias_sd, drift_sd)
@@ -202,7 +202,9 @@ class StressEstimator:
         noise, before = self._motion.take_block(
             block.duration, block.size, slope, float(state[_ORDER])
         )
-        noise += self._noise_variance / block.size
+        turn = self._rig.turn_variance
+        noise += self._noise_variance / block.size + turn
+        before += turn * block.size**2
         stiffness = max(slope, 0.0) * relaxed / self._geometry.length
         rig_error = rig_error_variance(self._config.uncertainty, self._geometry, block, stiffness)
         predictions = []
@@ -246,7 +248,7 @@ class StressEstimator:
                 posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
-        self._linearise(block)
+        self._follow(block, predictions[0].response)
 
     @property
     def _is_tissue_known(self) -> bool:
@@ -264,6 +266,8 @@ class StressEstimator:
         self, block: Block, state: Array, slope: float
     ) -> tuple[Array, Array, dict[StateIndex, float]]:
         """Return the responses of law, old memory and linear parameters but the walk."""
+        if self._config.uncertainty.compliance_sd > 0.0:
+            self._bend(block, state, slope * math.exp(state[_LOG_G]))
         law, free, pulse, yielding = self._basis.take_block()
         if self._contact_start is None:
             self._contact_start = block.memory_time
@@ -273,32 +277,25 @@ class StressEstimator:
             StateIndex.DRIFT: block.memory_time - self._contact_start,
             StateIndex.PULSE: float(in_order @ pulse),
         }
-        uncertainty, geometry = self._config.uncertainty, self._geometry
-        bending = float(in_order @ yielding) * geometry.strain_slope(block.compression)
-        linear[StateIndex.COMPLIANCE] = -uncertainty.compliance_sd * bending / geometry.length
-        if not math.isnan(self._last_compression) and block.duration > 0.0:
-            rate = (block.compression - self._last_compression) / block.duration
-            speed = rate * geometry.length
-            relaxed = apparent_stiffness_factor(float(state[_ORDER]), _DELAY_TIME)
-            linear[StateIndex.DELAY] = uncertainty.delay_sd * slope * relaxed * rate
-            linear[StateIndex.FRICTION] = (
-                uncertainty.friction_sd
-                * geometry.stress_per_force
-                * speed
-                / math.hypot(speed, _FRICTION_SPEED)
-            )
-        self._last_compression = block.compression
+        linear |= self._rig.columns(
+            block, slope, float(state[_ORDER]), float(in_order @ yielding)
+        )
         return law, free, linear
 
-    def _linearise(self, block: Block) -> None:
-        """Let the response to the compliance follow the present state and force."""
-        if self._config.uncertainty.compliance_sd > 0.0:
-            in_origin, _ = self._in_origin(float(self._best.state[_ORIGIN]))
-            self._basis.linearise(
-                math.exp(self._best.state[_LOG_GN]),
-                in_origin,
-                block.stress / self._geometry.stress_per_force,
-            )
+    def _bend(self, block: Block, state: Array, slope: float) -> None:
+        """Let the response to the compliance go on at the present state, by a block's force."""
+        duration = max(block.duration, _SHORTEST_PULSE)
+        stiffness = slope * apparent_stiffness_factor(float(state[_ORDER]), duration)
+        in_origin, _ = self._in_origin(float(state[_ORIGIN]))
+        force = self._rig.bend(block.compression, stiffness)
+        self._basis.linearise(math.exp(state[_LOG_GN]), in_origin, force)
+
+    def _follow(self, block: Block, response: BlockResponse) -> None:
+        """Follow the stress of a block, by the steps of the law where it is noisy."""
+        before = self._last_response or response
+        step = self._best.law_stress(response) - self._best.law_stress(before)
+        self._rig.follow(block.stress, step)
+        self._last_response = response
 
     def _start_anew(self, change: Change, innovation: Innovation, block: Block) -> None:
         """Learn a new tissue from here on; the response to the old one is kept as it was."""
