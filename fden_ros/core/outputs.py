@@ -11,6 +11,7 @@ from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.complex_modulus import ComplexModulus
 from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Innovation, StateIndex
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
@@ -134,6 +135,7 @@ class ContactSummary:
     classes: ClassProbabilities | None
     decided: Decided | None = None
     comparison: Comparison | None = None
+    rig: RigKnowledge | None = None  #: with which the next site begins
 
 
 @dataclass(frozen=True)

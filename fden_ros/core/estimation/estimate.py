@@ -5,11 +5,14 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+
+if TYPE_CHECKING:
+    from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
 class StateIndex(enum.IntEnum):
@@ -112,6 +115,11 @@ class Uncertainty:
     thickness_sd: float = 0.0
 
     @property
+    def rig_sd(self) -> tuple[float, float, float]:
+        """Deviations of what is the rig's: compliance [m/N], delay [s] and friction [N]."""
+        return self.compliance_sd, self.delay_sd, self.friction_sd
+
+    @property
     def walks(self) -> bool:
         """Whether there is anything that changes with time."""
         return any(
@@ -137,6 +145,8 @@ class EstimatorConfig:
     uncertainty : Uncertainty
         What is not known of model and rig. Whether the model's error is there at all, the evidence
         of the data decides.
+    friction : float
+        Friction that is expected [N]; counts where its deviation is not 0.
     """
 
     prior: Prior = Prior()
@@ -145,6 +155,7 @@ class EstimatorConfig:
     converged_log_sd: float = 0.05
     converged_probability: float = 0.99
     uncertainty: Uncertainty = Uncertainty()
+    friction: float = 0.0
 
 
 class Block(NamedTuple):
@@ -263,6 +274,9 @@ class Estimator(Protocol):
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
 
     def relinearise(self, *, fully: bool = False) -> None:
         """Solve anew about the present state, when that is due; `fully`: now, at the end."""

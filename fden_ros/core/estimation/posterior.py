@@ -93,6 +93,9 @@ class StressPosterior:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
+    rig : tuple of ndarray, shape (3,), (3, 3)
+        Mean and covariance of compliance, delay and friction before the first contact, in their
+        stated deviations.
     """
 
     def __init__(
@@ -102,6 +105,7 @@ class StressPosterior:
         origins: Array,
         noise_sd: float,
         origin_sd: float,
+        rig: tuple[Array, Array],
     ) -> None:
         prior, uncertainty = config.prior, config.uncertainty
         self.uncertainty = uncertainty
@@ -111,12 +115,11 @@ class StressPosterior:
         mean, deviations = np.zeros(len(StateIndex)), np.zeros(len(StateIndex))
         mean[:_ORIGIN], deviations[:_ORIGIN] = prior.mean, prior.deviations
         deviations[_ORIGIN] = origin_sd
-        rig = (uncertainty.compliance_sd, uncertainty.delay_sd, uncertainty.friction_sd)
-        deviations[list(_RIG)] = np.sign(rig)
         self._has_walk = uncertainty.walks
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
         self._prior = StatePrior(mean, deviations)
+        self._know(*rig)
         self._solver = GaussNewton(
             self._equations,
             self._prior,
@@ -139,6 +142,18 @@ class StressPosterior:
         deviation = prior.nonlinear_stiffness_log_sd or 1.0
         self._node_weights = np.exp(-0.5 * ((grid.nodes - self.state[_LOG_GN]) / deviation) ** 2)
         self._node_weights /= self._node_weights.sum()
+
+    def _know(self, mean: Array, covariance: Array) -> None:
+        """Begin with what is known of the rig."""
+        is_open = covariance.diagonal() > 0.0
+        own = np.array(_RIG)[is_open]
+        if own.size:
+            self._prior.set_group(own, mean[is_open], covariance[np.ix_(is_open, is_open)])
+
+    def rig(self) -> tuple[Array, Array]:
+        """Return mean (3,) and covariance (3, 3) of the rig, in its stated deviations."""
+        own = list(_RIG)
+        return self.state[own], self.covariance[np.ix_(own, own)]
 
     def _begin_nodes(self) -> None:
         """Let the solution at every node begin at the present state."""

@@ -1,10 +1,10 @@
-"""How what is not known of the rig enters the stress, from block to block.
+r"""How what is not known of the rig enters the stress, from block to block.
 
 Compliance C, delay tau and friction F shift the stress by
 
 .. math::
-    -\\frac{C}{L} D^\\alpha(\\varphi' f), \\qquad \\tau\\,\\varphi' E(t_d)\\,\\dot u, \\qquad
-    F\\,\\mathrm{sgn}(\\dot u)
+    -\frac{C}{L} D^\alpha(\varphi' f), \qquad \tau\,\varphi' E(t_d)\,\dot u, \qquad
+    F\,\mathrm{sgn}(\dot u)
 
 A noisy regressor would say that a parameter is near 0, with a deviation that is far too small
 (errors in variables). So the velocity counts only where it stands out from the noise of the

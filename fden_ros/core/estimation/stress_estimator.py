@@ -28,6 +28,7 @@ from fden_ros.core.estimation.motion_noise import MotionNoise
 from fden_ros.core.estimation.normal_equations import BlockResponse
 from fden_ros.core.estimation.posterior import Prediction, StressPosterior
 from fden_ros.core.estimation.rig import RigResponse
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.tissue_change import Change, Knowledge, TissueChange
 from fden_ros.core.estimation.unmodelled import (
     LoadingAge,
@@ -82,6 +83,8 @@ class StressEstimator:
         Standard deviation of the strain origin [1]; 0: known.
     motion_noise : float
         Variance of the compression's noise per sample times the time between samples [s].
+    rig : RigKnowledge, optional
+        What earlier contacts have told; without it what the configuration states.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class StressEstimator:
         noise_sd: float,
         origin_sd: float = 0.0,
         motion_noise: float = 0.0,
+        rig: RigKnowledge | None = None,
     ) -> None:
         prior = config.prior
         self._config = config
@@ -106,8 +110,10 @@ class StressEstimator:
         self._in_origin = Lagrange(origins)
         self._in_order = order_interpolation()
         self._basis = StressBasis(geometry, grid.nodes, origins)
+        self._known_rig = rig or RigKnowledge.stated(config)
+        known = self._known_rig.scaled(config.uncertainty)
         self._bank = [
-            StressPosterior(scaled, grid, origins, noise_sd, origin_sd)
+            StressPosterior(scaled, grid, origins, noise_sd, origin_sd, known)
             for scaled in _at_scales(config)
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
@@ -277,9 +283,7 @@ class StressEstimator:
             StateIndex.DRIFT: block.memory_time - self._contact_start,
             StateIndex.PULSE: float(in_order @ pulse),
         }
-        linear |= self._rig.columns(
-            block, slope, float(state[_ORDER]), float(in_order @ yielding)
-        )
+        linear |= self._rig.columns(block, slope, float(state[_ORDER]), float(in_order @ yielding))
         return law, free, linear
 
     def _bend(self, block: Block, state: Array, slope: float) -> None:
@@ -369,6 +373,33 @@ class StressEstimator:
             model_error=self._model_error,
             loading_age=self._age.age,
         )
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing.
+
+        That is where nothing is open, the loading never reversed, the tissue changed, or a
+        solution was not found. The mixture of all scales of the model's error has these moments.
+        """
+        is_open = any(self._config.uncertainty.rig_sd)
+        solved = all(posterior.is_solved and posterior.is_unimodal for posterior in self._likely)
+        if not (is_open and solved and self._rig.has_reversed) or self._change.count:
+            return None
+        moments = [posterior.rig() for posterior in self._bank]
+        means = np.array([mean for mean, _ in moments])
+        mean = self._weights @ means
+        centred = means - mean
+        covariance = (self._weights[:, None] * centred).T @ centred
+        for weight, (_, own) in zip(self._weights, moments, strict=True):
+            covariance += weight * own
+        return self._known_rig.taught(mean, 0.5 * (covariance + covariance.T), self._config)
+
+    @property
+    def _likely(self) -> list[StressPosterior]:
+        return [
+            posterior
+            for posterior, weight in zip(self._bank, self._weights, strict=True)
+            if weight >= _LEAST_WEIGHT
+        ]
 
     @property
     def _model_error(self) -> float:
