@@ -28,8 +28,9 @@ class StateIndex(enum.IntEnum):
     COMPLIANCE = 7  #: of the rig, in its standard deviations [1]
     DELAY = 8  #: between the streams, in its standard deviations [1]
     FRICTION = 9  #: against the motion, in its standard deviations [1]
-    WALK = 10  #: stress left out by law and rig at the last knot, in the walk's unit [1]
-    WALK_NEXT = 11  #: at the next knot [1]
+    JITTER = 10  #: share by which noise of a resting displacement counts too much or little [1]
+    WALK = 11  #: stress left out by law and rig at the last knot, in the walk's unit [1]
+    WALK_NEXT = 12  #: at the next knot [1]
 
 
 @dataclass(frozen=True)

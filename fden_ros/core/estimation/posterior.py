@@ -42,14 +42,19 @@ _ORDER = StateIndex.FRACTIONAL_ORDER
 _ORIGIN = StateIndex.STRAIN_ORIGIN
 _BIAS, _DRIFT, _PULSE = StateIndex.BIAS, StateIndex.DRIFT, StateIndex.PULSE
 _RIG = (StateIndex.COMPLIANCE, StateIndex.DELAY, StateIndex.FRICTION)
+_JITTER = StateIndex.JITTER
 _WALK = (StateIndex.WALK, StateIndex.WALK_NEXT)
 #: Parameters that enter the stress linearly, in the order of the state, and those of them whose
 #: columns are at G = 1.
 _LINEAR = tuple(index.name.lower() for index in StateIndex if index > _ORIGIN)
-_SCALED = ("compliance", "delay")
+_SCALED = ("compliance", "delay", "jitter")
 
 #: Deviation of a walk before the sums hold its prior [unit]: so wide that it says nothing.
 _UNKNOWN = 1e6
+#: The noise of a resting displacement is motion to the law, but none to the tissue: its part is
+#: regressed out, with a coefficient of this deviation [1]. (With a walk only the fast signal
+#: counts; without this alpha is a deviation too low.)
+_JITTER_SD = 1.0
 #: The unit of the walk in standard deviations of a sample's noise [1].
 _WALK_UNIT = 3.0
 
@@ -118,6 +123,7 @@ class StressPosterior:
         self._has_walk = uncertainty.walks
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
+            deviations[_JITTER] = _JITTER_SD
         self._prior = StatePrior(mean, deviations)
         self._know(*rig)
         self._solver = GaussNewton(

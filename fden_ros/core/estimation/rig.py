@@ -20,9 +20,12 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import numpy as np
+
 from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness_factor
 from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.kernel import SHORTEST_STEP
 
 #: The velocity is taken over this many blocks [1] ...
 _VELOCITY_BLOCKS = 2
@@ -36,6 +39,8 @@ _STILL_SHARE = 0.5
 _TURN_DEVIATIONS = 2.0
 #: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
 _DELAY_TIME = 0.1
+#: The noise of a resting displacement is its distance from the mean of as many blocks before [1].
+_RESTING_BLOCKS = 4
 #: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
 _FOLLOWED_SHARE = 0.1
 
@@ -65,6 +70,7 @@ class RigResponse:
     def begin_contact(self) -> None:
         """Let the next block begin a new motion."""
         self._recent: deque[tuple[float, float]] = deque(maxlen=_VELOCITY_BLOCKS)
+        self._resting: deque[float] = deque(maxlen=_RESTING_BLOCKS)
         self._has_loaded = self._has_unloaded = False
         self._direction = self.turn_variance = 0.0
         self._followed = 0
@@ -104,6 +110,7 @@ class RigResponse:
         bending = yielding * geometry.strain_slope(block.compression)
         relaxed = apparent_stiffness_factor(order, _DELAY_TIME)
         return {
+            StateIndex.JITTER: slope * self._jitter(block, order),
             StateIndex.COMPLIANCE: -uncertainty.compliance_sd * bending / geometry.length,
             StateIndex.DELAY: uncertainty.delay_sd * slope * relaxed * rate,
             StateIndex.FRICTION: friction * direction,
@@ -121,6 +128,16 @@ class RigResponse:
         if rate * self._direction > 0.0:
             least *= _STILL_SHARE
         return rate if abs(rate) > least else 0.0
+
+    def _jitter(self, block: Block, order: float) -> float:
+        """Return how a resting displacement's noise enters the stress, over dphi/du [s^-alpha]."""
+        before = np.mean(self._resting) if self._resting else block.compression
+        if self._direction:
+            self._resting.clear()
+            return 0.0
+        self._resting.append(block.compression)
+        fresh = apparent_stiffness_factor(order, max(block.duration, SHORTEST_STEP))
+        return fresh * (block.compression - float(before))
 
     def bend(self, compression: float, stiffness: float) -> float:
         """Return the force that bends the tool at the end of the block to come [N].

@@ -10,9 +10,8 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EstimatorConfig, Uncertainty
 
-#: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at a
-#: running linearisation, and what they tell in simulated contacts is off by up to 0.6 of a stated
-#: deviation, the same way in each.
+#: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
+#: a running linearisation, and what they tell is off the same way in each contact.
 _LEAST_SHARE = 0.5
 #: A contact that moves the mean by more than this many deviations of what was known [1] speaks of
 #: another rig: beyond it lie 1e-3 of three normal variables.
