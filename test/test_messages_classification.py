@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -52,6 +54,15 @@ def summary(classes=CLASSES, decided=None, comparison=None):
         decided=decided,
         comparison=comparison,
     )
+
+
+def test_what_is_learned_of_the_rig_goes_into_the_summary():
+    covariance = ((4e-8, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 0.0))
+    rig = RigKnowledge((1e-4, 2e-3, 0.01), covariance, contacts=3)
+    message = summary_message(replace(summary(), rig=rig), "probe")
+    assert (message.compliance, message.delay, message.friction) == (1e-4, 2e-3, 0.01)
+    assert (message.compliance_sd, message.delay_sd) == pytest.approx((2e-4, 1e-3))
+    assert (message.friction_sd, message.rig_contacts) == (0.0, 3)
 
 
 def test_decision_goes_into_the_message_with_its_flags():

@@ -234,6 +234,7 @@ ARRIVES = {
     "force.noise_floor": (1e-3, {}, lambda c: c.contact.noise_floor, 1e-3),
     "force.measure_bias": (False, {}, lambda c: c.contact.measure_bias, False),
     "force.drift_sd": (0.01, {}, lambda c: c.estimator.uncertainty.force_drift_sd, 0.01),
+    "force.friction": (0.01, {}, lambda c: c.estimator.friction, 0.01),
     "force.friction_sd": (0.0, {}, lambda c: c.estimator.uncertainty.friction_sd, 0.0),
     "force.limit": (10.0, {}, lambda c: c.synchronize.force_limit, 10.0),
     "displacement.delay": (0.02, {}, lambda c: c.synchronize.displacement_delay, 0.02),
@@ -246,6 +247,7 @@ ARRIVES = {
         1e-3,
     ),
     "displacement.delay_sd": (0.01, {}, lambda c: c.estimator.uncertainty.delay_sd, 0.01),
+    "rig.learn": (False, {}, lambda c: c.learns_rig, False),
     "surface.motion_sd": (1e-3, {}, lambda c: c.estimator.uncertainty.surface_motion_sd, 1e-3),
     "model_error.sd": (
         0.4,
@@ -329,6 +331,11 @@ def test_parameter_arrives_where_the_core_takes_it(name):
     value, others, look, expected = ARRIVES[name]
     assert look(pipeline_config(check({**others, name: value}))) == expected
     assert look(pipeline_config(check(others))) != expected
+
+
+def test_a_friction_that_could_not_count_is_refused():
+    with pytest.raises(InputError, match="only with a standard deviation"):
+        pipeline_config(check({"force.friction": 0.01, "force.friction_sd": 0.0}))
 
 
 def test_library_is_read_from_its_path(tmp_path):

@@ -35,6 +35,22 @@ lift off; once at 1 Hz and once at 4 Hz, say. The answer is the parameter displa
 Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
+RIG_DESCRIPTION = """\
+Learn compliance, delay and friction from contacts on any tissue, as the node does while it runs:
+what one contact tells, the next one knows. Print what is known after the last, as parameters.
+"""
+
+RIG_EPILOG = """\
+examples:
+  fden calibrate rig session_bag --config arm.yaml -o arm_learned.yaml
+  fden calibrate rig session_bag --json | jq .parameters
+
+Recording: ten touches or so at different places, each with a hold and a release. With the
+deviations of a typical arm one touch tells some of friction and delay and hardly anything of the
+compliance; on tissue that rests (surface.motion_sd: 0) it tells more.
+Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
+"""
+
 _ORDERS = (0.0, 0.05, 0.1, 0.131, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 
 
@@ -42,7 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command to ``fden``."""
     parser = subparsers.add_parser(
         "calibrate",
-        help="find the delay between force and displacement",
+        help="find the delay between force and displacement, or what contacts tell of the rig",
         description=DESCRIPTION,
     )
     what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
@@ -63,6 +79,53 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     delay.add_argument("--json", action="store_true", help="print one JSON object")
     delay.set_defaults(run=run, parser=delay)
+    _add_rig_parser(what)
+
+
+def _add_rig_parser(what: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    rig = what.add_parser(
+        "rig",
+        help="compliance, delay and friction that the contacts of a recording tell",
+        description=RIG_DESCRIPTION,
+        epilog=RIG_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    rig.add_argument(
+        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
+    )
+    add_input_options(rig)
+    rig.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="write a parameter file: that of --config with what was learned",
+    )
+    rig.add_argument("--json", action="store_true", help="print one JSON object")
+    rig.set_defaults(run=run_rig, parser=rig)
+
+
+def run_rig(args: argparse.Namespace) -> int:
+    """Learn the rig and print it; return the exit code."""
+    from fden_ros.offline.rig import learn_rig, learned_parameters, write_parameters
+
+    parameters = parameters_of(args)
+    rig = learn_rig(args.bag, parameters, selection_of(args))
+    learned = learned_parameters(rig, parameters)
+    if args.output is not None:
+        write_parameters(args.output, parameters.changed(learned))
+    if args.json:
+        json.dump({"contacts": rig.contacts, "parameters": learned}, sys.stdout, allow_nan=False)
+        print()
+        return 0
+    values = rig.values
+    print(f"{rig.contacts} contacts tell of the rig, beside what the parameters say:")
+    for name, unit in (("compliance", "mm/N"), ("delay", "ms"), ("friction", "mN")):
+        value = values[name]
+        print(f"  {name:<11}{1e3 * value.mean:8.3f} ± {1e3 * value.sd:.3f} {unit}")
+    for name, number in learned.items():
+        print(f"Parameter: {name}: {number:.4g}")
+    return 0
 
 
 def run(args: argparse.Namespace) -> int:

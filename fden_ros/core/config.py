@@ -42,6 +42,8 @@ class PipelineConfig:
         Compare each site with those around it that were touched before, not with the library.
     dither_frequencies : tuple of float
         Frequencies of the probe's oscillation [Hz], different; empty: there is none.
+    learns_rig : bool
+        What a contact tells of the rig, the next site knows.
     dither_periods : int
         Periods of the lowest frequency per complex modulus.
     """
@@ -59,6 +61,7 @@ class PipelineConfig:
     relative: RelativeConfig | None = None
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
+    learns_rig: bool = True
 
 
 def labeller_of(config: PipelineConfig) -> Labeller:

@@ -16,6 +16,7 @@ from fden_ros.core.estimation.estimate import (
     Innovation,
     ParameterSet,
 )
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.streams.samples import Position
@@ -139,6 +140,7 @@ class ContactSummary:
     comparison: Comparison | None = None
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
+    rig: RigKnowledge | None = None  #: with which the next site begins
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,14 @@ import enum
 import math
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimate import Observation
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
     Failure,
     Flag,
@@ -72,6 +74,8 @@ class Pipeline:
         flagged :attr:`Flag.ESTIMATION_FAILED`; the next site begins afresh.
     failure_count : int
         How many there were.
+    rig : RigKnowledge
+        What is known of the rig.
     """
 
     def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
@@ -97,10 +101,11 @@ class Pipeline:
         self._phase = PhaseMeter()
         self._labeller = labeller_of(config)
         self._forget(_Forget.STREAMS)
+        self.forget_rig()
         prepare(config)
 
     def _forget(self, scope: _Forget) -> None:
-        """Forget what was learned; configuration, tare, counts and ids are kept.
+        """Forget what was learned but of the rig; configuration, tare, counts and ids are kept.
 
         A detector in contact keeps the air's force over a jump of the clock: it waits for the
         release.
@@ -169,9 +174,16 @@ class Pipeline:
         return None
 
     def reset(self) -> None:
-        """End the contact, if any, as incomplete, and forget everything that was learned."""
+        """End the contact, if any, as incomplete, and forget what was learned but of the rig."""
         self.finish()
         self._forget(_Forget.STREAMS)
+
+    def forget_rig(self) -> None:
+        """Let the next site begin with what is stated of the rig."""
+        self.rig = RigKnowledge.stated(self.config.estimator)
+        if self._site is not None:
+            # It began with what is forgotten now.
+            self._site.teaches_rig = False
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""
@@ -272,7 +284,7 @@ class Pipeline:
         site = self._site
         if site is None or site.is_elsewhere(first):
             self.site_count += 1
-            site = self._site = Site(self.site_count, onset, self.config)
+            site = self._site = Site(self.site_count, onset, self.config, self.rig)
         self.contact_count += 1
         site.check_history(onset)
         press = self._press = Press(
@@ -337,7 +349,10 @@ class Pipeline:
             site.end_contact()
             if not complete:
                 press.see_missing(self.rejected)
-            self._emit(press.summary(end_ns, self.rejected, complete=complete))
+            summary = press.summary(end_ns, self.rejected, complete=complete)
+            if complete and summary.converged and not press.flags:
+                self.rig = site.rig() or self.rig
+            self._emit(replace(summary, rig=self.rig))
         # An incomplete contact may go on: the probe has not left.
         if complete:
             self._press = None

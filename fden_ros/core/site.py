@@ -14,6 +14,7 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,
 )
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.fractional_integral import FractionalIntegral
@@ -41,6 +42,8 @@ class Site:
     onset : Onset
         Of the first touch.
     config : PipelineConfig
+    rig : RigKnowledge
+        What is known of the rig before the first touch.
 
     Attributes
     ----------
@@ -52,9 +55,13 @@ class Site:
         The history has been seen from the first touch, without a gap.
     estimate : Estimate or None
         The newest.
+    teaches_rig : bool
+        What is learned of the rig here may be used at other sites.
     """
 
-    def __init__(self, site_id: int, onset: Onset, config: PipelineConfig) -> None:
+    def __init__(
+        self, site_id: int, onset: Onset, config: PipelineConfig, rig: RigKnowledge
+    ) -> None:
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self.last_ns = first.stamp_ns
@@ -63,6 +70,8 @@ class Site:
         self.flags = Flag.NONE
         self.estimate: Estimate | None = None
         self._config = config
+        self._rig = rig
+        self.teaches_rig = config.learns_rig
         if config.strain_origin is not None:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
@@ -150,7 +159,7 @@ class Site:
         scale = self._config.geometry.stress_per_force
         if self.is_usable and self._estimator is None:
             self._estimator = _new_estimator(
-                self._config, onset.noise_sd * scale, self.origin_sd, motion_noise
+                self._config, onset.noise_sd * scale, self.origin_sd, motion_noise, self._rig
             )
         self._rest_until(onset.samples[0].stamp_ns)
         self._integral.take_sum()
@@ -282,6 +291,12 @@ class Site:
             self._estimator.relinearise(fully=True)
             self.refresh()
 
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
+        if self._estimator is None or not self.is_usable or self.is_doubtful:
+            return None
+        return self._estimator.rig() if self.teaches_rig else None
+
     def fail(self) -> None:
         """Become unusable after an exception."""
         self.is_usable = False
@@ -292,7 +307,7 @@ class Site:
 def prepare(config: PipelineConfig) -> None:
     """Compute the kernels' weights, which takes a moment: not only at the first touch."""
     FractionalIntegral(_orders(config))
-    _new_estimator(config, 1.0, 1.0, 0.0)
+    _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
 
 
 def _orders(config: PipelineConfig) -> tuple[float, ...]:
@@ -300,12 +315,21 @@ def _orders(config: PipelineConfig) -> tuple[float, ...]:
 
 
 def _new_estimator(
-    config: PipelineConfig, noise_sd: float, origin_sd: float, motion_noise: float
+    config: PipelineConfig,
+    noise_sd: float,
+    origin_sd: float,
+    motion_noise: float,
+    rig: RigKnowledge,
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is Observation.STRESS:
         return StressEstimator(
-            config.estimator, geometry, noise_sd, origin_sd, motion_noise / geometry.length**2
+            config.estimator,
+            geometry,
+            noise_sd,
+            origin_sd,
+            motion_noise / geometry.length**2,
+            rig,
         )
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 

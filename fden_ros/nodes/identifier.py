@@ -1,8 +1,8 @@
 """The lifecycle node ``identifier``: the pipeline on live topics.
 
 Subscribes to ``force`` and ``displacement``; publishes ``~/estimate``, ``~/classification``,
-``~/palpation`` and ``/diagnostics``; offers ``~/reset`` and ``~/tare``. Everything that computes
-is in :mod:`fden_ros.core`.
+``~/palpation`` and ``/diagnostics``; offers ``~/reset``, ``~/forget_rig`` and ``~/tare``.
+Everything that computes is in :mod:`fden_ros.core`.
 """
 
 from __future__ import annotations
@@ -192,7 +192,11 @@ class Identifier(LifecycleNode):
             self._made.append(lambda p=publisher: self.destroy_publisher(p))  # type: ignore[misc]
         self._diagnostics = Diagnostics(self)
         self._made.append(self._diagnostics.destroy)
-        for name, callback in (("~/reset", self._on_reset), ("~/tare", self._on_tare)):
+        for name, callback in (
+            ("~/reset", self._on_reset),
+            ("~/forget_rig", self._on_forget_rig),
+            ("~/tare", self._on_tare),
+        ):
             service = self.create_service(Trigger, name, callback)
             self._made.append(lambda s=service: self.destroy_service(s))  # type: ignore[misc]
 
@@ -362,8 +366,18 @@ class Identifier(LifecycleNode):
             return _answer(response, "the node is not active: activate it first")
         self._pipeline.reset()
         self._inputs.reset()
-        self.get_logger().info("reset: everything learned was forgotten")
+        self.get_logger().info("reset: everything learned but of the rig was forgotten")
         return _answer(response, None)
+
+    def _on_forget_rig(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        with self._lock:
+            if not self._active or self._pipeline is None:
+                return _answer(response, "the node is not active: activate it first")
+            self._pipeline.forget_rig()
+            self.get_logger().info("forget_rig: the next site begins with the parameters' rig")
+            return _answer(response, None)
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:

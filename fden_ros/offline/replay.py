@@ -191,6 +191,7 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "ratio": None,
         "ratio_low": None,
         "ratio_high": None,
+        "rig": None,
     }
     estimate = summary.estimate
     if estimate is not None:
@@ -224,4 +225,9 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
     if summary.comparison is not None:
         contact["ratio"] = summary.comparison.ratio
         contact["ratio_low"], contact["ratio_high"] = summary.comparison.interval()
+    if summary.rig is not None:
+        contact["rig"] = {
+            name: {"value": value.mean, "sd": value.sd}
+            for name, value in summary.rig.values.items()
+        }
     return contact

@@ -19,6 +19,7 @@ from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
+from fden_ros.errors import InputError
 from fden_ros.parameters.table import Parameters
 from fden_ros.tissues.library import library_for
 
@@ -36,7 +37,8 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
     Raises
     ------
     InputError
-        If the tissue library cannot be read, or is in other units than the estimates.
+        If the tissue library cannot be read, or is in other units than the estimates, or a
+        friction is given without a deviation.
     """
     geometry = geometry_of(parameters)
     prior = Prior(
@@ -77,6 +79,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             converged_order_sd=parameters.converged.alpha_sd,
             converged_probability=parameters.converged.probability,
             uncertainty=uncertainty_of(parameters),
+            friction=_friction(parameters),
         ),
         strain_origin=(
             parameters.origin.displacement if parameters.origin.source == "given" else None
@@ -101,6 +104,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         ),
         dither_frequencies=tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0})),
         dither_periods=parameters.dither.periods,
+        learns_rig=parameters.rig.learn,
     )
 
 
@@ -116,6 +120,16 @@ def uncertainty_of(parameters: Parameters) -> Uncertainty:
         delay_sd=parameters.displacement.delay_sd,
         thickness_sd=parameters.geometry.thickness_sd,
     )
+
+
+def _friction(parameters: Parameters) -> float:
+    force = parameters.force
+    if force.friction and not force.friction_sd:
+        raise InputError(
+            f"force.friction is {force.friction} and force.friction_sd is 0: a friction counts "
+            "only with a standard deviation, 0.001 say"
+        )
+    return force.friction
 
 
 def tool_weight(parameters: Parameters) -> ToolWeight | None:

@@ -86,10 +86,17 @@ class ForceParameters:
         0.0,
         1000.0,
     )
+    friction: float = number(
+        0.0,
+        "N",
+        "Friction against the motion of the probe; counts where force.friction_sd is not 0.",
+        -1000.0,
+        1000.0,
+    )
     friction_sd: float = number(
         0.007,
         "N",
-        "Standard deviation of the friction against the motion of the probe; 0: none.",
+        "Standard deviation of the friction that force.friction leaves; 0: none.",
         0.0,
         1000.0,
     )
@@ -174,6 +181,17 @@ class SurfaceParameters:
         "Standard deviation of its motion in one second, by breathing and heartbeat; 0: it rests.",
         0.0,
         0.1,
+    )
+
+
+@dataclass(frozen=True)
+class RigParameters:
+    """What is learned of the robot that holds the probe."""
+
+    learn: bool = flag(
+        True,
+        "What a contact tells of compliance, delay and friction, the next site knows; false: each "
+        "begins with what is stated here.",
     )
 
 
@@ -568,6 +586,7 @@ class Parameters:
     force: ForceParameters = ForceParameters()
     displacement: DisplacementParameters = DisplacementParameters()
     surface: SurfaceParameters = SurfaceParameters()
+    rig: RigParameters = RigParameters()
     model_error: ModelErrorParameters = ModelErrorParameters()
     tool: ToolParameters = ToolParameters()
     synchronize: SynchronizeParameters = SynchronizeParameters()

@@ -10,6 +10,7 @@ from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.estimation.estimate import Estimate, Innovation, LawError, ParameterSet
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import (
     ApparentStiffness,
@@ -133,7 +134,17 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     message.rejected_count = summary.rejected_count
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_classes(message, summary)
+    _fill_rig(message, summary.rig)
     return message
+
+
+def _fill_rig(message: PalpationSummary, rig: RigKnowledge | None) -> None:
+    if rig is None:
+        return
+    for name, value in rig.values.items():
+        setattr(message, name, value.mean)
+        setattr(message, f"{name}_sd", value.sd)
+    message.rig_contacts = rig.contacts
 
 
 def _fill_parameters(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+
+if TYPE_CHECKING:
+    from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
 class StateIndex(enum.IntEnum):
@@ -25,8 +28,9 @@ class StateIndex(enum.IntEnum):
     COMPLIANCE = 7  #: of the rig, in its standard deviations [1]
     DELAY = 8  #: between the streams, in its standard deviations [1]
     FRICTION = 9  #: against the motion, in its standard deviations [1]
-    WALK = 10  #: stress left out by law and rig at the last knot, in the walk's unit [1]
-    WALK_NEXT = 11  #: at the next knot [1]
+    JITTER = 10  #: share by which noise of a resting displacement counts too much or little [1]
+    WALK = 11  #: stress left out by law and rig at the last knot, in the walk's unit [1]
+    WALK_NEXT = 12  #: at the next knot [1]
 
 
 class ParameterSet(enum.IntFlag):
@@ -141,6 +145,11 @@ class Uncertainty:
     thickness_sd: float = 0.0
 
     @property
+    def rig_sd(self) -> tuple[float, float, float]:
+        """Deviations of what is the rig's: compliance [m/N], delay [s] and friction [N]."""
+        return self.compliance_sd, self.delay_sd, self.friction_sd
+
+    @property
     def walks(self) -> bool:
         """Whether there is anything that changes with time."""
         return any(
@@ -171,6 +180,8 @@ class EstimatorConfig:
     uncertainty : Uncertainty
         What is not known of model and rig. Whether the model's error is there at all, the evidence
         of the data decides.
+    friction : float
+        Friction that is expected [N]; counts where its deviation is not 0.
     """
 
     prior: Prior = Prior()
@@ -181,6 +192,7 @@ class EstimatorConfig:
     converged_order_sd: float = 0.05
     converged_probability: float = 0.99
     uncertainty: Uncertainty = Uncertainty()
+    friction: float = 0.0
 
     @property
     def is_order_given(self) -> bool:
@@ -385,6 +397,9 @@ class Estimator(Protocol):
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
 
     def relinearise(self, *, fully: bool = False) -> None:
         """Solve anew about the present state, when that is due; `fully`: now, at the end."""

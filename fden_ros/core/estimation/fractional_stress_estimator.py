@@ -153,6 +153,9 @@ class FractionalStressEstimator:
             )
         )
 
+    def rig(self) -> None:
+        """Return None: these filters do not know the rig."""
+
     def estimate(self) -> Estimate:
         """Return the present estimate."""
         return self._filter.estimate()

@@ -49,14 +49,19 @@ _ORDER = StateIndex.FRACTIONAL_ORDER
 _ORIGIN = StateIndex.STRAIN_ORIGIN
 _BIAS, _DRIFT, _PULSE = StateIndex.BIAS, StateIndex.DRIFT, StateIndex.PULSE
 _RIG = (StateIndex.COMPLIANCE, StateIndex.DELAY, StateIndex.FRICTION)
+_JITTER = StateIndex.JITTER
 _WALK = (StateIndex.WALK, StateIndex.WALK_NEXT)
 #: Parameters that enter the stress linearly, in the order of the state, and those of them whose
 #: columns are at G = 1.
 _LINEAR = tuple(index.name.lower() for index in StateIndex if index > _ORIGIN)
-_SCALED = ("compliance", "delay")
+_SCALED = ("compliance", "delay", "jitter")
 
 #: Deviation of a walk before the sums hold its prior [unit]: so wide that it says nothing.
 _UNKNOWN = 1e6
+#: The noise of a resting displacement is motion to the law, but none to the tissue: its part is
+#: regressed out, with a coefficient of this deviation [1]. (With a walk only the fast signal
+#: counts; without this alpha is a deviation too low.)
+_JITTER_SD = 1.0
 #: The unit of the walk in standard deviations of a sample's noise [1].
 _WALK_UNIT = 3.0
 
@@ -100,6 +105,9 @@ class StressPosterior:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
+    rig : tuple of ndarray, shape (3,), (3, 3)
+        Mean and covariance of compliance, delay and friction before the first contact, in their
+        stated deviations.
     """
 
     def __init__(
@@ -109,6 +117,7 @@ class StressPosterior:
         origins: Array,
         noise_sd: float,
         origin_sd: float,
+        rig: tuple[Array, Array],
     ) -> None:
         prior, uncertainty = config.prior, config.uncertainty
         self.uncertainty = uncertainty
@@ -118,12 +127,12 @@ class StressPosterior:
         mean, deviations = np.zeros(len(StateIndex)), np.zeros(len(StateIndex))
         mean[:_ORIGIN], deviations[:_ORIGIN] = prior.mean, prior.deviations
         deviations[_ORIGIN] = origin_sd
-        rig = (uncertainty.compliance_sd, uncertainty.delay_sd, uncertainty.friction_sd)
-        deviations[list(_RIG)] = np.sign(rig)
         self._has_walk = uncertainty.walks
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
+            deviations[_JITTER] = _JITTER_SD
         self._prior = StatePrior(mean, deviations)
+        self._know(*rig)
         self._solver = GaussNewton(
             self._equations,
             self._prior,
@@ -146,6 +155,18 @@ class StressPosterior:
         deviation = prior.nonlinear_stiffness_log_sd or 1.0
         self._node_weights = np.exp(-0.5 * ((grid.nodes - self.state[_LOG_GN]) / deviation) ** 2)
         self._node_weights /= self._node_weights.sum()
+
+    def _know(self, mean: Array, covariance: Array) -> None:
+        """Begin with what is known of the rig."""
+        is_open = covariance.diagonal() > 0.0
+        own = np.array(_RIG)[is_open]
+        if own.size:
+            self._prior.set_group(own, mean[is_open], covariance[np.ix_(is_open, is_open)])
+
+    def rig(self) -> tuple[Array, Array]:
+        """Return mean (3,) and covariance (3, 3) of the rig, in its stated deviations."""
+        own = list(_RIG)
+        return self.state[own], self.covariance[np.ix_(own, own)]
 
     def _begin_nodes(self) -> None:
         """Let the solution at every node begin at the present state."""
@@ -265,6 +286,10 @@ class StressPosterior:
     def law_weights(self) -> tuple[int, Array]:
         """Return the first node of ln Gn used at the state, and the weights (8, origins)."""
         return self._equations.law_weights(self.state)
+
+    def law_stress(self, response: BlockResponse) -> float:
+        """Return the stress of a block by the law alone, at the state [Pa]."""
+        return self._equations.law_stress(response, self.state)
 
     def start_anew(self, predicted_fractional_stress: float) -> None:
         """Learn a new tissue from here on: origin, bias, drift and rig stay."""

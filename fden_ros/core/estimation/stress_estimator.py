@@ -30,10 +30,12 @@ from fden_ros.core.estimation.estimate import (
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.law_watch import LawWatch
 from fden_ros.core.estimation.motion_noise import MotionNoise
+from fden_ros.core.estimation.normal_equations import BlockResponse
 from fden_ros.core.estimation.posterior import Prediction, StressPosterior
+from fden_ros.core.estimation.rig import RigResponse
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.tissue_change import Change, Knowledge, TissueChange
 from fden_ros.core.estimation.unmodelled import (
-    FRICTION_SPEED,
     SURFACE_TIME,
     LoadingAge,
     model_error_variance,
@@ -69,8 +71,6 @@ _LEAST_WEIGHT = 1e-4
 _RARELY = 40
 #: Share of the prior's deviation of ln G [1] below which the data have said something.
 _KNOWN_SHARE = 0.5
-#: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
-_DELAY_TIME = 0.1
 
 
 class StressEstimator:
@@ -86,6 +86,8 @@ class StressEstimator:
         Standard deviation of the strain origin [1]; 0: known.
     motion_noise : float
         Variance of the compression's noise per sample times the time between samples [s].
+    rig : RigKnowledge, optional
+        What earlier contacts have told; without it what the configuration states.
     """
 
     def __init__(
@@ -95,6 +97,7 @@ class StressEstimator:
         noise_sd: float,
         origin_sd: float = 0.0,
         motion_noise: float = 0.0,
+        rig: RigKnowledge | None = None,
     ) -> None:
         prior = config.prior
         self._config = config
@@ -110,15 +113,18 @@ class StressEstimator:
         self._in_origin = Lagrange(origins)
         self._in_order = order_interpolation()
         self._basis = StressBasis(geometry, grid.nodes, origins)
+        self._known_rig = rig or RigKnowledge.stated(config)
+        known = self._known_rig.scaled(config.uncertainty)
         self._bank = [
-            StressPosterior(scaled, grid, origins, noise_sd, origin_sd)
+            StressPosterior(scaled, grid, origins, noise_sd, origin_sd, known)
             for scaled in _at_scales(config)
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
-        self._last_compression = math.nan
+        self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
+        self._last_response: BlockResponse | None = None
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -154,7 +160,8 @@ class StressEstimator:
         self._change.begin_contact()
         self._law.begin_contact()
         self._age.interrupt()
-        self._last_compression = math.nan
+        self._rig.begin_contact()
+        self._last_response = None
         self._contact_start = None
         for posterior in self._bank:
             posterior.begin_contact(bias_sd, drift_sd)
@@ -212,7 +219,9 @@ class StressEstimator:
         noise, before = self._motion.take_block(
             block.duration, block.size, slope, float(state[_ORDER])
         )
-        noise += self._noise_variance / block.size
+        turn = self._rig.turn_variance
+        noise += self._noise_variance / block.size + turn
+        before += turn * block.size**2
         stiffness = max(slope, 0.0) * relaxed / self._geometry.length
         rig_error = rig_error_variance(
             self._config.uncertainty, self._geometry, block.duration, stiffness
@@ -258,7 +267,7 @@ class StressEstimator:
                 posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
-        self._linearise(block)
+        self._follow(block, predictions[0].response)
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
 
@@ -283,6 +292,8 @@ class StressEstimator:
         self, block: Block, state: Array, slope: float
     ) -> tuple[Array, Array, dict[StateIndex, float]]:
         """Return the responses of law, old memory and linear parameters but the walk."""
+        if self._config.uncertainty.compliance_sd > 0.0:
+            self._bend(block, state, slope * math.exp(state[_LOG_G]))
         law, free, pulse, yielding = self._basis.take_block()
         if self._contact_start is None:
             self._contact_start = block.memory_time
@@ -292,32 +303,23 @@ class StressEstimator:
             StateIndex.DRIFT: block.memory_time - self._contact_start,
             StateIndex.PULSE: float(in_order @ pulse),
         }
-        uncertainty, geometry = self._config.uncertainty, self._geometry
-        bending = float(in_order @ yielding) * geometry.strain_slope(block.compression)
-        linear[StateIndex.COMPLIANCE] = -uncertainty.compliance_sd * bending / geometry.length
-        if not math.isnan(self._last_compression) and block.duration > 0.0:
-            rate = (block.compression - self._last_compression) / block.duration
-            speed = rate * geometry.length
-            relaxed = apparent_stiffness_factor(float(state[_ORDER]), _DELAY_TIME)
-            linear[StateIndex.DELAY] = uncertainty.delay_sd * slope * relaxed * rate
-            linear[StateIndex.FRICTION] = (
-                uncertainty.friction_sd
-                * geometry.stress_per_force
-                * speed
-                / math.hypot(speed, FRICTION_SPEED)
-            )
-        self._last_compression = block.compression
+        linear |= self._rig.columns(block, slope, float(state[_ORDER]), float(in_order @ yielding))
         return law, free, linear
 
-    def _linearise(self, block: Block) -> None:
-        """Let the response to the compliance follow the present state and force."""
-        if self._config.uncertainty.compliance_sd > 0.0:
-            in_origin, _ = self._in_origin(float(self._best.state[_ORIGIN]))
-            self._basis.linearise(
-                math.exp(self._best.state[_LOG_GN]),
-                in_origin,
-                block.stress / self._geometry.stress_per_force,
-            )
+    def _bend(self, block: Block, state: Array, slope: float) -> None:
+        """Let the response to the compliance go on at the present state, by a block's force."""
+        duration = max(block.duration, _SHORTEST_PULSE)
+        stiffness = slope * apparent_stiffness_factor(float(state[_ORDER]), duration)
+        in_origin, _ = self._in_origin(float(state[_ORIGIN]))
+        force = self._rig.bend(block.compression, stiffness)
+        self._basis.linearise(math.exp(state[_LOG_GN]), in_origin, force)
+
+    def _follow(self, block: Block, response: BlockResponse) -> None:
+        """Follow the stress of a block, by the steps of the law where it is noisy."""
+        before = self._last_response or response
+        step = self._best.law_stress(response) - self._best.law_stress(before)
+        self._rig.follow(block.stress, step)
+        self._last_response = response
 
     def _start_anew(self, change: Change, innovation: Innovation, block: Block) -> None:
         """Learn a new tissue from here on; the response to the old one is kept as it was."""
@@ -406,6 +408,33 @@ class StressEstimator:
             if weight >= EDGE_SHARE:
                 found |= posterior.at_edge()
         return found
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing.
+
+        That is where nothing is open, the loading never reversed, the tissue changed, or a
+        solution was not found. The mixture of all scales of the model's error has these moments.
+        """
+        is_open = any(self._config.uncertainty.rig_sd)
+        solved = all(posterior.is_solved and posterior.is_unimodal for posterior in self._likely)
+        if not (is_open and solved and self._rig.has_reversed) or self._change.count:
+            return None
+        moments = [posterior.rig() for posterior in self._bank]
+        means = np.array([mean for mean, _ in moments])
+        mean = self._weights @ means
+        centred = means - mean
+        covariance = (self._weights[:, None] * centred).T @ centred
+        for weight, (_, own) in zip(self._weights, moments, strict=True):
+            covariance += weight * own
+        return self._known_rig.taught(mean, 0.5 * (covariance + covariance.T), self._config)
+
+    @property
+    def _likely(self) -> list[StressPosterior]:
+        return [
+            posterior
+            for posterior, weight in zip(self._bank, self._weights, strict=True)
+            if weight >= _LEAST_WEIGHT
+        ]
 
     @property
     def _model_error(self) -> float:

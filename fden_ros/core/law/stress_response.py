@@ -95,9 +95,8 @@ class StressBasis:
         in_origin : ndarray, shape (m,)
             Weights of the origin's nodes.
         force : float
-            Force that bends the tool [N].
+            Force that bends the tool at the last sample [N]; it has grown since it was set before.
         """
-        self._catch_up()
         self._running_gn, self._running_origin, self._force = gn, in_origin, force
 
     def _slopes(self, strains: Array) -> Array:
@@ -138,9 +137,9 @@ class StressBasis:
         signals = np.zeros((len(steps), self._last.size))
         signals[:, : self._signal_count] = self._law(strains)
         change = np.diff(signals, axis=0, prepend=self._last[None])
-        bent = self._slopes(before) * self._force
-        bent[0] = self._slopes(before[:1])[0] * self._last_force
-        change[:, self._yielding] = self._slopes(strains) * self._force - bent
+        forces = np.linspace(self._last_force, self._force, len(steps) + 1)
+        bent = self._slopes(before) * forces[:-1]
+        change[:, self._yielding] = self._slopes(strains) * forces[1:] - bent
         kept = self._last[self._yielding] + change[:, self._yielding].sum()
         self._last, self._last_force = signals[-1], self._force
         self._last[self._yielding] = kept

@@ -1,0 +1,171 @@
+r"""How what is not known of the rig enters the stress, from block to block.
+
+Compliance C, delay tau and friction F shift the stress by
+
+.. math::
+    -\frac{C}{L} D^\alpha(\varphi' f), \qquad \tau\,\varphi' E(t_d)\,\dot u, \qquad
+    F\,\mathrm{sgn}(\dot u)
+
+A noisy regressor would say that a parameter is near 0, with a deviation that is far too small
+(errors in variables). So the velocity counts only where it stands out from the noise of the
+displacement, and the force that bends the tool is followed, not taken as measured.
+
+References
+----------
+Fuller, Measurement Error Models (1987), ch. 1: attenuation by errors in variables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
+from fden_ros.core.law.apparent_stiffness import apparent_stiffness_factor
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.kernel import SHORTEST_STEP
+
+#: The velocity is taken over this many blocks [1] ...
+_VELOCITY_BLOCKS = 2
+#: ... and is a motion above this many standard deviations of its noise [1], and this speed [m/s].
+_MOVING_DEVIATIONS, _LEAST_SPEED = 4.0, 2e-4
+#: A motion goes on above this share of that [1].
+_STILL_SHARE = 0.5
+#: Where the direction changes, friction acts on an unknown part of this block and of the one
+#: before: both are so many of its deviations less certain [1]. Else a friction of any size would
+#: be found to be small.
+_TURN_DEVIATIONS = 2.0
+#: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
+_DELAY_TIME = 0.1
+#: The noise of a resting displacement is its distance from the mean of as many blocks before [1].
+_RESTING_BLOCKS = 4
+#: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
+_FOLLOWED_SHARE = 0.1
+
+
+class RigResponse:
+    """The responses to one deviation each of compliance, delay and friction.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty
+    geometry : Geometry
+    motion_noise : float
+        Variance of the compression's noise per sample times the time between samples [s].
+
+    Attributes
+    ----------
+    turn_variance : float
+        By which the newest block and the one before are less certain [Pa^2].
+    """
+
+    def __init__(self, uncertainty: Uncertainty, geometry: Geometry, motion_noise: float) -> None:
+        self._uncertainty = uncertainty
+        self._geometry = geometry
+        self._motion_noise = motion_noise
+        self.begin_contact()
+
+    def begin_contact(self) -> None:
+        """Let the next block begin a new motion."""
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_VELOCITY_BLOCKS)
+        self._resting: deque[float] = deque(maxlen=_RESTING_BLOCKS)
+        self._has_loaded = self._has_unloaded = False
+        self._direction = self.turn_variance = 0.0
+        self._followed = 0
+        self._stress = self._loading = self._relaxing = 0.0
+
+    @property
+    def has_reversed(self) -> bool:
+        """Whether the probe has gone in and out in this contact: only that tells friction."""
+        return self._has_loaded and self._has_unloaded
+
+    def columns(
+        self, block: Block, slope: float, order: float, yielding: float
+    ) -> dict[StateIndex, float]:
+        """Return the columns for a block [Pa]; those of compliance and delay at G = 1.
+
+        Parameters
+        ----------
+        block : Block
+        slope : float
+            dphi/du at G = 1 [1].
+        order : float
+            alpha [1].
+        yielding : float
+            D^alpha of dphi/dx times the force, at G = 1 [N].
+        """
+        uncertainty, geometry = self._uncertainty, self._geometry
+        rate = self._rate(block)
+        direction = math.copysign(1.0, rate) if rate else 0.0
+        self._has_loaded |= direction > 0.0
+        self._has_unloaded |= direction < 0.0
+        friction = uncertainty.friction_sd * geometry.stress_per_force
+        self.turn_variance = (
+            (_TURN_DEVIATIONS * friction) ** 2 if direction != self._direction else 0.0
+        )
+        self._direction = direction
+        self._recent.append((block.compression, block.memory_time))
+        bending = yielding * geometry.strain_slope(block.compression)
+        relaxed = apparent_stiffness_factor(order, _DELAY_TIME)
+        return {
+            StateIndex.JITTER: slope * self._jitter(block, order),
+            StateIndex.COMPLIANCE: -uncertainty.compliance_sd * bending / geometry.length,
+            StateIndex.DELAY: uncertainty.delay_sd * slope * relaxed * rate,
+            StateIndex.FRICTION: friction * direction,
+        }
+
+    def _rate(self, block: Block) -> float:
+        """Return the compression's rate up to a block [1/s]; 0 where it may be noise."""
+        if not self._recent or block.duration <= 0.0:
+            return 0.0
+        before, begun = self._recent[0]
+        elapsed = block.memory_time - begun
+        rate = (block.compression - before) / elapsed
+        noise = math.sqrt(2.0 * self._motion_noise / block.duration) / elapsed
+        least = _MOVING_DEVIATIONS * noise + _LEAST_SPEED / self._geometry.length
+        if rate * self._direction > 0.0:
+            least *= _STILL_SHARE
+        return rate if abs(rate) > least else 0.0
+
+    def _jitter(self, block: Block, order: float) -> float:
+        """Return how a resting displacement's noise enters the stress, over dphi/du [s^-alpha]."""
+        before = np.mean(self._resting) if self._resting else block.compression
+        if self._direction:
+            self._resting.clear()
+            return 0.0
+        self._resting.append(block.compression)
+        fresh = apparent_stiffness_factor(order, max(block.duration, SHORTEST_STEP))
+        return fresh * (block.compression - float(before))
+
+    def bend(self, compression: float, stiffness: float) -> float:
+        """Return the force that bends the tool at the end of the block to come [N].
+
+        Parameters
+        ----------
+        compression : float
+            Mean of that block [1].
+        stiffness : float
+            Of the stress by the compression, for a motion as long as a block [Pa].
+        """
+        way = compression - self._recent[-1][0] if self._recent else 0.0
+        self._loading = stiffness * way
+        stress = self._stress + 1.5 * (self._loading + self._relaxing)
+        return max(stress, 0.0) / self._geometry.stress_per_force
+
+    def follow(self, stress: float, step: float) -> None:
+        """Follow the stress of the block that :meth:`bend` was for.
+
+        Parameters
+        ----------
+        stress : float
+            Observed [Pa].
+        step : float
+            From the last block to this one, by the law [Pa].
+        """
+        self._followed += 1
+        expected = self._stress + step
+        share = max(_FOLLOWED_SHARE, 1.0 / self._followed)
+        self._stress = expected + share * (stress - expected)
+        self._relaxing = step - self._loading if self._followed > 1 else 0.0

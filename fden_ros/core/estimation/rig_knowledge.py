@@ -1,0 +1,105 @@
+"""What is known of the rig: one compliance, delay and friction for all contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import EstimatorConfig, Uncertainty
+
+#: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
+#: a running linearisation, and what they tell is off the same way in each contact.
+_LEAST_SHARE = 0.5
+#: A contact that moves the mean by more than this many deviations of what was known [1] speaks of
+#: another rig: beyond it lie 1e-3 of three normal variables.
+_CONTRADICTION = 4.03
+
+
+class RigValue(NamedTuple):
+    """One quantity of the rig."""
+
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class RigKnowledge:
+    """Mean and covariance of (compliance [m/N], delay [s], friction [N]).
+
+    The tissue is marginalised. A deviation of 0: the quantity is what it is said to be.
+
+    Parameters
+    ----------
+    mean : tuple of float
+        What `displacement.compliance` and `displacement.delay` leave, and the friction.
+    covariance : tuple of tuple of float
+    contacts : int
+        Contacts that have taught it.
+    """
+
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    contacts: int = 0
+
+    @classmethod
+    def stated(cls, config: EstimatorConfig) -> RigKnowledge:
+        """Return what is stated before any contact."""
+        variances = np.square(config.uncertainty.rig_sd)
+        return cls((0.0, 0.0, config.friction), _rows(np.diag(variances)))
+
+    @property
+    def values(self) -> dict[str, RigValue]:
+        """Compliance [m/N], delay [s] and friction [N], each with its standard deviation."""
+        deviations = np.sqrt(np.diag(np.array(self.covariance))).tolist()
+        names = ("compliance", "delay", "friction")
+        return {
+            name: RigValue(mean, sd)
+            for name, mean, sd in zip(names, self.mean, deviations, strict=True)
+        }
+
+    def scaled(self, uncertainty: Uncertainty) -> tuple[Array, Array]:
+        """Return mean (3,) and covariance (3, 3) in the stated deviations; 0 where that is 0."""
+        per = _inverse(uncertainty)
+        return np.array(self.mean) * per, np.array(self.covariance) * np.outer(per, per)
+
+    def taught(self, mean: Array, covariance: Array, config: EstimatorConfig) -> RigKnowledge:
+        """Return what is known after a contact; where it contradicts this, what is stated.
+
+        Parameters
+        ----------
+        mean, covariance : ndarray, shape (3,), (3, 3)
+            The contact's posterior, started from this knowledge, in the stated deviations.
+        config : EstimatorConfig
+        """
+        uncertainty = config.uncertainty
+        stated = RigKnowledge.stated(config)
+        open_ = np.flatnonzero(uncertainty.rig_sd)
+        before, spread = self.scaled(uncertainty)
+        moved = (mean - before)[open_]
+        known = spread[np.ix_(open_, open_)]
+        if moved @ np.linalg.solve(known, moved) > _CONTRADICTION**2:
+            return stated
+        variances = np.diag(covariance)
+        least = np.minimum(_LEAST_SHARE**2, np.diag(spread))
+        # Added to the diagonal, so that the matrix stays positive definite.
+        wider = covariance + np.diag(np.maximum(least - variances, 0.0))
+        scale = np.array(uncertainty.rig_sd)
+        closed = scale == 0.0
+        return RigKnowledge(
+            tuple(np.where(closed, stated.mean, mean * scale).tolist()),
+            _rows(wider * np.outer(scale, scale)),
+            self.contacts + 1,
+        )
+
+
+def _inverse(uncertainty: Uncertainty) -> Array:
+    scale = np.array(uncertainty.rig_sd)
+    result: Array = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
+    return result
+
+
+def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in matrix.tolist())

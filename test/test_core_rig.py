@@ -1,0 +1,147 @@
+"""What is learned of the rig, and what is not."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pipeline_helpers import feed, identified, items_of, summaries_of
+
+from fden_ros.benchmarks.disturbed import CASES, PRIOR, scenario_of
+from fden_ros.cli import main
+from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex, Uncertainty
+from fden_ros.core.estimation.rig import RigResponse
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.simulation.simulate import simulate
+
+ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
+CONFIG = EstimatorConfig(uncertainty=ARM)
+GEOMETRY = FlatPunch(area=3.14e-4, thickness=0.02)
+NOISE_M, STEP, SIZE = 5e-6, 0.002, 5
+
+
+def responses(motion_m):
+    """Return the columns of every block of a motion whose displacement is noisy."""
+    noise = NOISE_M / GEOMETRY.length
+    rig = RigResponse(ARM, GEOMETRY, noise**2 * STEP)
+    found = []
+    for k, mean in enumerate(motion_m.reshape(-1, SIZE).mean(axis=1) / GEOMETRY.length):
+        block = Block(mean, 0.0, (k + 0.5) * SIZE * STEP, SIZE, SIZE * STEP, np.zeros(0))
+        found.append(rig.columns(block, 5000.0, 0.2, 0.0))
+    return rig, found
+
+
+def test_noise_of_a_resting_probe_says_nothing_of_delay_and_friction():
+    noise = NOISE_M * np.random.default_rng(0).standard_normal(5000)
+    rig, columns = responses(0.005 + noise)
+    for index in (StateIndex.DELAY, StateIndex.FRICTION):
+        assert not any(column[index] for column in columns)
+    assert not rig.has_reversed
+
+
+def test_friction_is_against_the_motion_and_uncertain_where_the_probe_turns():
+    way = np.concatenate([np.linspace(0.0, 0.005, 500), np.linspace(0.005, 0.0, 500)])
+    rig, columns = responses(way + NOISE_M * np.random.default_rng(1).standard_normal(1000))
+    friction = np.array([column[StateIndex.FRICTION] for column in columns])
+    size = ARM.friction_sd * GEOMETRY.stress_per_force
+    assert friction[5:95] == pytest.approx(size)
+    assert friction[105:] == pytest.approx(-size)
+    assert rig.has_reversed and rig.turn_variance == 0.0
+
+
+def test_knowledge_narrows_to_half_of_what_is_stated_and_forgets_what_another_rig_contradicts():
+    known = RigKnowledge.stated(CONFIG)
+    for _ in range(9):
+        mean, covariance = known.scaled(ARM)
+        known = known.taught(mean, 0.5 * covariance, CONFIG)
+    assert known.contacts == 9
+    for value, stated in zip(known.values.values(), ARM.rig_sd, strict=True):
+        assert value.sd == pytest.approx(0.5 * stated)
+    mean, covariance = known.scaled(ARM)
+    other = known.taught(mean + np.array([0.0, 0.0, 2.1]), covariance, CONFIG)
+    assert other == RigKnowledge.stated(CONFIG)
+
+
+def test_what_is_said_to_be_exact_is_not_learned():
+    uncertainty = replace(ARM, compliance_sd=0.0)
+    config = replace(CONFIG, uncertainty=uncertainty, friction=0.01)
+    known = RigKnowledge.stated(config)
+    mean, covariance = known.scaled(uncertainty)
+    taught = known.taught(mean, 0.5 * covariance, config)
+    assert taught.values["compliance"] == (0.0, 0.0)
+    assert taught.values["friction"].mean == pytest.approx(0.01)
+
+
+@functools.cache
+def touches():
+    """Return items and parameters of three sites on one rig."""
+    (case,) = [case for case in CASES if case.name == "ten_sites"]
+    recording = simulate(scenario_of(replace(case, sites=3), 0))
+    own = recording.truth["identifier_parameters"]
+    parameters = {name: own[name] for name in own if name.startswith("geometry.")}
+    parameters.pop("geometry.thickness_sd", None)
+    return items_of(recording), {**parameters, **PRIOR}
+
+
+def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset():
+    items, parameters = touches()
+    outputs = []
+    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    assert pipeline.rig.contacts == 0
+    feed(pipeline, items)
+    pipeline.finish()
+    known = [summary.rig for summary in summaries_of(outputs)]
+    assert [rig.contacts for rig in known] == [1, 2, 3]
+    frictions = [rig.values["friction"].sd for rig in known]
+    assert frictions[0] < ARM.friction_sd
+    for quantity in known[0].values:
+        assert known[2].values[quantity].sd <= known[0].values[quantity].sd
+    pipeline.reset()
+    assert pipeline.rig == known[-1]
+    pipeline.forget_rig()
+    assert pipeline.rig == RigKnowledge.stated(pipeline.config.estimator)
+
+
+def test_a_contact_that_is_cut_short_or_not_to_be_learned_from_teaches_nothing():
+    items, parameters = touches()
+    half = items[: len(items) // 8]
+    for own, some in (({"rig.learn": False}, items), ({}, half)):
+        _, outputs = identified(some, {**parameters, **own})
+        summaries = summaries_of(outputs)
+        assert summaries and all(summary.rig.contacts == 0 for summary in summaries)
+
+
+def test_forgetting_the_rig_at_a_site_that_began_with_it_lets_that_site_teach_nothing():
+    items, parameters = touches()
+    outputs = []
+    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    for number, item in enumerate(items):
+        feed(pipeline, [item])
+        if number == len(items) // 6:
+            assert math.isfinite(pipeline.newest_ns)
+            pipeline.forget_rig()
+    pipeline.finish()
+    assert [summary.rig.contacts for summary in summaries_of(outputs)] == [0, 1, 2]
+
+
+def test_what_was_learned_is_saved_as_parameters_and_loaded(tmp_path, capsys):
+    press = Path(__file__).parent.parent / "examples"
+    given = [str(press / "press.csv"), "--columns", "time_s,force_N,depth_mm*1e-3"]
+    output = tmp_path / "learned.yaml"
+    config = ["--config", str(press / "probe.yaml")]
+    assert main(["calibrate", "rig", *given, *config, "-o", str(output), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    before, after = read_parameter_file(press / "probe.yaml"), read_parameter_file(output)
+    changed = {n: v for n, v in after.as_dict().items() if v != before.as_dict()[n]}
+    assert changed == printed["parameters"]
+    assert 0.0 < after.force.friction_sd < before.force.friction_sd
+    known = RigKnowledge.stated(pipeline_config(after).estimator)
+    assert known.values["friction"] == (after.force.friction, after.force.friction_sd)
