@@ -29,7 +29,7 @@ _NODES = 3
 _FIRST_REST, _REST_RATIO = 1e-3, 1.04
 #: The surface found at the touch starts the filter; its deviation is multiplied by this, since the
 #: filter sees those samples again.
-_ORIGIN_WIDENING = 3.0
+ORIGIN_WIDENING = 3.0
 
 
 class Site:
@@ -67,7 +67,7 @@ class Site:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
             self.origin = onset.displacement
-            self.origin_sd = _ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+            self.origin_sd = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
         self._interpolation = order_interpolation()
         self._integral = FractionalIntegral(_orders(config))
         self._integral.start(0.0)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fden_ros.core.streams.resolution import Resolution
 from fden_ros.core.streams.samples import NANOSECONDS
 
 Array = NDArray[np.float64]
@@ -65,6 +66,10 @@ _COLOUR_DEVIATIONS = 4.0
 #: A trend of the force in the air counts as drift from 4 of its standard deviations.
 _DRIFT_DEVIATIONS = 4.0
 
+#: Standard deviation of what is rounded off, in steps [1]; noise of less than 0.6 steps, that of
+#: the rounding included, does not make it white.
+_ROUNDING, _DITHER = 12.0**-0.5, 0.6
+
 
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
@@ -88,6 +93,7 @@ class Baseline:
         self._force_noise = force_noise
         self._noise_floor = noise_floor
         self._measure_bias = measure_bias
+        self.resolution = Resolution()  #: of the force
         self.means_sd = 0.0  #: standard deviation of the chunks' means [N]
         self.is_suspected = False  #: a slow contact may be on
         self._chunks: deque[Chunk] = deque()
@@ -112,6 +118,10 @@ class Baseline:
             return None
         return _air_of(tuple(self._chunks)).mean
 
+    @property
+    def _rounding(self) -> float:
+        return _ROUNDING * self.resolution.step
+
     def keep(self, chunk: Chunk) -> None:
         """Take a chunk in the air."""
         chunks = self._chunks
@@ -122,7 +132,7 @@ class Baseline:
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
-        return self._force_noise or max(air.fast_noise, self._noise_floor)
+        return self._force_noise or max(air.fast_noise, self._rounding, self._noise_floor)
 
     def is_rising(self, bias: float, noise: float) -> bool:
         """Whether the mean force of the last 0.4 s lies significantly above the bias."""
@@ -136,6 +146,16 @@ class Baseline:
         if size == 0:
             return False
         return total / size - bias > noise * max(1.0, _RISE_DEVIATIONS / math.sqrt(size))
+
+    def swing(self, level: float) -> float:
+        """Return how far the chunks' means swung about the bias [N] before the newest rise.
+
+        That rise is the run of newest chunks more than `level` [N] above the bias.
+        """
+        rises = [chunk.mean - self.bias_at(chunk.end_ns) for chunk in self._chunks]
+        while rises and rises[-1] > level:
+            rises.pop()
+        return max(map(abs, rises), default=0.0)
 
     def before(self, chunk: Chunk, *, is_limit_given: bool) -> Air | None:
         """Return the force in the air before `chunk`; None while it is not known.
@@ -165,16 +185,25 @@ class Baseline:
         elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
         return self._trend.value + self._trend.slope * elapsed
 
-    def level(self, bias: float) -> Level:
-        """Return the force without contact at the end of the air; `bias` [N] if there is none."""
-        chunks = tuple(self._chunks)
+    def level(self, bias: float, before_ns: int) -> Level:
+        """Return the force without contact, as it was in the air before `before_ns`.
+
+        `bias` [N] stands in where there is none.
+        """
+        chunks = tuple(chunk for chunk in self._chunks if chunk.end_ns < before_ns)
         air = _air_of(chunks)
         noise = self._force_noise or max(_noise_of_means(chunks, air), self._noise_floor)
+        rounding = 0.0
+        if not self._force_noise and air.fast_noise < _DITHER * self.resolution.step:
+            # Hardly any noise over the steps: what is rounded off stays for many samples.
+            rounding = self._rounding
+            noise = max(noise, rounding * math.sqrt(max((c.size for c in chunks), default=1)))
         if not self._measure_bias:
             return Level(0.0, 0.0, noise)
         if air.size == 0:
             return Level(bias, noise, noise)
-        return _level_at_end(chunks, air, noise)
+        level = _level_at_end(chunks, air, noise)
+        return level._replace(sd=math.hypot(level.sd, rounding))
 
     def forget_since(self, stamp_ns: int) -> None:
         """Drop the chunks that reach into a contact that began at `stamp_ns`."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fden_ros.core.contact.air import MIN_CHUNKS, Baseline, Chunk
 from fden_ros.core.contact.surface import Surface, find_surface
-from fden_ros.core.streams.samples import Pair, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 Array = NDArray[np.float64]
 
@@ -87,6 +87,8 @@ class Release(NamedTuple):
 #: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
 _CHUNK_NS = 20_000_000
 _CHUNK_SAMPLES = 3
+#: The probe is no longer pressing below half the threshold.
+_RELEASE_SHARE = 0.5
 #: A contact ends after 2 chunks in a row below the release threshold.
 _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
@@ -105,11 +107,58 @@ _BELOW_BASELINE_CHUNKS = 10
 _THRESHOLD_DEVIATIONS = 4.0
 #: ... and by 6 of the chunks' means, which with coloured noise scatter hardly less than samples.
 _THRESHOLD_DEVIATIONS_OF_MEANS = 6.0
+#: What swings, as a vibrating arm does, is no contact: that rises above 2.2 times the largest swing
+#: of the chunks' means that the lookback holds; the present rise begins at a quarter of the threshold.
+_SWING_FACTOR, _RISE_SHARE = 2.2, 0.25
+#: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
+#: at first.
+_COLOUR, _LONG_WINDOW = 1.5, 1.0
+#: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
+#: present speed; before that a rise must last for 0.15 s: one half of a vibration of 5 Hz is over.
+_MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
+_LASTING_TIME = 0.15
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
 #: At most this number of samples in the air is kept, whatever the sampling rate.
 _MAX_LOOKBACK_SAMPLES = 40_000
+
+
+class _Approach(NamedTuple):
+    """The samples of the lookback, and the surface that explains the newest."""
+
+    time: Array  #: [s]
+    force: Array  #: less bias and drift [N]
+    displacement: Array  #: compliance removed [m]
+    surface: Surface
+
+    def came_through_air(self) -> bool:
+        """Whether the probe came to the surface through the air."""
+        before = self.displacement[: self.surface.first]
+        if before.size < 2:
+            return False
+        noise = float(np.median(np.abs(np.diff(before))))
+        way = self.surface.displacement - float(before.min())
+        return way > max(
+            _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
+        )
+
+    def is_established(self) -> bool:
+        """Whether the present rise can be no swing of a force that is shaken by the motion.
+
+        It has lasted, or the probe has moved as fast before and the force's swing is known.
+        """
+        time, first = self.time, min(self.surface.first, self.time.size - 1)
+        lasting = float(time[-1] - time[first])
+        if lasting > _LASTING_TIME:
+            return True
+        instants = np.arange(time[first], time[0], -_CHUNK_NS / NANOSECONDS)
+        places = np.interp(instants, time, self.displacement)
+        depth = abs(float(self.displacement[-1] - self.displacement[first]))
+        speed = depth / max(lasting, _CHUNK_NS / NANOSECONDS)
+        moved = np.abs(np.diff(places)) * NANOSECONDS / _CHUNK_NS
+        moving = np.count_nonzero(moved >= _MOTION_SHARE * speed)
+        return bool(moving * _CHUNK_NS > _MOTION_TIME * NANOSECONDS)
 
 
 class ContactDetector:
@@ -142,6 +191,7 @@ class ContactDetector:
         )
         self._open: list[float] = []
         self._open_start_ns = 0
+        self._low_threshold = 0.0
         self._low_chunks = 0
         self._low_start_ns = 0
         self._doubted_rise = 0.0
@@ -160,6 +210,7 @@ class ContactDetector:
         """Take one pair; return an event if the contact begins or ends with it."""
         if not self.in_contact:
             self._remember(pair)
+            self._baseline.resolution.add(pair.force)
         chunk = self._close_chunk(pair)
         if chunk is None:
             return None
@@ -206,13 +257,19 @@ class ContactDetector:
         )
         bias = baseline.bias_at(chunk.end_ns)
         rise = chunk.mean - bias
+        least = threshold
+        if rise > threshold:
+            threshold = max(threshold, _SWING_FACTOR * baseline.swing(_RISE_SHARE * threshold))
         if rise > max(threshold, _RETRY * self._doubted_rise):
-            onset = self._begin(bias, threshold, chunk.end_ns)
-            if onset is not None:
-                return onset
-            # A force that rises in a straight line, whatever the probe does, is a drift.
-            self.drifts += self._doubted_rise == 0.0
-            self._doubted_rise = rise
+            approach = self._approach_until(chunk.end_ns, bias, noise)
+            if self._config.measure_bias and approach.surface.evidence < _MIN_EVIDENCE:
+                # A force that rises in a straight line, whatever the probe does, is a drift.
+                self.drifts += self._doubted_rise == 0.0
+                self._doubted_rise = rise
+            elif not self._config.measure_bias or approach.is_established():
+                # A swing that goes on in contact does not end it.
+                self._low_threshold = _RELEASE_SHARE * least
+                return self._begin(approach, bias, threshold)
         elif rise < threshold:
             self._doubted_rise = 0.0
         baseline.keep(chunk)
@@ -230,22 +287,7 @@ class ContactDetector:
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
 
-    def _has_approached(self, displacement: Array, surface: Surface) -> bool:
-        """Whether the probe came to the surface through the air.
-
-        A probe that rested there until the force rose may have pressed already: its bias would
-        hide the preload.
-        """
-        if not self._config.measure_bias:
-            return True
-        steps = np.diff(displacement[: surface.first])
-        noise = float(np.median(np.abs(steps))) if steps.size else 0.0
-        way = surface.displacement - float(displacement[: surface.first].min())
-        return way > max(
-            _APPROACH_DEVIATIONS * surface.displacement_sd, _APPROACH_STEPS * noise
-        )
-
-    def _begin(self, bias: float, threshold: float, now_ns: int) -> Onset | None:
+    def _approach_until(self, now_ns: int, bias: float, white: float) -> _Approach:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -255,12 +297,24 @@ class ContactDetector:
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         surface = find_surface(time, force, displacement, self._order)
-        if self._config.measure_bias and surface.evidence < _MIN_EVIDENCE:
-            return None
-        self._baseline.forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
-        level = self._baseline.level(bias)
-        air_seen = float(force[0]) < threshold
-        seen = surface.first > 0 and air_seen and self._has_approached(displacement, surface)
+        level = self._baseline.level(bias, pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
+        if level.noise > _COLOUR * white:
+            # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
+            surface = find_surface(
+                time, force, displacement, self._order, level.noise, _LONG_WINDOW
+            )
+        return _Approach(time, force, displacement, surface)
+
+    def _begin(self, approach: _Approach, bias: float, threshold: float) -> Onset:
+        pairs, surface = self._samples, approach.surface
+        onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
+        self._baseline.forget_since(onset_ns)
+        level = self._baseline.level(bias, onset_ns)
+        air_seen = float(approach.force[0]) < threshold
+        # A probe that rested there until the force rose may have pressed already: its bias would
+        # hide the preload.
+        came = not self._config.measure_bias or approach.came_through_air()
+        seen = surface.first > 0 and air_seen and came
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
         onset = Onset(
@@ -277,7 +331,7 @@ class ContactDetector:
         )
         self.in_contact = True
         self.force_bias = level.value
-        self.release_threshold = 0.5 * threshold
+        self.release_threshold = _RELEASE_SHARE * threshold
         self._samples.clear()
         self._low_chunks = 0
         self._baseline.is_suspected = False
@@ -288,7 +342,7 @@ class ContactDetector:
     def _in_contact(self, chunk: Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
         retreat = self._surface - pair.displacement
-        is_low = chunk.mean - self.force_bias < self.release_threshold
+        is_low = chunk.mean - self.force_bias < self._low_threshold
         is_behind = retreat > _RETREAT * (self._deepest - self._surface)
         self._behind_chunks += is_behind
         # The chunk in which the probe leaves may still be full of contact.
