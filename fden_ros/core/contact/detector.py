@@ -57,7 +57,7 @@ class ContactConfig:
     force_noise: float = 0.0
     noise_floor: float = 1e-5
     lookback: float = 5.0
-    site_distance: float = 0.005
+    site_distance: float = 0.001
     site_timeout: float = 2.0
     approach_axis: Position = (0.0, 0.0, 1.0)
     series_compliance: float = 0.0
