@@ -28,6 +28,7 @@ REFUSED_FLAGS = (
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
+    | Flag.FORCE_DRIFTED
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05

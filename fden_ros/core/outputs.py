@@ -50,6 +50,7 @@ class Flag(enum.IntFlag):
     TISSUE_CHANGED = 16
     SATURATED = 32
     ESTIMATION_FAILED = 64
+    FORCE_DRIFTED = 128
 
 
 class OrderSource(enum.IntEnum):

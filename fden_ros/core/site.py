@@ -9,7 +9,14 @@ import numpy as np
 from fden_ros.core.block import Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Block, Estimate, Estimator, Innovation, Observation
+from fden_ros.core.estimation.estimate import (
+    Block,
+    Estimate,
+    Estimator,
+    Innovation,
+    Observation,
+    StateIndex,
+)
 from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,
@@ -72,6 +79,7 @@ class Site:
         self._integral = FractionalIntegral(_orders(config))
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
+        self._variance_factor = 1.0
 
     @property
     def has_failed(self) -> bool:
@@ -269,7 +277,30 @@ class Site:
             If it is not finite.
         """
         assert self._estimator is not None
-        self.estimate = _checked(self._estimator.estimate())
+        self.estimate = self._widened(_checked(self._estimator.estimate()))
+
+    def _widened(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with the variance that contradictions of its data ask for."""
+        if self._variance_factor == 1.0:
+            return estimate
+        wide = estimate._replace(covariance=self._variance_factor * estimate.covariance)
+        limit = self._config.estimator.converged_log_sd
+        is_sharp = wide.deviations[StateIndex.LOG_NONLINEAR_STIFFNESS] <= limit
+        return wide._replace(converged=estimate.converged and bool(is_sharp))
+
+    def doubt(self, flag: Flag, variance_factor: float) -> None:
+        """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
+        self.flags |= flag
+        if variance_factor > self._variance_factor:
+            self._variance_factor, before = variance_factor, self._variance_factor
+            if self.estimate is not None:
+                covariance = self.estimate.covariance / before
+                self.estimate = self._widened(self.estimate._replace(covariance=covariance))
+
+    def withdraw(self) -> None:
+        """Become unusable: the tissue was pressed before its first touch was seen."""
+        self.is_usable = False
+        self.flags |= Flag.ORIGIN_UNCERTAIN
 
     def relinearise(self) -> None:
         """Do what takes long while nobody waits for an estimate."""

@@ -147,15 +147,15 @@ class Baseline:
             return False
         return total / size - bias > noise * max(1.0, _RISE_DEVIATIONS / math.sqrt(size))
 
-    def swing(self, level: float) -> float:
-        """Return how far the chunks' means swung about the bias [N] before the newest rise.
+    def swing(self) -> float:
+        """Return how far the chunks' means swung below the bias [N]: no contact does that.
 
-        That rise is the run of newest chunks more than `level` [N] above the bias.
+        0 where the bias is not measured: what is below it may be the bias.
         """
-        rises = [chunk.mean - self.bias_at(chunk.end_ns) for chunk in self._chunks]
-        while rises and rises[-1] > level:
-            rises.pop()
-        return max(map(abs, rises), default=0.0)
+        if not self._measure_bias:
+            return 0.0
+        swings = (self.bias_at(chunk.end_ns) - chunk.mean for chunk in self._chunks)
+        return max(swings, default=0.0)
 
     def before(self, chunk: Chunk, *, is_limit_given: bool) -> Air | None:
         """Return the force in the air before `chunk`; None while it is not known.
@@ -185,14 +185,15 @@ class Baseline:
         elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
         return self._trend.value + self._trend.slope * elapsed
 
-    def level(self, bias: float, before_ns: int) -> Level:
+    def level(self, bias: float, noise: float, before_ns: int) -> Level:
         """Return the force without contact, as it was in the air before `before_ns`.
 
-        `bias` [N] stands in where there is none.
+        `bias` [N] and `noise` [N] stand in where there is none.
         """
         chunks = tuple(chunk for chunk in self._chunks if chunk.end_ns < before_ns)
         air = _air_of(chunks)
-        noise = self._force_noise or max(_noise_of_means(chunks, air), self._noise_floor)
+        measured = _noise_of_means(chunks, air) if chunks else noise
+        noise = self._force_noise or max(measured, self._noise_floor)
         rounding = 0.0
         if not self._force_noise and air.fast_noise < _DITHER * self.resolution.step:
             # Hardly any noise over the steps: what is rounded off stays for many samples.

@@ -107,16 +107,17 @@ _BELOW_BASELINE_CHUNKS = 10
 _THRESHOLD_DEVIATIONS = 4.0
 #: ... and by 6 of the chunks' means, which with coloured noise scatter hardly less than samples.
 _THRESHOLD_DEVIATIONS_OF_MEANS = 6.0
-#: What swings, as a vibrating arm does, is no contact: that rises above 2.2 times the largest swing
-#: of the chunks' means that the lookback holds; the present rise begins at a quarter of the threshold.
-_SWING_FACTOR, _RISE_SHARE = 2.2, 0.25
+#: What swings, as a vibrating arm does, is no contact: that rises above the bias by 2.2 times what
+#: the chunks' means in the lookback swung below it, so that no trough ends it.
+_SWING_FACTOR = 2.2
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
 #: at first.
 _COLOUR, _LONG_WINDOW = 1.5, 1.0
 #: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
-#: present speed; before that a rise must last for 0.15 s: one half of a vibration of 5 Hz is over.
+#: present speed; before that a rise must last for 0.15 s from a tenth of its depth on: then one
+#: half of a vibration of 5 Hz is over.
 _MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
-_LASTING_TIME = 0.15
+_LASTING_TIME, _SHALLOW = 0.15, 0.1
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
@@ -149,13 +150,17 @@ class _Approach(NamedTuple):
         It has lasted, or the probe has moved as fast before and the force's swing is known.
         """
         time, first = self.time, min(self.surface.first, self.time.size - 1)
+        depth = self.displacement - self.surface.displacement
+        # Where the probe rested, the surface may have been found anywhere in that time.
+        shallow = np.flatnonzero(depth[first:] < _SHALLOW * depth[-1])
+        if shallow.size:
+            first += int(shallow[-1])
         lasting = float(time[-1] - time[first])
         if lasting > _LASTING_TIME:
             return True
         instants = np.arange(time[first], time[0], -_CHUNK_NS / NANOSECONDS)
         places = np.interp(instants, time, self.displacement)
-        depth = abs(float(self.displacement[-1] - self.displacement[first]))
-        speed = depth / max(lasting, _CHUNK_NS / NANOSECONDS)
+        speed = abs(float(depth[-1] - depth[first])) / max(lasting, _CHUNK_NS / NANOSECONDS)
         moved = np.abs(np.diff(places)) * NANOSECONDS / _CHUNK_NS
         moving = np.count_nonzero(moved >= _MOTION_SHARE * speed)
         return bool(moving * _CHUNK_NS > _MOTION_TIME * NANOSECONDS)
@@ -192,6 +197,7 @@ class ContactDetector:
         self._open: list[float] = []
         self._open_start_ns = 0
         self._low_threshold = 0.0
+        self._has_released = False
         self._low_chunks = 0
         self._low_start_ns = 0
         self._doubted_rise = 0.0
@@ -259,7 +265,7 @@ class ContactDetector:
         rise = chunk.mean - bias
         least = threshold
         if rise > threshold:
-            threshold = max(threshold, _SWING_FACTOR * baseline.swing(_RISE_SHARE * threshold))
+            threshold = max(threshold, _SWING_FACTOR * baseline.swing())
         if rise > max(threshold, _RETRY * self._doubted_rise):
             approach = self._approach_until(chunk.end_ns, bias, noise)
             if self._config.measure_bias and approach.surface.evidence < _MIN_EVIDENCE:
@@ -269,7 +275,7 @@ class ContactDetector:
             elif not self._config.measure_bias or approach.is_established():
                 # A swing that goes on in contact does not end it.
                 self._low_threshold = _RELEASE_SHARE * least
-                return self._begin(approach, bias, threshold)
+                return self._begin(approach, bias, noise, threshold)
         elif rise < threshold:
             self._doubted_rise = 0.0
         baseline.keep(chunk)
@@ -297,7 +303,9 @@ class ContactDetector:
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         surface = find_surface(time, force, displacement, self._order)
-        level = self._baseline.level(bias, pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
+        level = self._baseline.level(
+            bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
+        )
         if level.noise > _COLOUR * white:
             # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
             surface = find_surface(
@@ -305,15 +313,17 @@ class ContactDetector:
             )
         return _Approach(time, force, displacement, surface)
 
-    def _begin(self, approach: _Approach, bias: float, threshold: float) -> Onset:
+    def _begin(self, approach: _Approach, bias: float, noise: float, threshold: float) -> Onset:
         pairs, surface = self._samples, approach.surface
         onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         self._baseline.forget_since(onset_ns)
-        level = self._baseline.level(bias, onset_ns)
+        level = self._baseline.level(bias, noise, onset_ns)
         air_seen = float(approach.force[0]) < threshold
         # A probe that rested there until the force rose may have pressed already: its bias would
         # hide the preload.
         came = not self._config.measure_bias or approach.came_through_air()
+        # Nor is it air, before the first release, where the force rises on the way.
+        came &= self._has_released or level.slope <= 0.0
         seen = surface.first > 0 and air_seen and came
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
@@ -363,5 +373,6 @@ class ContactDetector:
 
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
+        self._has_released = True
         self._low_chunks = 0
         return Release(stamp_ns)

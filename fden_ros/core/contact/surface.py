@@ -79,7 +79,9 @@ def find_surface(
     onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
     index = int(np.searchsorted(time, onset_time))
-    return Surface(index, surface, bins.deviation(onset_time, spacing, noise), bins.evidence(onset_time))
+    return Surface(
+        index, surface, bins.deviation(onset_time, spacing, noise), bins.evidence(onset_time)
+    )
 
 
 @dataclass(frozen=True)

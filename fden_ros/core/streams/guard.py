@@ -223,10 +223,10 @@ class ValueGuard:
 
     def _follow(self, last: Sample, sample: Sample) -> str | None:
         self._last = sample
+        self._resolution.add(sample.value)
         change = abs(sample.value - last.value)
         if change > 0.0:
             self._changes += 1
-            self._resolution.add(sample.value)
             self._learn(change)
             if not self.is_stuck:
                 self._longest_run = max(self._longest_run, self._run)
