@@ -324,3 +324,37 @@ def test_quantised_force_gives_a_contact_all_the_same():
     force, displacement = press(rng, noise=0.0)
     _, events = events_of(made(np.round(force, 1), displacement))
     assert [type(event) for _, event in events] == [Onset, Release]
+
+
+def test_force_that_swings_with_the_motion_is_no_contact_and_one_that_stands_out_is():
+    # 12 Hz from the beginning of the motion on: nothing tells its first half from a contact.
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        rest, away = np.full(1500, -0.004), np.linspace(-0.004, 0.001, 1250)
+        displacement = np.concatenate([rest, away])
+        moving = np.arange(displacement.size) >= rest.size
+        time = np.arange(displacement.size) * 1e-3
+        swing = 0.1 * np.sin(2.0 * np.pi * 12.0 * time + rng.uniform(0.0, 2.0 * np.pi)) * moving
+        force = swing + 0.01 * rng.standard_normal(time.size)
+        assert events_of(made(force, displacement))[1] == []
+        pressed = force + 1000.0 * np.maximum(displacement, 0.0)
+        (onset,) = onsets(events_of(made(pressed, displacement))[1])
+        assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
+
+
+def test_rounded_force_is_known_no_better_than_its_steps():
+    rng = np.random.default_rng(14)
+    force, displacement = press(rng, peak=0.5, bias=0.0, noise=0.0005)
+    (onset,) = onsets(events_of(made(np.round(force, 2), displacement))[1])
+    rounding = 0.01 / np.sqrt(12.0)
+    assert onset.noise_sd > rounding
+    assert onset.bias_sd >= rounding
+    assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
+
+
+def test_force_that_rises_on_the_way_before_the_first_release_is_no_air():
+    rng = np.random.default_rng(15)
+    depth = np.linspace(0.0, 0.004, 1500)
+    force = 0.3 + 5.0 * (np.exp(depth / 0.0016) - 1.0) * 0.05 + 0.01 * rng.standard_normal(1500)
+    (onset,) = onsets(events_of(made(force, depth))[1])
+    assert not onset.seen

@@ -303,3 +303,18 @@ def test_one_stream_alone_does_not_fill_the_memory(name):
         run.add(name, START + ms * MS)
     assert run.waiting <= 1001
     assert run.rejected["force.unpaired"] == (8999 if name == FORCE else 0)
+
+
+def test_force_in_coarse_steps_is_never_stuck():
+    # Ten whole seconds on one step, after changes enough to know its run.
+    rng = np.random.default_rng(3)
+    ramp = np.concatenate([np.linspace(0.0, 2.0, 2000), np.full(10_000, 2.0), np.zeros(100)])
+    force = 0.01 * np.round((ramp + 0.001 * rng.standard_normal(ramp.size)) / 0.01)
+    run = Run()
+    for n, value in enumerate(force):
+        run.both(START + n * MS, float(value))
+    assert not run.rejected
+    run = Run()
+    for n, value in enumerate(ramp + 0.01 * rng.standard_normal(ramp.size) * (ramp < 2.0)):
+        run.both(START + n * MS, float(value))
+    assert run.rejected["force.stuck"] > 9_000

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 BENCHMARKS: dict[str, str] = {
     "accuracy": "errors over the Cramér-Rao bound, honesty of the intervals; simulated contacts",
     "robots": "what a real rig adds: breathing, compliance, friction, hum; silent errors",
+    "contact": "contacts invented, missed and split on a disturbed rig; detection alone",
     "replay": "speed and memory of replay and batch, beside merely decoding the same messages",
     "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
     "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -282,7 +282,7 @@ def run_trial(case: Case, number: int, parameters: Mapping[str, Any]) -> Trial:
             site["fractional_order"],
         ]
     )
-    presses = _presses(recording)
+    presses = presses_of(recording)
     # The last word on each contact counts: a summary may withdraw an earlier one.
     summaries = {o.contact_id: o for o in outputs if isinstance(o, ContactSummary)}
     contacts = tuple(_judged(summary, truth, presses) for summary in summaries.values())
@@ -370,6 +370,17 @@ def _identified(
         own.pop(name, None)
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check({**parameters, **own})), outputs.append)
+    for is_force, stamp_ns, value, place in streams_of(recording):
+        if is_force:
+            pipeline.add_force(stamp_ns, value)
+        else:
+            pipeline.add_displacement(stamp_ns, value, place)
+    pipeline.finish()
+    return pipeline, outputs
+
+
+def streams_of(recording: Recording) -> Iterator[tuple[bool, int, float, Position | None]]:
+    """Give (is a force, stamp, value, place) of all samples by stamp, the displacement first."""
     force, moved = recording.force, recording.displacement
     places: list[Position | None] = [None] * moved.value.size
     if moved.position is not None:
@@ -378,16 +389,14 @@ def _identified(
     index = 0
     for stamp_ns, value in zip(force.stamp_ns.tolist(), force.value.tolist(), strict=True):
         while index < len(samples) and samples[index][0] <= stamp_ns:
-            pipeline.add_displacement(*samples[index])
+            yield False, *samples[index]
             index += 1
-        pipeline.add_force(stamp_ns, value)
+        yield True, stamp_ns, value, None
     for sample in samples[index:]:
-        pipeline.add_displacement(*sample)
-    pipeline.finish()
-    return pipeline, outputs
+        yield False, *sample
 
 
-def _presses(recording: Recording) -> list[tuple[float, float]]:
+def presses_of(recording: Recording) -> list[tuple[float, float]]:
     """Return touch and release of each press [s]; contact lost for a moment is one press."""
     presses: list[tuple[float, float]] = []
     for contact in recording.truth["contacts"]:

@@ -35,6 +35,7 @@ REFUSED_FLAGS = (
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
     | Flag.ESTIMATE_AT_EDGE
+    | Flag.FORCE_DRIFTED
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05

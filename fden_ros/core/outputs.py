@@ -54,6 +54,7 @@ class Flag(enum.IntFlag):
     SATURATED = 32
     ESTIMATION_FAILED = 64
     ESTIMATE_AT_EDGE = 128
+    FORCE_DRIFTED = 256
 
 
 class OrderSource(enum.IntEnum):

@@ -12,14 +12,17 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig, labeller_of
+from fden_ros.core.contact.aftermath import Aftermath
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimate import Observation
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
+    ContactSummary,
     Failure,
     Flag,
     Output,
@@ -40,8 +43,15 @@ from fden_ros.core.streams.synchronize import Synchronizer
 _CATCH_UP_TIME = 0.03
 #: Samples that are usually without a partner when two streams begin.
 _USUAL_UNPAIRED = 2
+#: The air after a contact is judged 1 s after its release [ns]: a slow contact that begins before
+#: is known by then.
+_JUDGED_AFTER_NS = NANOSECONDS
+#: The air after a contact contradicts that before it beyond this many stated deviations [1].
+_CONTRADICTION = 5.0
 #: Failures are kept up to this number, the newest.
 _FAILURES_KEPT = 20
+#: Of the summary of a contact that is withdrawn.
+_NO_LABEL: dict[str, Any] = {"classes": None, "decided": None, "comparison": None}
 
 
 class _Forget(enum.IntEnum):
@@ -50,6 +60,14 @@ class _Forget(enum.IntEnum):
     SITE = 1  #: the present site: a faint touch may have been noise
     SITES = 2  #: all sites and the contact: the clock jumped; the streams go on in their new epoch
     STREAMS = 3  #: waiting samples and the air's force too: asked for, or the pipeline is new
+
+
+class _Ended(NamedTuple):
+    """A contact that the air after it may still contradict."""
+
+    summary: ContactSummary
+    site: Site
+    aftermath: Aftermath
 
 
 class Pipeline:
@@ -113,6 +131,9 @@ class Pipeline:
         self._site: Site | None = None
         self._press: Press | None = None
         if scope >= _Forget.SITES:
+            self._onset: Onset | None = None
+            self._ended: _Ended | None = None
+            self._is_air_proved = False
             if self._labeller.surroundings is not None:
                 self._labeller.surroundings.forget()
             self._gaps = GapGuard()
@@ -189,6 +210,7 @@ class Pipeline:
         """No more samples come: report the contact that is still open."""
         try:
             self._end_contact(self._gaps.newest_ns, complete=False)
+            self._judge_ended(self.newest_ns)
         except Exception as error:
             self._fail(self.newest_ns, error)
 
@@ -281,6 +303,8 @@ class Pipeline:
 
     def _touch(self, onset: Onset) -> None:
         first = onset.samples[0]
+        self._judge_ended(self.newest_ns, before_ns=first.stamp_ns)
+        self._onset = onset
         site = self._site
         if site is None or site.is_elsewhere(first):
             self.site_count += 1
@@ -352,7 +376,11 @@ class Pipeline:
             summary = press.summary(end_ns, self.rejected, complete=complete)
             if complete and summary.converged and not press.flags:
                 self.rig = site.rig() or self.rig
-            self._emit(replace(summary, rig=self.rig))
+            summary = replace(summary, rig=self.rig)
+            self._emit(summary)
+            if complete and self._onset is not None and self.config.contact.measure_bias:
+                drift_sd = self.config.estimator.uncertainty.force_drift_sd
+                self._ended = _Ended(summary, site, Aftermath(self._onset, drift_sd))
         # An incomplete contact may go on: the probe has not left.
         if complete:
             self._press = None
@@ -360,6 +388,40 @@ class Pipeline:
             if press.is_faint and not site.has_failed:
                 # What comes next must not inherit its origin.
                 self._forget(_Forget.SITE)
+
+    def _judge_ended(self, stamp_ns: int, *, before_ns: int | None = None) -> None:
+        """Say so if the air after the last contact contradicts that before it.
+
+        `before_ns`: when the next contact began.
+        """
+        ended, self._ended = self._ended, None
+        if ended is None or not ended.aftermath.is_complete:
+            return
+        if before_ns is not None and ended.aftermath.end_ns > before_ns:
+            return
+        deviations = ended.aftermath.deviations()
+        was_proved, self._is_air_proved = self._is_air_proved, True
+        if abs(deviations) <= _CONTRADICTION:
+            return
+        if deviations < 0.0 and not was_proved:
+            # What was taken for the first air was a contact: there is no origin, nor a history.
+            ended.site.withdraw()
+            if self._labeller.surroundings is not None:
+                self._labeller.surroundings.forget(ended.site.site_id)
+        else:
+            ended.site.doubt(Flag.FORCE_DRIFTED, 1.0 + deviations**2)
+        estimate = ended.site.usable_estimate
+        self._emit(
+            replace(
+                ended.summary,
+                stamp_ns=stamp_ns,
+                flags=ended.summary.flags | ended.site.flags,
+                estimate=estimate,
+                converged=estimate is not None and estimate.converged,
+                order_source=order_source(estimate, self.config.estimator),
+                **({} if estimate is not None else _NO_LABEL),
+            )
+        )
 
     # Blocks
 
@@ -389,6 +451,10 @@ class Pipeline:
 
     def _hover(self, pair: Pair) -> None:
         """Put out a state in the air, one per duration of a block."""
+        if self._ended is not None:
+            self._ended.aftermath.add(pair)
+            if pair.stamp_ns - self._ended.summary.end_ns > _JUDGED_AFTER_NS:
+                self._judge_ended(pair.stamp_ns)
         if not self._sums.passes(pair.stamp_ns):
             return
         site = self._site

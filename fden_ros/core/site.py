@@ -9,7 +9,14 @@ import numpy as np
 from fden_ros.core.block import Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Block, Estimate, Estimator, Innovation, Observation
+from fden_ros.core.estimation.estimate import (
+    Block,
+    Estimate,
+    Estimator,
+    Innovation,
+    Observation,
+    converged,
+)
 from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,
@@ -30,7 +37,7 @@ _NODES = 3
 _FIRST_REST, _REST_RATIO = 1e-3, 1.04
 #: The surface found at the touch starts the filter; its deviation is multiplied by this, since the
 #: filter sees those samples again.
-_ORIGIN_WIDENING = 3.0
+ORIGIN_WIDENING = 3.0
 
 
 class Site:
@@ -76,11 +83,12 @@ class Site:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
             self.origin = onset.displacement
-            self.origin_sd = _ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+            self.origin_sd = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
         self._interpolation = order_interpolation()
         self._integral = FractionalIntegral(_orders(config))
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
+        self._variance_factor = 1.0
 
     @property
     def has_failed(self) -> bool:
@@ -278,7 +286,29 @@ class Site:
             If it is not finite.
         """
         assert self._estimator is not None
-        self.estimate = _checked(self._estimator.estimate())
+        self.estimate = self._widened(_checked(self._estimator.estimate()))
+
+    def _widened(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with the variance that contradictions of its data ask for."""
+        if self._variance_factor == 1.0:
+            return estimate
+        wide = estimate._replace(covariance=self._variance_factor * estimate.covariance)
+        sharp = converged(self._config.estimator, wide.deviations, estimate.valid)
+        return wide._replace(known=estimate.known & sharp)
+
+    def doubt(self, flag: Flag, variance_factor: float) -> None:
+        """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
+        self.flags |= flag
+        if variance_factor > self._variance_factor:
+            self._variance_factor, before = variance_factor, self._variance_factor
+            if self.estimate is not None:
+                covariance = self.estimate.covariance / before
+                self.estimate = self._widened(self.estimate._replace(covariance=covariance))
+
+    def withdraw(self) -> None:
+        """Become unusable: the tissue was pressed before its first touch was seen."""
+        self.is_usable = False
+        self.flags |= Flag.ORIGIN_UNCERTAIN
 
     def relinearise(self) -> None:
         """Do what takes long while nobody waits for an estimate."""

@@ -87,4 +87,7 @@ class Listener:
 
     def _on_summary(self, message: PalpationSummary) -> None:
         self._heard = time.monotonic()
-        self.summaries.append(summary_of(message))
+        summary = summary_of(message)
+        # The air after it may contradict a contact.
+        self.summaries = [s for s in self.summaries if s.contact_id != summary.contact_id]
+        self.summaries.append(summary)

@@ -171,7 +171,10 @@ class Monitor:
         self._classification = message
 
     def _on_summary(self, message: PalpationSummary) -> None:
-        self._summaries.append(summary_of(message))
+        summary = summary_of(message)
+        # The air after it may contradict a contact.
+        self._summaries = [s for s in self._summaries if s.contact_id != summary.contact_id]
+        self._summaries.append(summary)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

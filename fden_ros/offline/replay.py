@@ -78,6 +78,9 @@ def replay(
 
     def keep(output: Output) -> None:
         if isinstance(output, ContactSummary):
+            if summaries and summaries[-1].contact_id == output.contact_id:
+                # The air after it has contradicted it.
+                summaries.pop()
             summaries.append(output)
         if on_output is not None:
             on_output(output, source.frame)

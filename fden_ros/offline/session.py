@@ -384,6 +384,11 @@ def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
         yield "The tissue changed within the contact, and was learned anew."
     if summary.flags & Flag.SATURATED:
         yield "A sensor was at its limit."
+    if summary.flags & Flag.FORCE_DRIFTED:
+        yield (
+            "The force in the air after a contact was not that before it, beyond "
+            "force.drift_sd: the deviations are widened by as much."
+        )
     if summary.flags & Flag.ESTIMATION_FAILED:
         yield "The computation failed at this site: there is no estimate until the next one."
     if summary.rejected_count:

@@ -345,9 +345,10 @@ class SiteParameters:
     """When a touch is a new site."""
 
     distance: float = number(
-        0.005,
+        0.0,
         "m",
-        "A touch further to the side than this is a new site, where positions are known.",
+        "A touch further to the side than this is a new site, where positions are known; 0: a "
+        "fifth of the probe's radius, 0.5 to 2 mm.",
         0.0,
         1.0,
     )

@@ -49,23 +49,40 @@ class StiffnessMap:
     def __init__(self, diameter: float = 0.005) -> None:
         self._diameter = diameter
         self._sites: OrderedDict[int, ContactSummary] = OrderedDict()
+        self._withdrawn: set[int] = set()
+        self._newest: ContactSummary | None = None
 
     def __contains__(self, summary: ContactSummary) -> bool:
-        """Return whether this very summary is its site's on the map."""
-        return self._sites.get(summary.site_id) is summary
+        """Return whether the map has last changed by this very summary."""
+        return self._newest is summary
 
     def add(self, summary: ContactSummary) -> bool:
         """Take a summary; return whether the map has changed."""
-        if summary.position is None or summary.estimate is None:
+        site_id = summary.site_id
+        if summary.position is None:
             return False
-        self._sites[summary.site_id] = summary
+        if summary.estimate is None:
+            # A contact that was withdrawn takes its site off the map.
+            known = self._sites.get(site_id)
+            if known is None or known.contact_id != summary.contact_id:
+                return False
+            del self._sites[site_id]
+            self._withdrawn.add(site_id)
+        else:
+            self._sites[site_id] = summary
+            self._withdrawn.discard(site_id)
+        self._newest = summary
         while len(self._sites) > _MOST_SITES:
             self._sites.popitem(last=False)
         return True
 
     def markers(self, frame_id: str) -> MarkerArray:
         """Return a sphere and a word per site: colour by G, transparency by its deviation."""
-        markers: list[Marker] = []
+        markers = [
+            Marker(header=Header(frame_id=frame_id), ns=name, id=site_id, action=Marker.DELETE)
+            for site_id in sorted(self._withdrawn)
+            for name in ("sites", "values")
+        ]
         for site_id, summary in self._sites.items():
             markers += self._site_markers(site_id, summary, frame_id)
         return MarkerArray(markers=markers)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.streams.resolution import Resolution
 from fden_ros.core.streams.samples import NANOSECONDS
 
 
@@ -62,6 +63,10 @@ _COLOUR_DEVIATIONS = 4.0
 #: A trend of the force in the air counts as drift from 4 of its standard deviations.
 _DRIFT_DEVIATIONS = 4.0
 
+#: Standard deviation of what is rounded off, in steps [1]; noise of less than 0.6 steps, that of
+#: the rounding included, does not make it white.
+_ROUNDING, _DITHER = 12.0**-0.5, 0.6
+
 
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
@@ -85,6 +90,7 @@ class Baseline:
         self._force_noise = force_noise
         self._noise_floor = noise_floor
         self._measure_bias = measure_bias
+        self.resolution = Resolution()  #: of the force
         self.means_sd = 0.0  #: standard deviation of the chunks' means [N]
         self.is_suspected = False  #: a slow contact may be on
         self._chunks: deque[Chunk] = deque()
@@ -109,6 +115,10 @@ class Baseline:
             return None
         return _air_of(tuple(self._chunks)).mean
 
+    @property
+    def _rounding(self) -> float:
+        return _ROUNDING * self.resolution.step
+
     def keep(self, chunk: Chunk) -> None:
         """Take a chunk in the air."""
         chunks = self._chunks
@@ -119,7 +129,7 @@ class Baseline:
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
-        return self._force_noise or max(air.fast_noise, self._noise_floor)
+        return self._force_noise or max(air.fast_noise, self._rounding, self._noise_floor)
 
     def is_rising(self, bias: float, noise: float) -> bool:
         """Whether the mean force of the last 0.4 s lies significantly above the bias."""
@@ -133,6 +143,16 @@ class Baseline:
         if size == 0:
             return False
         return total / size - bias > noise * max(1.0, _RISE_DEVIATIONS / math.sqrt(size))
+
+    def swing(self) -> float:
+        """Return how far the chunks' means swung below the bias [N]: no contact does that.
+
+        0 where the bias is not measured: what is below it may be the bias.
+        """
+        if not self._measure_bias:
+            return 0.0
+        swings = (self.bias_at(chunk.end_ns) - chunk.mean for chunk in self._chunks)
+        return max(swings, default=0.0)
 
     def before(self, chunk: Chunk, *, is_limit_given: bool) -> Air | None:
         """Return the force in the air before `chunk`; None while it is not known.
@@ -162,16 +182,26 @@ class Baseline:
         elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
         return self._trend.value + self._trend.slope * elapsed
 
-    def level(self, bias: float) -> Level:
-        """Return the force without contact at the end of the air; `bias` [N] if there is none."""
-        chunks = tuple(self._chunks)
+    def level(self, bias: float, noise: float, before_ns: int) -> Level:
+        """Return the force without contact, as it was in the air before `before_ns`.
+
+        `bias` [N] and `noise` [N] stand in where there is none.
+        """
+        chunks = tuple(chunk for chunk in self._chunks if chunk.end_ns < before_ns)
         air = _air_of(chunks)
-        noise = self._force_noise or max(_noise_of_means(chunks, air), self._noise_floor)
+        measured = _noise_of_means(chunks, air) if chunks else noise
+        noise = self._force_noise or max(measured, self._noise_floor)
+        rounding = 0.0
+        if not self._force_noise and air.fast_noise < _DITHER * self.resolution.step:
+            # Hardly any noise over the steps: what is rounded off stays for many samples.
+            rounding = self._rounding
+            noise = max(noise, rounding * math.sqrt(max((c.size for c in chunks), default=1)))
         if not self._measure_bias:
             return Level(0.0, 0.0, noise)
         if air.size == 0:
             return Level(bias, noise, noise)
-        return _level_at_end(chunks, air, noise)
+        level = _level_at_end(chunks, air, noise)
+        return level._replace(sd=math.hypot(level.sd, rounding))
 
     def forget_since(self, stamp_ns: int) -> None:
         """Drop the chunks that reach into a contact that began at `stamp_ns`."""

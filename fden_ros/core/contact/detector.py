@@ -18,7 +18,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import MIN_CHUNKS, Baseline, Chunk
 from fden_ros.core.contact.surface import Surface, find_surface
-from fden_ros.core.streams.samples import Pair, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class ContactConfig:
     force_noise: float = 0.0
     noise_floor: float = 1e-5
     lookback: float = 5.0
-    site_distance: float = 0.005
+    site_distance: float = 0.001
     site_timeout: float = 2.0
     approach_axis: Position = (0.0, 0.0, 1.0)
     series_compliance: float = 0.0
@@ -85,6 +85,8 @@ class Release(NamedTuple):
 #: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
 _CHUNK_NS = 20_000_000
 _CHUNK_SAMPLES = 3
+#: The probe is no longer pressing below half the threshold.
+_RELEASE_SHARE = 0.5
 #: A contact ends after 2 chunks in a row below the release threshold.
 _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
@@ -106,11 +108,63 @@ _BELOW_BASELINE_CHUNKS = 10
 _THRESHOLD_DEVIATIONS = 4.0
 #: ... and by 6 of the chunks' means, which with coloured noise scatter hardly less than samples.
 _THRESHOLD_DEVIATIONS_OF_MEANS = 6.0
+#: What swings, as a vibrating arm does, is no contact: that rises above the bias by 2.2 times what
+#: the chunks' means in the lookback swung below it, so that no trough ends it.
+_SWING_FACTOR = 2.2
+#: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
+#: at first.
+_COLOUR, _LONG_WINDOW = 1.5, 1.0
+#: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
+#: present speed; before that a rise must last for 0.15 s from a tenth of its depth on: then one
+#: half of a vibration of 5 Hz is over.
+_MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
+_LASTING_TIME, _SHALLOW = 0.15, 0.1
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
 #: At most this number of samples in the air is kept, whatever the sampling rate.
 _MAX_LOOKBACK_SAMPLES = 40_000
+
+
+class _Approach(NamedTuple):
+    """The samples of the lookback, and the surface that explains the newest."""
+
+    time: Array  #: [s]
+    force: Array  #: less bias and drift [N]
+    displacement: Array  #: compliance removed [m]
+    surface: Surface
+
+    def came_through_air(self) -> bool:
+        """Whether the probe came to the surface through the air."""
+        before = self.displacement[: self.surface.first]
+        if before.size < 2:
+            return False
+        noise = float(np.median(np.abs(np.diff(before))))
+        way = self.surface.displacement - float(before.min())
+        return way > max(
+            _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
+        )
+
+    def is_established(self) -> bool:
+        """Whether the present rise can be no swing of a force that is shaken by the motion.
+
+        It has lasted, or the probe has moved as fast before and the force's swing is known.
+        """
+        time, first = self.time, min(self.surface.first, self.time.size - 1)
+        depth = self.displacement - self.surface.displacement
+        # Where the probe rested, the surface may have been found anywhere in that time.
+        shallow = np.flatnonzero(depth[first:] < _SHALLOW * depth[-1])
+        if shallow.size:
+            first += int(shallow[-1])
+        lasting = float(time[-1] - time[first])
+        if lasting > _LASTING_TIME:
+            return True
+        instants = np.arange(time[first], time[0], -_CHUNK_NS / NANOSECONDS)
+        places = np.interp(instants, time, self.displacement)
+        speed = abs(float(depth[-1] - depth[first])) / max(lasting, _CHUNK_NS / NANOSECONDS)
+        moved = np.abs(np.diff(places)) * NANOSECONDS / _CHUNK_NS
+        moving = np.count_nonzero(moved >= _MOTION_SHARE * speed)
+        return bool(moving * _CHUNK_NS > _MOTION_TIME * NANOSECONDS)
 
 
 class ContactDetector:
@@ -143,6 +197,8 @@ class ContactDetector:
         )
         self._open: list[float] = []
         self._open_start_ns = 0
+        self._low_threshold = 0.0
+        self._has_released = False
         self._low_chunks = 0
         self._low_start_ns = 0
         self._doubted_rise = 0.0
@@ -163,6 +219,7 @@ class ContactDetector:
         """Take one pair; return an event if the contact begins or ends with it."""
         if not self.in_contact:
             self._remember(pair)
+            self._baseline.resolution.add(pair.force)
         chunk = self._close_chunk(pair)
         if chunk is None:
             return None
@@ -209,15 +266,22 @@ class ContactDetector:
         )
         bias = baseline.bias_at(chunk.end_ns)
         rise = chunk.mean - bias
+        least = threshold
+        if rise > threshold:
+            threshold = max(threshold, _SWING_FACTOR * baseline.swing())
         if rise > max(threshold, _RETRY * self._doubted_rise):
-            onset = self._begin(bias, threshold, chunk.end_ns)
-            if onset is not None:
+            approach = self._approach_until(chunk.end_ns, bias, noise)
+            if self._config.measure_bias and approach.surface.evidence < _MIN_EVIDENCE:
+                # A drift, which rises whatever the probe does; or the beginning of a contact that
+                # is too faint to tell yet.
+                if self._doubted_ns is None:
+                    self._doubted_ns = chunk.end_ns
+                self._doubted_rise = rise
+            elif not self._config.measure_bias or approach.is_established():
+                # A swing that goes on in contact does not end it.
+                self._low_threshold = _RELEASE_SHARE * least
                 self._settle_doubt()
-                return onset
-            # A drift, or the beginning of a contact that is still too faint to tell.
-            if self._doubted_ns is None:
-                self._doubted_ns = chunk.end_ns
-            self._doubted_rise = rise
+                return self._begin(approach, bias, noise, threshold)
         elif rise < threshold:
             self._doubted_rise = 0.0
             if self._doubted_ns is not None and chunk.end_ns - self._doubted_ns > _DOUBT_NS:
@@ -243,20 +307,7 @@ class ContactDetector:
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
 
-    def _has_approached(self, displacement: Array, surface: Surface) -> bool:
-        """Whether the probe came to the surface through the air.
-
-        A probe that rested there until the force rose may have pressed already: its bias would
-        hide the preload.
-        """
-        if not self._config.measure_bias:
-            return True
-        steps = np.diff(displacement[: surface.first])
-        noise = float(np.median(np.abs(steps))) if steps.size else 0.0
-        way = surface.displacement - float(displacement[: surface.first].min())
-        return way > max(_APPROACH_DEVIATIONS * surface.displacement_sd, _APPROACH_STEPS * noise)
-
-    def _begin(self, bias: float, threshold: float, now_ns: int) -> Onset | None:
+    def _approach_until(self, now_ns: int, bias: float, white: float) -> _Approach:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -266,12 +317,28 @@ class ContactDetector:
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         surface = find_surface(time, force, displacement, self._order)
-        if self._config.measure_bias and surface.evidence < _MIN_EVIDENCE:
-            return None
-        self._baseline.forget_since(pairs[min(surface.first, len(pairs) - 1)].stamp_ns)
-        level = self._baseline.level(bias)
-        air_seen = float(force[0]) < threshold
-        seen = surface.first > 0 and air_seen and self._has_approached(displacement, surface)
+        level = self._baseline.level(
+            bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
+        )
+        if level.noise > _COLOUR * white:
+            # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
+            surface = find_surface(
+                time, force, displacement, self._order, level.noise, _LONG_WINDOW
+            )
+        return _Approach(time, force, displacement, surface)
+
+    def _begin(self, approach: _Approach, bias: float, noise: float, threshold: float) -> Onset:
+        pairs, surface = self._samples, approach.surface
+        onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
+        self._baseline.forget_since(onset_ns)
+        level = self._baseline.level(bias, noise, onset_ns)
+        air_seen = float(approach.force[0]) < threshold
+        # A probe that rested there until the force rose may have pressed already: its bias would
+        # hide the preload.
+        came = not self._config.measure_bias or approach.came_through_air()
+        # Nor is it air, before the first release, where the force rises on the way.
+        came &= self._has_released or level.slope <= 0.0
+        seen = surface.first > 0 and air_seen and came
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
         onset = Onset(
@@ -288,7 +355,7 @@ class ContactDetector:
         )
         self.in_contact = True
         self.force_bias = level.value
-        self.release_threshold = 0.5 * threshold
+        self.release_threshold = _RELEASE_SHARE * threshold
         self._samples.clear()
         self._low_chunks = 0
         self._baseline.is_suspected = False
@@ -299,7 +366,7 @@ class ContactDetector:
     def _in_contact(self, chunk: Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
         retreat = self._surface - pair.displacement
-        is_low = chunk.mean - self.force_bias < self.release_threshold
+        is_low = chunk.mean - self.force_bias < self._low_threshold
         is_behind = retreat > _RETREAT * (self._deepest - self._surface)
         self._behind_chunks += is_behind
         # The chunk in which the probe leaves may still be full of contact.
@@ -320,5 +387,6 @@ class ContactDetector:
 
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
+        self._has_released = True
         self._low_chunks = 0
         return Release(stamp_ns)

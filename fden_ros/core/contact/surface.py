@@ -34,7 +34,12 @@ _AIR_SHARE = 0.1
 
 
 def find_surface(
-    time: Array, force: Array, displacement: Array, fractional_order: float
+    time: Array,
+    force: Array,
+    displacement: Array,
+    fractional_order: float,
+    noise: float = 0.0,
+    window: float = _FIRST_WINDOW,
 ) -> Surface:
     r"""Find where the force begins to follow the displacement.
 
@@ -49,8 +54,11 @@ def find_surface(
         Samples [s], [N] less bias, [m]; the last ones in contact.
     fractional_order : float
         Rough alpha [1].
+    noise : float
+        Least standard deviation of the force per sample, as white noise [N].
+    window : float
+        First window [s].
     """
-    window = _FIRST_WINDOW
     detected = float(force[-_MIN_WINDOW_SAMPLES // 2 :].mean())
     while True:
         start = min(
@@ -70,7 +78,9 @@ def find_surface(
     onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
     index = int(np.searchsorted(time, onset_time))
-    return Surface(index, surface, bins.deviation(onset_time, spacing), bins.evidence(onset_time))
+    return Surface(
+        index, surface, bins.deviation(onset_time, spacing, noise), bins.evidence(onset_time)
+    )
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,7 @@ class _Bins:
     force: Array
     displacement: Array
     derivative: Array
+    size: int  #: samples per bin
 
     @classmethod
     def of(
@@ -99,7 +110,7 @@ class _Bins:
         exponent = 1.0 - fractional_order
         lag = np.maximum(bin_time[:, None] - bin_time[None, :], 0.0) ** exponent
         matrix = (lag[:, :-1] - lag[:, 1:]) / (np.diff(bin_time) * gamma(exponent + 1.0))
-        return cls(bin_time, mean(force), mean(displacement), matrix)
+        return cls(bin_time, mean(force), mean(displacement), matrix, per_bin)
 
     def misfit(self, onset_times: Array) -> Array:
         """Sum of squared residuals [N^2] for each candidate onset, shape (candidates,)."""
@@ -131,11 +142,11 @@ class _Bins:
         noise = max(min(contact, drift), sys.float_info.min) / max(self.time.size - 3, 1)
         return (drift - contact) / noise
 
-    def deviation(self, onset_time: float, spacing: float) -> float:
+    def deviation(self, onset_time: float, spacing: float, least_noise: float) -> float:
         """Return the standard deviation of the surface [m] from the curvature of the misfit."""
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
-        noise = max(float(middle), 0.0) / max(self.time.size - 2, 1)
+        noise = max(float(middle) / max(self.time.size - 2, 1), least_noise**2 / self.size)
         steps = np.interp(near, self.time, self.displacement)
         step = max(0.5 * abs(float(steps[2] - steps[0])), sys.float_info.min)
         curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)

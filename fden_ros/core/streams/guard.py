@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 
+from fden_ros.core.streams.resolution import Resolution
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
 
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
@@ -26,10 +27,13 @@ _SPIKE_CHANGES = 12.0
 _MOST_GROWTH = 4.0
 #: Mean step and mean change are used for tests once they rest on 32 samples.
 _USUAL_SAMPLES = 32
-#: Stamps closer than this [ns] are of a single sample: the integral's shortest step.
-#: a row and 5 times longer than its longest run before.
+#: A force that is not constant by nature is stuck when it repeats a value at least 5 times in
+#: a row and 5 times longer than its longest run before ...
 _STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
+#: ... unless it comes in steps that its usual change is no 4 of: such a force stands still between
+#: two steps.
+_FINE_STEPS = 4.0
 #: A step between pairs is a gap when it is longer than 10 mean steps and than 20 ms [ns]; the mean
 #: step follows with this gain.
 _GAP_STEPS = 10.0
@@ -180,6 +184,7 @@ class ValueGuard:
         self._changes = 0
         self._run = 1
         self._longest_run = 1
+        self._resolution = Resolution()
 
     @property
     def is_stuck(self) -> bool:
@@ -188,6 +193,7 @@ class ValueGuard:
             self._limits_runs
             and self._run >= max(_STUCK_SAMPLES, _STUCK_TIMES * self._longest_run)
             and self._changes >= _USUAL_SAMPLES
+            and self._usual_change >= _FINE_STEPS * self._resolution.step
         )
 
     def judge(self, sample: Sample) -> list[tuple[Sample, str | None]]:
@@ -217,6 +223,7 @@ class ValueGuard:
 
     def _follow(self, last: Sample, sample: Sample) -> str | None:
         self._last = sample
+        self._resolution.add(sample.value)
         change = abs(sample.value - last.value)
         if change > 0.0:
             self._changes += 1

@@ -1,0 +1,71 @@
+"""A contact judged after its release: the air behind the tissue against the air before it."""
+
+from __future__ import annotations
+
+import math
+
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+
+#: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
+#: it touched [ns]: by then what stuck has let go, and a sensor that creeps has hardly recovered.
+_SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
+#: At least this number of samples is averaged.
+_LEAST_SAMPLES = 12
+
+
+class Aftermath:
+    """What the air after a contact says of the bias that was subtracted from its force.
+
+    Parameters
+    ----------
+    onset : Onset
+    drift_sd : float
+        Of the force over one second in contact [N], as the estimate takes it.
+    """
+
+    def __init__(self, onset: Onset, drift_sd: float) -> None:
+        self._onset = onset
+        self._drift_sd = drift_sd
+        self._start_ns = onset.samples[0].stamp_ns
+        self._behind_ns: int | None = None
+        self._size, self._sum = 0, 0.0
+        self.is_complete = False
+
+    @property
+    def end_ns(self) -> int:
+        """When the averaging ends [ns]; 0: it has not begun."""
+        return 0 if self._behind_ns is None else self._behind_ns + _WINDOW_NS
+
+    def add(self, pair: Pair) -> None:
+        """Take a pair after the release."""
+        if self.is_complete:
+            return
+        if pair.displacement >= self._onset.displacement:
+            self._behind_ns, self._size, self._sum = None, 0, 0.0
+            return
+        if self._behind_ns is None:
+            self._behind_ns = pair.stamp_ns
+        elapsed_ns = pair.stamp_ns - self._behind_ns
+        self.is_complete = elapsed_ns > _WINDOW_NS
+        if _SETTLING_NS <= elapsed_ns <= _WINDOW_NS:
+            self._size += 1
+            self._sum += pair.force
+
+    def deviations(self) -> float:
+        """Return how far the air after the contact is from that before, over what is stated [1].
+
+        Below 0: the force has fallen below its bias. 0 where too few samples say nothing.
+        """
+        onset = self._onset
+        if not self.is_complete or self._size < _LEAST_SAMPLES:
+            return 0.0
+        elapsed = (self.end_ns - self._start_ns) / NANOSECONDS
+        change = self._sum / self._size - onset.bias - onset.drift * elapsed
+        variance = (
+            onset.bias_sd**2
+            + (onset.drift_sd * elapsed) ** 2
+            + self._drift_sd**2 * elapsed
+            + onset.noise_sd**2 / self._size
+        )
+        return change / math.sqrt(variance)
