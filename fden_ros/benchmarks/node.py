@@ -132,7 +132,10 @@ def measure(what: str, rate: float, seconds: float) -> Run:
     me = [sys.executable, "-m", "fden_ros.benchmarks.node"]
     middle = [*me, "relay", *(["--raw"] if what == RAW_RELAY else [])]
     if what == NODE:
-        middle = [sys.executable, "-m", "fden_ros.nodes.identifier", *_node_arguments()]
+        middle = [
+            *(sys.executable, "-m", "fden_ros.nodes.programs", "identifier"),
+            *_node_arguments(),
+        ]
     source = [*me, "source", "--rate", str(rate), "--seconds", str(seconds + _WARM_UP)]
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(_process([*me, "sink"], environment))

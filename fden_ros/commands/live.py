@@ -87,7 +87,7 @@ def running(path: Path, *, fixed: bool = False) -> Iterator[dict[str, subprocess
     try:
         for name in _NODES:
             command = [
-                *(sys.executable, "-m", f"fden_ros.nodes.{name}", "--ros-args"),
+                *(sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"),
                 *("--params-file", str(path), "-r", f"__ns:={NAMESPACE}"),
                 *("--log-level", "error", *extra.get(name, [])),
             ]

@@ -7,7 +7,6 @@ program it presses one site after the other by itself.
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
@@ -181,7 +180,3 @@ def _places(x: Any, y: Any) -> list[tuple[float, float]]:
 def main(arguments: list[str] | None = None) -> int:
     """Run the controller until SIGINT or SIGTERM."""
     return run_node("force_controller", ForceControllerNode, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

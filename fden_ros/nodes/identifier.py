@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import gc
 import struct
-import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -451,7 +450,3 @@ def _start(node: Identifier) -> bool:
 def _autostart(node: Identifier) -> bool:
     success = TransitionCallbackReturn.SUCCESS
     return node.trigger_configure() == success and node.trigger_activate() == success
-
-
-if __name__ == "__main__":
-    sys.exit(main())
