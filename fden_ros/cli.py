@@ -24,6 +24,7 @@ COMMANDS = (
     "report",
     "batch",
     "play",
+    "layout",
     "demo",
     "train",
     "relative",
@@ -52,6 +53,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden play /tmp/ramp                 publish a bag on live topics
   fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
+  fden layout --namespace /left       the Foxglove layout for another identifier
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together
   fden monitor                        a running identifier in the terminal
