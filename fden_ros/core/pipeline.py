@@ -165,10 +165,12 @@ class Pipeline:
         self._detector.reset()
         return None
 
-    def reset(self) -> None:
-        """End the contact, if any, as incomplete, and forget everything that was learned."""
-        self.finish()
+    def reset(self) -> str | None:
+        """Forget everything that was learned; return None, or why that cannot be done now."""
+        if self._detector.in_contact:
+            return "the probe is in contact: lift it, then reset"
         self._forget(_Forget.STREAMS)
+        return None
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""

@@ -355,10 +355,11 @@ class Identifier(LifecycleNode):
     def _reset(self, response: Trigger.Response) -> Trigger.Response:
         if not self._active or self._pipeline is None or self._inputs is None:
             return _answer(response, "the node is not active: activate it first")
-        self._pipeline.reset()
-        self._inputs.reset()
-        self.get_logger().info("reset: everything learned was forgotten")
-        return _answer(response, None)
+        problem = self._pipeline.reset()
+        if problem is None:
+            self._inputs.reset()
+        self.get_logger().info(f"reset: {problem or 'everything learned was forgotten'}")
+        return _answer(response, problem)
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
