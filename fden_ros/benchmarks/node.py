@@ -306,11 +306,11 @@ def _relay(raw: bool) -> None:
 
     from fden_ros.nodes.running import make_executor, spin
     from fden_ros.recording.cdr import serialize
-    from fden_ros.ros.topics import ESTIMATE_QOS, INPUT_QOS
+    from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("identifier")
-    estimates = node.create_publisher(TissueEstimate, _ESTIMATE, ESTIMATE_QOS)
+    estimates = node.create_publisher(TissueEstimate, _ESTIMATE, OUTPUT_TOPICS[0].profile(0.01))
     diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     estimate = TissueEstimate()
     template = bytearray(serialize(estimate))

@@ -134,6 +134,7 @@ class ContactSummary:
     classes: ClassProbabilities | None
     decided: Decided | None = None
     comparison: Comparison | None = None
+    position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,13 @@ def stale(state: TissueState) -> TissueState:
         apparent_stiffness=None,
         order_source=OrderSource.NONE,
     )
+
+
+def placed(output: Output, frame: str) -> Output:
+    """Return an output with the frame that its position, if it has one, is in."""
+    if not isinstance(output, ContactSummary) or output.position is None:
+        return output
+    return replace(output, position_frame=frame)
 
 
 def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSource:

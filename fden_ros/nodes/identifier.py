@@ -31,7 +31,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from fden_ros.core.outputs import Output, TissueState, stale
+from fden_ros.core.outputs import Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
@@ -50,7 +50,7 @@ from fden_ros.parameters.files import identifier_values
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import DAMAGED, DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
 from fden_ros.ros.status import type_name
-from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, Frames, OutputMessages
+from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, OutputMessages
 
 _STALE_CHECK_PERIOD = 0.05
 _ACKNOWLEDGE_TIMEOUT = 1.0
@@ -182,8 +182,7 @@ class Identifier(LifecycleNode):
             publisher = self.create_lifecycle_publisher(
                 topic.message_type,
                 f"~/{topic.name}",
-                # rclpy writes the overrides into the profile that it is given.
-                copy.copy(topic.qos),
+                topic.profile(parameters.estimate.period),
                 qos_overriding_options=OVERRIDABLE,
             )
             self._publishers_made[topic.name] = publisher
@@ -306,8 +305,8 @@ class Identifier(LifecycleNode):
 
     def _publish_messages(self, output: Output) -> None:
         assert self._inputs is not None
-        frames = Frames(self._inputs.force_frame, self._inputs.displacement_frame)
-        for topic, message in self._messages.of(output, frames):
+        output = placed(output, self._inputs.displacement_frame)
+        for topic, message in self._messages.of(output, self._inputs.force_frame):
             self._publishers_made[topic.name].publish(message)
 
     def _check_stale(self) -> None:

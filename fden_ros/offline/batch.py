@@ -354,7 +354,7 @@ def _schema() -> Any:
     import pyarrow
 
     texts = {"bag", "content", "configuration", "error", "warnings"}
-    texts |= {"alpha_source", "flags", "label"}
+    texts |= {"alpha_source", "flags", "frame", "label"}
     integers = {"contact_id", "site", "start_ns", "end_ns", "samples", "rejected", "pairs"}
     booleans = {"converged", "complete"}
 

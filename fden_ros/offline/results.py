@@ -13,11 +13,11 @@ from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
-from fden_ros.recording.source import Selection, Source
+from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.status import diagnostic_status, type_name
-from fden_ros.ros.topics import OUTPUT_TOPICS, Frames, OutputMessages
+from fden_ros.ros.topics import OUTPUT_TOPICS, OutputMessages
 
 NODE = "/identifier"
 DIAGNOSTICS_TOPIC = "/diagnostics"
@@ -69,7 +69,6 @@ def replay_to_bag(
             progress=progress,
             on_output=recorder.take,
             on_input=recorder.tick,
-            on_source=recorder.read,
         )
 
 
@@ -102,7 +101,6 @@ class _Recorder:
         self._writer, self._copy = writer, copy
         self._now_ns = 0
         self._next_diagnostics_ns: int | None = None
-        self._source: Source | None = None
         self._messages = OutputMessages()
         self._pairs_before = self._rejected_before = 0
         for topic in OUTPUT_TOPICS:
@@ -110,15 +108,9 @@ class _Recorder:
             writer.add_topic(f"{NODE}/{topic.name}", type_name(topic.message_type), qos)
         writer.add_topic(DIAGNOSTICS_TOPIC, type_name(DiagnosticArray), Qos())
 
-    def read(self, source: Source) -> None:
-        """Take note of what is read."""
-        self._source = source
-
     def take(self, output: Output, frame: str) -> None:
         """Write one output of the pipeline."""
-        assert self._source is not None
-        frames = Frames(frame, self._source.displacement_frame)
-        for topic, message in self._messages.of(output, frames):
+        for topic, message in self._messages.of(output, frame):
             self._writer.write(f"{NODE}/{topic.name}", message, self._now_ns)
 
     def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:

@@ -11,14 +11,16 @@ from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.session import Session
 
-#: The columns, in their order. x, y, z: place of the touch [m]; mean_nis: mean of the normalised
-#: innovation squared, 1 where model and noise are right. Correlations: of ln G, ln Gn and alpha.
+#: The columns, in their order. x, y, z: place of the touch [m] in `frame`; mean_nis: mean of the
+#: normalised innovation squared, 1 where model and noise are right. Correlations: of ln G, ln Gn
+#: and alpha.
 COLUMNS = (
-    "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n", "g_n_sd",
-    "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale", "converged",
-    "complete", "flags", "max_strain", "max_stress", "max_force", "samples", "rejected", "label",
-    "probability", "mean_nis", "typicality", "decision_time", "decision_strain", "ratio",
-    "ratio_low", "ratio_high", "g_g_n_correlation", "g_alpha_correlation", "g_n_alpha_correlation",
+    "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "frame", "g", "g_sd", "g_n",
+    "g_n_sd", "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale",
+    "converged", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
+    "rejected", "label", "probability", "mean_nis", "typicality", "decision_time",
+    "decision_strain", "ratio", "ratio_low", "ratio_high", "g_g_n_correlation",
+    "g_alpha_correlation", "g_n_alpha_correlation",
 )  # fmt: skip
 
 #: Columns of the correlations, and which of (ln G, ln Gn, alpha) each is of.
@@ -34,7 +36,7 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
     row = contact_object(summary)
     probabilities: Mapping[str, float] = row.pop("probabilities")
     row["flags"] = " ".join(row["flags"])
-    row["x"], row["y"], row["z"] = summary.position or (None, None, None)
+    row["x"], row["y"], row["z"] = row.pop("position") or (None, None, None)
     row["rejected"] = summary.rejected_count
     row["probability"] = max(probabilities.values(), default=None)
     row["boundary_strain"] = row["exponential_scale"] = None
