@@ -16,6 +16,7 @@ from geometry_msgs.msg import WrenchStamped
 from live_helpers import PARAMETERS, ROOT, Ears, node_process, process_of
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console
+from ros_helpers import Bench, identifier, wait_for
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64, String
 from visualization_msgs.msg import MarkerArray
@@ -31,8 +32,10 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
+from fden_ros.nodes.monitor import Monitor
 from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.markers import StiffnessMap, colour_of
+from fden_ros.simulation.simulate import START_NS
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.
@@ -178,6 +181,31 @@ def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
         assert words in text
     lost = MonitorView("/identifier", state=state, age=3.0, refusal=Refusal.LOST)
     assert "no estimate for 3.0 s" in shown(lost)
+
+
+def test_the_monitor_tells_a_bag_that_is_over_from_a_node_that_is_gone() -> None:
+    with Bench() as bench, Monitor("/identifier") as monitor:
+        with identifier({"autostart": True}) as node:
+            bench.wait_until_heard()
+            for k in range(200):
+                bench.publish(START_NS + k * 4_000_000, 0.0, 0.0)
+
+            def refusal() -> Refusal | None:
+                monitor.spin(0.02)
+                return monitor.view().refusal
+
+            def is_over() -> bool:
+                is_stale, state = refusal() is Refusal.STALE, monitor.view().state
+                return is_stale and state is not None and state.stamp_ns > START_NS
+
+            wait_for(is_over, "the end of the bag to be noticed")
+            bench.estimates.clear()
+            seen = set()
+            # Two seconds and more: it is said once a second.
+            bench.wait_for(lambda: seen.add(refusal()) or len(bench.estimates) >= 3, "the same")
+            assert seen == {Refusal.STALE}
+            node.kill()
+        wait_for(lambda: refusal() is Refusal.LOST, "the end of the node to be noticed")
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> None:

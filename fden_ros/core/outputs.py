@@ -169,8 +169,20 @@ class Failure:
 Output = TissueState | Classification | ContactSummary | DynamicModulus
 
 
-def stale(state: TissueState) -> TissueState:
-    """Return `state` as no longer current, with nothing in it to act on."""
+def stale(state: TissueState | None) -> TissueState:
+    """Return `state` as no longer current, with nothing in it to act on.
+
+    None: there was none yet; the stamp then is 0.
+    """
+    if state is None:
+        return TissueState(
+            stamp_ns=0,
+            status=Status.STALE,
+            flags=Flag.NONE,
+            site_id=0,
+            contact_id=0,
+            phase=Phase.NONE,
+        )
     return replace(
         state,
         # A stamp of its own, and before that of any sample to come.

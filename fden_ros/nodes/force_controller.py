@@ -143,7 +143,7 @@ class ForceControllerNode(Node):
     def _tare(self, force: float, now: float) -> None:
         """Take the first moments, in the air, for the force's bias."""
         self._started = self._started or now
-        unheard = self._feed.refusal() is Refusal.NEVER_HEARD
+        unheard = self._feed.refusal() in (Refusal.NEVER_HEARD, Refusal.STALE)
         if (
             self._values["scheduled"]
             and unheard

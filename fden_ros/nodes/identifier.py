@@ -29,6 +29,7 @@ from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from fden_ros.core.outputs import Output, TissueState, placed, stale
@@ -53,6 +54,8 @@ from fden_ros.ros.status import type_name
 from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, OutputMessages
 
 _STALE_CHECK_PERIOD = 0.05
+#: A stale estimate is published again and again at this period [s].
+_STALE_PERIOD = 1.0
 _ACKNOWLEDGE_TIMEOUT = 1.0
 
 
@@ -73,7 +76,7 @@ class Identifier(LifecycleNode):
         self._last_input = self._steady.now()
         self._seen_pairs = 0
         self._seen_failures = 0
-        self._is_stale = False
+        self._told_stale: Time | None = None
         self._made: list[Callable[[], object]] = []
         self._subscriptions_made: list[Subscription] = []
         self._publishers_made: dict[str, LifecyclePublisher] = {}
@@ -200,7 +203,7 @@ class Identifier(LifecycleNode):
         self._inputs = Inputs(parameters, self._pipeline)
         self._messages = OutputMessages()
         self._last_state = None
-        self._is_stale = False
+        self._told_stale = None
         self._seen_pairs = 0
         self._seen_failures = 0
         self._last_input = self._steady.now()
@@ -333,17 +336,22 @@ class Identifier(LifecycleNode):
         if pipeline.pair_count != self._seen_pairs:
             self._seen_pairs = pipeline.pair_count
             self._last_input = now
-            self._is_stale = False
+            self._told_stale = None
             return
-        timeout = self.get_parameter("stale_timeout").value
-        waited = (now - self._last_input).nanoseconds * 1e-9
-        if waited < timeout or self._is_stale or self._last_state is None:
+        waited = _seconds(self._last_input, now)
+        if waited < self.get_parameter("stale_timeout").value:
             return
-        self._is_stale = True
-        self.get_logger().warning(
-            f"no usable pair of force and displacement for {waited:.2f} s: the estimate is stale"
-        )
-        self._publish_messages(stale(self._last_state))
+        if self._told_stale is None and self._last_state is not None:
+            self.get_logger().warning(
+                f"no usable pair of force and displacement for {waited:.2f} s: the estimate is "
+                "stale"
+            )
+        elif self._told_stale is not None and _seconds(self._told_stale, now) < _STALE_PERIOD:
+            return
+        # Again and again, so that who comes late is told too.
+        self._told_stale = now
+        self._last_state = stale(self._last_state)
+        self._publish_messages(self._last_state)
 
     # Services
 
@@ -382,6 +390,10 @@ class Identifier(LifecycleNode):
         # Lifecycle publishers hand on what rclpy's publishers can do.
         for publisher in self._publishers_made.values():
             publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+
+
+def _seconds(start: Time, end: Time) -> float:
+    return float((end - start).nanoseconds * 1e-9)
 
 
 def _answer(response: Trigger.Response, problem: str | None) -> Trigger.Response:
