@@ -193,8 +193,8 @@ class Pipeline:
         detector = self._detector
         counts = {
             "the clock jumped back: everything learned was reset": self._clock_jumps,
-            "the force fell below its value in the air: does it have the wrong sign, "
-            "or did the data begin in contact?": detector.below_baseline,
+            "the force fell below its value in the air: does it have the wrong sign (force.axis, "
+            "force.inverted), or did the data begin in contact?": detector.below_baseline,
             "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
             "the force repeated one value: is the sensor dead, or at its end?": self.rejected[
                 f"force.{Reason.STUCK}"

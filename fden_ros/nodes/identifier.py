@@ -28,7 +28,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
@@ -37,6 +36,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.diagnostics import Diagnostics
+from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
 from fden_ros.parameters import (
@@ -78,7 +78,7 @@ class Identifier(LifecycleNode):
         self._seen_failures = 0
         self._told_stale: Time | None = None
         self._made: list[Callable[[], object]] = []
-        self._subscriptions_made: list[Subscription] = []
+        self._listened_to: list[ListenedTo] = []
         self._publishers_made: dict[str, LifecyclePublisher] = {}
         self.add_on_set_parameters_callback(self._on_set_parameters)
 
@@ -145,6 +145,7 @@ class Identifier(LifecycleNode):
         """Report the open contact and fall silent."""
         result = self._transition("deactivate", self._deactivate)
         super().on_deactivate(state)
+        self.get_logger().info(f"deactivated: silent until it is activated{self._by('activate')}")
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -195,6 +196,7 @@ class Identifier(LifecycleNode):
         for name, callback in (("~/reset", self._on_reset), ("~/tare", self._on_tare)):
             service = self.create_service(Trigger, name, callback)
             self._made.append(lambda s=service: self.destroy_service(s))  # type: ignore[misc]
+        self.get_logger().info(f"configured: silent until it is activated{self._by('activate')}")
 
     def _activate(self) -> None:
         parameters = self._parameters_now()
@@ -209,7 +211,7 @@ class Identifier(LifecycleNode):
         self._last_input = self._steady.now()
         self._active = True
         self._backlog = Backlog()
-        self._diagnostics.start(self._pipeline, self._subscriptions_made, self._backlog)
+        self._diagnostics.start(self._pipeline, self._inputs, self._listened_to, self._backlog)
         self._subscribe(FORCE_MESSAGES[parameters.force.message], "force", self._inputs)
         self._subscribe(
             DISPLACEMENT_MESSAGES[parameters.displacement.message], "displacement", self._inputs
@@ -219,7 +221,7 @@ class Identifier(LifecycleNode):
         )
         self._listening_timers = [self._stale_timer]
         # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
-        topics = " and ".join(one.topic_name for one in self._subscriptions_made)
+        topics = " and ".join(one.subscription.topic_name for one in self._listened_to)
         self.get_logger().info(f"listening to {topics}")
 
     def _subscribe(self, kind: type, topic: str, inputs: Inputs) -> None:
@@ -237,14 +239,15 @@ class Identifier(LifecycleNode):
             on_message,
             copy.copy(INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event),
+                # The diagnostics say it, with the override that mends it.
+                incompatible_qos=lambda event: None,
                 message_lost=lambda event: self._diagnostics.message_lost(topic, event),
             ),
             qos_overriding_options=OVERRIDABLE,
             # Decoding the few bytes that count is faster than making a message of them all.
             raw=True,
         )
-        self._subscriptions_made.append(subscription)
+        self._listened_to.append(ListenedTo(topic, subscription))
         source = Input(topic, taker(subscription), read)
         self._backlog.inputs.append(source)
 
@@ -272,9 +275,9 @@ class Identifier(LifecycleNode):
     def _stop_listening(self) -> None:
         self._active = False
         self._backlog.clear()
-        for subscription in self._subscriptions_made:
-            self.destroy_subscription(subscription)
-        self._subscriptions_made.clear()
+        for one in self._listened_to:
+            self.destroy_subscription(one.subscription)
+        self._listened_to.clear()
         for timer in getattr(self, "_listening_timers", []):
             self.destroy_timer(timer)
         self._listening_timers = []
@@ -287,6 +290,16 @@ class Identifier(LifecycleNode):
         self._pipeline.finish()
         self._log_failures()
         self._stop_listening()
+
+    def _by(self, transition: str) -> str:
+        return f" (ros2 lifecycle set {self.get_fully_qualified_name()} {transition})"
+
+    def tell_unconfigured(self) -> None:
+        """Log that nothing happens before somebody asks for it."""
+        self.get_logger().info(
+            "unconfigured: it neither listens nor publishes until it is configured"
+            f"{self._by('configure')} and activated; -p autostart:=true does both at the start"
+        )
 
     def _release(self) -> None:
         while self._made:
@@ -451,7 +464,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _start(node: Identifier) -> bool:
-    if node.get_parameter("autostart").value and not _autostart(node):
+    if not node.get_parameter("autostart").value:
+        node.tell_unconfigured()
+    elif not _autostart(node):
         return False
     # What is there by now stays: the collector need not look through it again and again.
     gc.collect()

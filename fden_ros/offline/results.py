@@ -16,7 +16,7 @@ from fden_ros.recording.reader import BagReader, RawMessage
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp
-from fden_ros.ros.status import diagnostic_status, type_name
+from fden_ros.ros.status import PipelineProblems, diagnostic_status, type_name
 from fden_ros.ros.topics import OUTPUT_TOPICS, OutputMessages
 
 NODE = "/identifier"
@@ -102,7 +102,7 @@ class _Recorder:
         self._now_ns = 0
         self._next_diagnostics_ns: int | None = None
         self._messages = OutputMessages()
-        self._pairs_before = self._rejected_before = 0
+        self._problems: PipelineProblems | None = None
         for topic in OUTPUT_TOPICS:
             qos = Qos.from_profile(topic.qos)
             writer.add_topic(f"{NODE}/{topic.name}", type_name(topic.message_type), qos)
@@ -129,15 +129,9 @@ class _Recorder:
             self._copy.take(message)
 
     def _diagnose(self, now_ns: int, pipeline: Pipeline) -> None:
-        problems = []
-        if pipeline.pair_count == self._pairs_before:
-            problems.append("no pair of force and displacement in the last second")
-        rejected = pipeline.rejected.total() - self._rejected_before
-        if rejected:
-            problems.append(f"{rejected} samples rejected in the last second")
-        status = diagnostic_status(NODE, problems, pipeline, self._pairs_before)
+        self._problems = self._problems or PipelineProblems(pipeline)
+        news = self._problems.look()
+        status = diagnostic_status(NODE, news.problems, pipeline, news.pairs)
         message = DiagnosticArray(status=[status])
         message.header.stamp = to_stamp(now_ns)
         self._writer.write(DIAGNOSTICS_TOPIC, message, now_ns)
-        self._pairs_before = pipeline.pair_count
-        self._rejected_before = pipeline.rejected.total()
