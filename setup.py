@@ -67,10 +67,10 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "fden = fden_ros.cli:main",
-            "identifier = fden_ros.nodes.identifier:main",
-            "tissue_simulator = fden_ros.nodes.tissue_simulator:main",
-            "force_controller = fden_ros.nodes.force_controller:main",
+            "fden = fden_ros.cli:program",
+            "identifier = fden_ros.nodes.programs:identifier",
+            "tissue_simulator = fden_ros.nodes.programs:tissue_simulator",
+            "force_controller = fden_ros.nodes.programs:force_controller",
         ]
     },
 )

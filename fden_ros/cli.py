@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
+import signal
 import sys
+import time
 from collections.abc import Sequence
 
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.errors import InputError
+
+#: Two interrupts within this time are one [s].
+_SAME_INTERRUPT = 1.0
 
 COMMANDS = (
     "bag",
@@ -18,6 +24,7 @@ COMMANDS = (
     "report",
     "batch",
     "play",
+    "layout",
     "demo",
     "train",
     "relative",
@@ -48,6 +55,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
   fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
+  fden layout --namespace /left       the Foxglove layout for another identifier
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together
   fden monitor                        a running identifier in the terminal
@@ -71,17 +79,36 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``fden``; return 0 when done, 1 when an input cannot be used, 2 on wrong usage."""
-    args = build_parser().parse_args(arguments)
     try:
-        return int(args.run(args))
-    except InputError as error:
-        print(f"fden {args.command}: {error}", file=sys.stderr)
-        return 1
+        args = build_parser().parse_args(arguments)
+        try:
+            return int(args.run(args))
+        except InputError as error:
+            print(f"fden {args.command}: {error}", file=sys.stderr)
+            return 1
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
         return 0
 
 
+def program() -> int:
+    """Run ``fden`` in a process of its own, which Ctrl-C ends with 130, if it comes twice too."""
+    newest = -math.inf
+
+    def interrupt(number: int, frame: object) -> None:
+        nonlocal newest
+        # A terminal and a launch file both send it: the second must not disturb the first's way
+        # out.
+        before, newest = newest, time.monotonic()
+        if newest - before > _SAME_INTERRUPT:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    code = main()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return code
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

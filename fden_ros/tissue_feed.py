@@ -228,7 +228,7 @@ class TissueFeed:
         qos.liveliness = LivelinessPolicy.AUTOMATIC
         qos.liveliness_lease_duration = Duration(seconds=max(self._deadline, OFFERED_LEASE))
         events = SubscriptionEventCallbacks(
-            deadline=lambda _: self._on_loss(),
+            deadline=lambda _: self._on_miss(),
             liveliness=lambda event: None if event.alive_count else self._on_loss(),
             incompatible_qos=lambda _: self._on_incompatible(),
         )
@@ -242,6 +242,10 @@ class TissueFeed:
             self._live.add(state, time.monotonic())
         if self._on_state is not None:
             self._on_state(state)
+
+    def _on_miss(self) -> None:
+        with self._lock:
+            self._live.miss(time.monotonic())
 
     def _on_loss(self) -> None:
         with self._lock:
@@ -257,10 +261,14 @@ class TissueFeed:
             self._live.check(time.monotonic())
 
     def _listen_without_promise(self) -> None:
-        """Hear an estimate whose publisher promises no deadline; the ages are watched as ever."""
+        """Hear an estimate whose publisher promises a longer deadline or none.
+
+        The ages are watched as ever.
+        """
         self._is_plain = True
         self._node.get_logger().warning(
-            f"{self._topic} is published without a deadline or lease: its age alone is watched"
+            f"{self._topic} is published without a deadline as short as {self._deadline:g} s: "
+            "its age alone is watched"
         )
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._subscribe()

@@ -4,12 +4,22 @@ ros2 launch fden_ros identifier.launch.py force_topic:=/ft/wrench \
     displacement_topic:=/arm/joint_states
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+from fden_ros.parameters.files import read_parameter_file
+
+
+def _check_parameters(context: LaunchContext) -> None:
+    """Refuse a wrong parameter file here: with `respawn` the node would refuse it for ever."""
+    path, namespace = (
+        LaunchConfiguration(name).perform(context) for name in ("parameters", "namespace")
+    )
+    read_parameter_file(path, f"{namespace}/identifier")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -45,6 +55,12 @@ def generate_launch_description() -> LaunchDescription:
             description="Take the time from the topic /clock, as while a bag plays.",
         ),
         DeclareLaunchArgument(
+            "respawn",
+            default_value="false",
+            choices=["true", "false"],
+            description="Start the node again, 2 s after it has ended.",
+        ),
+        DeclareLaunchArgument(
             "log_level",
             default_value="info",
             choices=["debug", "info", "warn", "error", "fatal"],
@@ -57,6 +73,8 @@ def generate_launch_description() -> LaunchDescription:
         name="identifier",
         namespace=LaunchConfiguration("namespace"),
         output="screen",
+        respawn=LaunchConfiguration("respawn"),
+        respawn_delay=2.0,
         parameters=[
             {
                 name: ParameterValue(LaunchConfiguration(name), value_type=bool)
@@ -76,4 +94,4 @@ def generate_launch_description() -> LaunchDescription:
             LaunchConfiguration("parameters"),
         ],
     )
-    return LaunchDescription([*arguments, identifier])
+    return LaunchDescription([*arguments, OpaqueFunction(function=_check_parameters), identifier])

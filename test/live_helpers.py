@@ -54,7 +54,7 @@ def node_process(
     name: str, parameters: Mapping[str, Any] | None = None, *, file: Path | None = None
 ) -> Iterator[subprocess.Popen[str]]:
     """Run a node; stop it by SIGINT, and keep its output."""
-    command = [sys.executable, "-m", f"fden_ros.nodes.{name}", "--ros-args"]
+    command = [sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"]
     if file is not None:
         command += ["--params-file", str(file)]
     for key, value in (parameters or {}).items():

@@ -171,10 +171,10 @@ def identifier(
     first: str = "",
 ) -> Iterator[subprocess.Popen[str]]:
     """Run the identifier in a process of its own, `first` before it; stop it at the end."""
-    command = [sys.executable, "-m", "fden_ros.nodes.identifier", "--ros-args"]
+    command = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"]
     if first:
         program = f"{first}\nfrom fden_ros.nodes.identifier import main\nraise SystemExit(main())"
-        command[1:3] = ["-c", program]
+        command[1:4] = ["-c", program]
     if file is not None:
         command += ["--params-file", str(file)]
     for name, value in (parameters or {}).items():

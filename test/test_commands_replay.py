@@ -532,6 +532,13 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
     (*_, last_map) = [m for topic, _, m in read if topic == "/identifier/stiffness_map"]
     assert (last_map.header.frame_id, last_map.width) == ("arm_base", 2)
     assert [m.linear_stiffness for m in summaries] == [c["g"] for c in result["contacts"]]
+    # The position is in the displacement's frame, the header names the force's.
+    assert {m.position_frame_id for m in summaries} == {"arm_base"}
+    assert {m.header.frame_id for m in summaries} == {"tool_sensor"}
+    for message, contact in zip(summaries, result["contacts"], strict=True):
+        place = message.position
+        assert contact["frame"] == "arm_base"
+        assert contact["position"] == [place.x, place.y, place.z]
     ends = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in summaries]
     assert ends == [contact["end_ns"] for contact in result["contacts"]]
     delays = [

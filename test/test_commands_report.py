@@ -188,6 +188,7 @@ def test_the_table_has_a_row_a_contact_and_the_picture_is_one(
         assert summary.estimate is not None and summary.position is not None
         assert float(row["g"]) == pytest.approx(np.exp(summary.estimate[0]), rel=1e-12)
         assert float(row["x"]) == summary.position[0]
+        assert row["frame"] == "arm_base"
     image = matplotlib.image.imread(picture)
     assert image.shape[0] > 500 and float(image[..., :3].std()) > 0.02
 

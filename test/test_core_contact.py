@@ -252,6 +252,18 @@ def test_pure_noise_is_no_contact():
     assert detector.mean_air_force() == pytest.approx(0.2, abs=1e-3)
 
 
+@pytest.mark.parametrize(("advances", "counted"), [(True, True), (False, False)])
+def test_a_slow_press_of_the_wrong_sign_is_counted_and_a_drift_is_not(advances, counted):
+    """The baseline follows a force that falls for half a minute."""
+    seconds = np.arange(0.0, 33.0, 0.01)
+    depth = np.maximum(seconds - 3.0, 0.0) / 30.0
+    force = 5e-3 * np.random.default_rng(1).standard_normal(seconds.size) - 0.3 * depth
+    displacement = 0.005 * (depth if advances else -depth)
+    detector, events = events_of(made(force, displacement, 100.0))
+    assert not events
+    assert (detector.below_baseline > 0) == counted
+
+
 @pytest.mark.parametrize("rate_hz", [100, 1000])
 def test_slow_drift_of_the_sensor_is_no_contact(rate_hz):
     # 0.1 noise deviations a second: in 5 s of lookback half a deviation, far from four.

@@ -309,17 +309,15 @@ def test_after_a_reset_everything_is_as_in_a_new_pipeline_but_ids_and_counts() -
     assert result.pipeline.rejected.total() == 1 and not fresh.pipeline.rejected
 
 
-def test_a_reset_in_contact_reports_it_once_as_incomplete() -> None:
+def test_a_reset_in_contact_is_refused_and_changes_nothing() -> None:
     data = presses()
+    answers: list[str | None] = []
+    ask = [lambda p: answers.append(p.reset()), lambda p: answers.append(p.tare())]
     stamp_ns = data.at(1, 0.5)
-    result = outcome(data, with_call(data, stamp_ns, Pipeline.reset))
-    first, cut, *_ = result.summaries
-    assert first.complete and not cut.complete
-    assert ids([first, cut]) == [(1, 1), (1, 2)]
-    assert stamp_ns - 2 * SECOND / RATE <= cut.end_ns < stamp_ns
-    assert cut.converged and not is_wrong(cut, data.site)
-    rest = [o for o in result.outputs if o.stamp_ns >= stamp_ns and o.contact_id == 2]
-    assert not rest
+    asked = outcome(data, [*data.between(0, stamp_ns), *ask, *data.between(stamp_ns, math.inf)])
+    lift = "the probe is in contact: lift it, then "
+    assert answers == [lift + what for what in ("reset", "tare")]
+    assert [repr(o) for o in asked.outputs] == [repr(o) for o in outcome(data).outputs]
 
 
 def test_after_a_clock_jumps_back_in_contact_the_state_is_unknown_until_the_probe_leaves() -> None:

@@ -388,11 +388,7 @@ ROWS = [
     Row("bias_steps", from_then(13.0, plus(0.05), (FORCE,)), good_from=15.0, warned=""),
     # contact
     Row("contact_at_start", without(0.0, 10.0), good_from=11.5, warned=BELOW),
-    Row(
-        "reset_in_contact",
-        called(lambda p: p.reset(), 10.0),
-        good_from=11.5,
-    ),
+    Row("reset_in_contact", called(lambda p: p.reset(), 9.3, 9.6, 10.0, 10.5)),
     Row("contact_chatter", chatter(6.0), ("displacement.spike",), good_from=8.0),
     # the computation
     Row("estimator_raises", called(break_estimator, 9.8), flags=FAILED, fails=1, also=UNKNOWN),

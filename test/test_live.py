@@ -17,7 +17,8 @@ from geometry_msgs.msg import WrenchStamped
 from live_helpers import PARAMETERS, ROOT, Ears, node_process, process_of
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console
-from sensor_msgs.msg import PointCloud2
+from ros_helpers import Bench, identifier, wait_for
+from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64, String
 from visualization_msgs.msg import MarkerArray
 
@@ -32,8 +33,10 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
+from fden_ros.nodes.monitor import Monitor
 from fden_ros.report.monitor import MonitorView, Trace, monitor_view, trace_row
 from fden_ros.ros.markers import StiffnessMap, colour_of
+from fden_ros.simulation.simulate import START_NS
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.
@@ -45,7 +48,9 @@ ESTIMATE = Estimate(
 )
 
 
-def summary(site: int, sd: float = 0.02, stiffness: float = 500.0) -> ContactSummary:
+def summary(
+    site: int, sd: float = 0.02, stiffness: float = 500.0, frame: str = "base"
+) -> ContactSummary:
     covariance = np.diag([sd**2, 0.0004, 0.0001])
     estimate = ESTIMATE._replace(log_linear_stiffness=math.log(stiffness), covariance=covariance)
     return ContactSummary(
@@ -66,12 +71,20 @@ def summary(site: int, sd: float = 0.02, stiffness: float = 500.0) -> ContactSum
         sample_count=100,
         rejected_count=0,
         classes=None,
+        position_frame=frame,
     )
 
 
 def points(cloud: PointCloud2) -> dict[str, np.ndarray]:
-    kind = np.dtype([(field.name, "<f8") for field in cloud.fields])
-    assert kind.itemsize == cloud.point_step
+    formats = {PointField.FLOAT32: "<f4", PointField.FLOAT64: "<f8"}
+    kind = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [formats[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
     rows = np.frombuffer(bytes(cloud.data), kind)
     assert rows.size == cloud.width
     return {name: rows[name] for name in rows.dtype.names or ()}
@@ -81,13 +94,35 @@ def test_a_site_is_one_marker_and_one_point_of_its_newest_contact() -> None:
     stiffness_map = StiffnessMap()
     for site, stiffness in ((1, 300.0), (2, 900.0), (1, 320.0)):
         assert stiffness_map.add(summary(site, stiffness=stiffness))
-    markers = stiffness_map.markers("base").markers
+    markers = stiffness_map.markers().markers
     assert sorted(m.id for m in markers if m.ns == "sites") == [1, 2]
     assert all(m.header.frame_id == "base" for m in markers)
-    cloud = points(stiffness_map.cloud("base"))
+    cloud = points(stiffness_map.cloud())
     assert cloud["G"] == pytest.approx([320.0, 900.0])
     assert cloud["x"] == pytest.approx([0.01, 0.02])
     assert cloud["G_sd"] == pytest.approx([6.4, 18.0])
+
+
+def test_the_coordinates_of_the_map_are_float32_as_rviz_draws_no_others() -> None:
+    stiffness_map = StiffnessMap()
+    stiffness_map.add(summary(1))
+    cloud = stiffness_map.cloud()
+    kinds = {field.name: field.datatype for field in cloud.fields}
+    assert [kinds[name] for name in "xyz"] == [PointField.FLOAT32] * 3
+    assert kinds["G"] == PointField.FLOAT64
+    assert len(cloud.data) == cloud.row_step == cloud.point_step
+
+
+def test_each_site_is_shown_in_the_frame_of_its_own_position() -> None:
+    """After a reset the displacement may come in another frame."""
+    stiffness_map = StiffnessMap()
+    for site, frame in ((1, "base"), (2, "tissue"), (3, "tissue")):
+        stiffness_map.add(summary(site, frame=frame))
+    balls = [m for m in stiffness_map.markers().markers if m.ns == "sites"]
+    assert [m.header.frame_id for m in balls] == ["base", "tissue", "tissue"]
+    cloud = stiffness_map.cloud()
+    assert cloud.header.frame_id == "tissue"
+    assert points(cloud)["x"] == pytest.approx([0.02, 0.03])
 
 
 def test_stiffness_is_the_colour_and_uncertainty_the_transparency() -> None:
@@ -102,7 +137,7 @@ def test_a_contact_without_position_or_estimate_is_not_on_the_map() -> None:
     stiffness_map = StiffnessMap()
     assert not stiffness_map.add(replace(summary(1), position=None))
     assert not stiffness_map.add(replace(summary(1), estimate=None))
-    assert stiffness_map.cloud("base").width == 0
+    assert stiffness_map.cloud().width == 0
 
 
 def shown(view: MonitorView) -> str:
@@ -181,6 +216,31 @@ def test_a_state_in_the_air_is_a_gap_in_the_curves() -> None:
     assert trace_row(pressing) == pytest.approx(
         (600.0, 500.0, 500.0 * math.exp(-0.2), 500.0 * math.exp(0.2))
     )
+
+
+def test_the_monitor_tells_a_bag_that_is_over_from_a_node_that_is_gone() -> None:
+    with Bench() as bench, Monitor("/identifier") as monitor:
+        with identifier({"autostart": True}) as node:
+            bench.wait_until_heard()
+            for k in range(200):
+                bench.publish(START_NS + k * 4_000_000, 0.0, 0.0)
+
+            def refusal() -> Refusal | None:
+                monitor.spin(0.02)
+                return monitor.view().refusal
+
+            def is_over() -> bool:
+                is_stale, state = refusal() is Refusal.STALE, monitor.view().state
+                return is_stale and state is not None and state.stamp_ns > START_NS
+
+            wait_for(is_over, "the end of the bag to be noticed")
+            bench.estimates.clear()
+            seen = set()
+            # Two seconds and more: it is said once a second.
+            bench.wait_for(lambda: seen.add(refusal()) or len(bench.estimates) >= 3, "the same")
+            assert seen == {Refusal.STALE}
+            node.kill()
+        wait_for(lambda: refusal() is Refusal.LOST, "the end of the node to be noticed")
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> None:

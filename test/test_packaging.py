@@ -8,14 +8,16 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
-from importlib.metadata import requires
+from importlib.metadata import distribution, requires
 from pathlib import Path
 
 import pytest
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
 import fden_ros
 
 ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = {entry.name for entry in distribution("fden_ros").entry_points}
 
 # Distribution on the package index: the rosdep key that brings it.
 ROSDEP_KEYS = {
@@ -174,6 +176,17 @@ def test_a_command_in_the_environment_finds_the_messages_in_its_own_children(
     run(ROOT / "scripts" / "ros_env", "python", "-c", code, cwd=tmp_path)
 
 
+def test_ros_finds_the_launch_files_and_every_program_in_this_environment() -> None:
+    # As ros2 launch and ros2 run look: down the folders, through no link to one.
+    share, prefix = get_package_share_directory("fden_ros"), get_package_prefix("fden_ros")
+    names = {name for _, _, files in os.walk(share) for name in files}
+    assert {path.name for path in (ROOT / "launch").glob("*.launch.py")} <= names
+    programs = {
+        path.name for path in Path(prefix, "lib", "fden_ros").iterdir() if os.access(path, os.X_OK)
+    }
+    assert programs == PROGRAMS
+
+
 def test_colcon_builds_both_packages_into_a_workspace_that_ros_finds(tmp_path: Path) -> None:
     install = tmp_path / "install"
     run(
@@ -183,7 +196,7 @@ def test_colcon_builds_both_packages_into_a_workspace_that_ros_finds(tmp_path: P
         "--cmake-args", f"-DPython3_EXECUTABLE={sys.executable}",
         cwd=tmp_path,
     )  # fmt: skip
-    for program in ("fden", "identifier"):
+    for program in PROGRAMS:
         assert os.access(install / "fden_ros" / "lib" / "fden_ros" / program, os.X_OK)
     share = install / "fden_ros" / "share"
     assert (share / "ament_index/resource_index/packages/fden_ros").is_file()

@@ -239,7 +239,10 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
 
 def end_of_node(*arguments: str) -> str:
     """The one line with which a node of its own process refuses to start."""
-    command = [sys.executable, "-m", "fden_ros.nodes.identifier", "--ros-args", *arguments]
+    command = [
+        *(sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"),
+        *arguments,
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=30.0)
     assert done.returncode == 1, done.stderr
     (line,) = (done.stdout + done.stderr).splitlines()

@@ -218,6 +218,18 @@ def test_waiting_in_vain_ends_with_one_line_and_1(
     assert line.startswith("fden play: /force, /joints: fewer than 1 subscribers")
 
 
+def test_who_waits_is_told_which_topic_still_lacks_a_subscriber(
+    tmp_path: Path, listener: Listener
+) -> None:
+    bag = make_bag(tmp_path / "bag", 3)
+    told: list[str] = []
+    listener.listen("/force", WrenchStamped)
+    listener.start()
+    with Player(bag) as player, pytest.raises(InputError, match="/joints"):
+        player.wait_for_subscribers(timeout_s=5.0, on_wait=told.append)
+    assert told[-1] == "/joints"
+
+
 def test_play_command_plays_without_waiting(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 import yaml
+from rclpy.expand_topic_name import expand_topic_name
 
+from fden_ros.cli import main
 from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.parameters import DEFAULT_HARDWARE_ID, Parameters
 from fden_ros.recording.definitions import message_class
@@ -98,12 +100,36 @@ def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
     shown = [d for d in manager["Displays"] if "Topic" in d]
     assert len(shown) == 4
     for display in shown:
-        kind = display["Class"].rpartition("/")[2]
+        kind, topic = display["Class"].rpartition("/")[2], display["Topic"]["Value"]
         # RViz shows the probe where it is published as a pose; a joint has no place.
         types = TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
-        assert types[display["Topic"]["Value"]] == DISPLAYS[kind]
+        # Below the namespace of RViz itself, as rcl expands a name.
+        for namespace in ("/", "/left"):
+            name = expand_topic_name(topic, "rviz", namespace)
+            assert types[name.removeprefix("/left")] == DISPLAYS[kind]
+            assert name.startswith(namespace)
 
 
 def test_the_diagnostics_panel_shows_the_node_as_it_comes(layout: dict[str, Any]) -> None:
     panel = layout["configById"]["DiagnosticStatusPanel!diagnostics"]
     assert panel["selectedHardwareId"] == DEFAULT_HARDWARE_ID != ""
+
+
+def test_the_layout_for_a_namespace_has_every_name_below_it(
+    layout: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["layout"]) == 0
+    assert json.loads(capsys.readouterr().out) == layout
+    assert main(["layout", "--namespace", "left/arm", "--force", "/ft/wrench"]) == 0
+    other = json.loads(capsys.readouterr().out)
+    below = {
+        f"/ft/wrench{path.removeprefix('/force')}"
+        if path.startswith("/force")
+        else f"/left/arm{path}"
+        for path in paths(layout)
+        if path != DIAGNOSTICS_TOPIC
+    }
+    assert set(paths(other)) == {*below, DIAGNOSTICS_TOPIC}
+    panel = other["configById"]["DiagnosticStatusPanel!diagnostics"]
+    assert panel["selectedName"] == "left/arm/identifier: tissue identification"
+    assert other["layout"] == layout["layout"]

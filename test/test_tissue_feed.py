@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
 from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.outputs import Flag, Status, TissueState, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.errors import InputError
@@ -152,6 +152,20 @@ def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press: Press)
     assert live.refusal(now + 1.01 * DEADLINE) is Refusal.LOST
     assert live.reading(now + 1.01 * DEADLINE) is None
     assert live.predict_force([0.1], [0.0], now + 1.01 * DEADLINE) is None
+
+
+def test_an_identifier_without_input_is_lost_only_when_it_no_longer_says_so(press: Press) -> None:
+    """It says so once a second: after a bag has ended nothing is frozen, killed or unreachable."""
+    live, now = press.heard_until(3.0)
+    live.add(stale(press.states[-1]), now)
+    live.miss(now + 1.01 * DEADLINE)
+    assert live.refusal(now + 2.0) is Refusal.STALE
+    assert live.refusal(now + 3.1) is Refusal.LOST
+    live.lose(now + 0.2)
+    assert live.refusal(now + 0.2) is Refusal.LOST
+    live, now = press.heard_until(3.0)
+    live.miss(now + 0.9 * DEADLINE)
+    assert live.refusal(now + 0.9 * DEADLINE) is Refusal.LOST
 
 
 @pytest.mark.parametrize(

@@ -165,7 +165,7 @@ def measure(plan: Sequence[Turn], step: Callable[[], None] = lambda: None) -> li
             command = [*me, "relay", *(["--raw"] if what == RAW_RELAY else [])]
             if what == NODE:
                 command = [
-                    *(sys.executable, "-m", "fden_ros.nodes.identifier"),
+                    *(sys.executable, "-m", "fden_ros.nodes.programs", "identifier"),
                     *_node_arguments(),
                 ]
             tested[what] = stack.enter_context(_process(command, environment))
@@ -410,13 +410,13 @@ def _relay(raw: bool) -> None:
 
     from fden_ros.nodes.running import make_executor, spin
     from fden_ros.recording.cdr import serialize
-    from fden_ros.ros.topics import ESTIMATE_QOS, INPUT_QOS
+    from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     name = RAW_RELAY if raw else RELAY
     namespace = _NAMESPACES[name]
     node = rclpy.create_node("identifier", namespace=namespace)
-    estimates = node.create_publisher(TissueEstimate, "~/estimate", ESTIMATE_QOS)
+    estimates = node.create_publisher(TissueEstimate, "~/estimate", OUTPUT_TOPICS[0].profile(0.01))
     diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     estimate = TissueEstimate()
     template = bytearray(serialize(estimate))

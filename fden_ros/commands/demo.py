@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _start_identifier(parameter_file: Path) -> subprocess.Popen[bytes]:
     arguments = [
-        *(sys.executable, "-m", "fden_ros.nodes.identifier", "--ros-args"),
+        *(sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"),
         *("--params-file", str(parameter_file), "-p", "autostart:=true"),
         *("-r", f"__ns:={_NAMESPACE}", "--log-level", "warn"),
     ]

@@ -47,9 +47,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Run the live system; return the exit code."""
     from fden_ros.commands.monitor import watch
+    from fden_ros.commands.shipped import config_file
     from fden_ros.errors import InputError
 
-    path = args.parameters or default_parameters()
+    path = args.parameters or config_file("tissue_simulator.yaml")
     if not path.is_file():
         raise InputError(f"{path}: there is no such parameter file; give one by --parameters")
     with _signals(), running(path, fixed=args.fixed) as processes:
@@ -66,16 +67,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def default_parameters() -> Path:
-    """Return the parameter file that comes along: of the source tree or as installed."""
-    here = Path(__file__).resolve().parents[2] / "config" / "tissue_simulator.yaml"
-    if here.is_file():
-        return here
-    from ament_index_python.packages import get_package_share_directory
-
-    return Path(get_package_share_directory("fden_ros")) / "config" / "tissue_simulator.yaml"
-
-
 @contextlib.contextmanager
 def running(path: Path, *, fixed: bool = False) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """Run the three nodes; stop them in reverse, so that nobody commands a rig that is gone."""
@@ -87,7 +78,7 @@ def running(path: Path, *, fixed: bool = False) -> Iterator[dict[str, subprocess
     try:
         for name in _NODES:
             command = [
-                *(sys.executable, "-m", f"fden_ros.nodes.{name}", "--ros-args"),
+                *(sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"),
                 *("--params-file", str(path), "-r", f"__ns:={NAMESPACE}"),
                 *("--log-level", "error", *extra.get(name, [])),
             ]

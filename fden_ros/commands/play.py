@@ -115,8 +115,11 @@ def run(args: argparse.Namespace) -> int:
     told = len(player.warnings)
     with player:
         if not args.no_wait and player.input_topics:
-            _say(f"waiting for subscribers to {', '.join(player.input_topics)} ...")
-            player.wait_for_subscribers(args.wait_for, args.timeout)
+            player.wait_for_subscribers(
+                args.wait_for,
+                args.timeout,
+                lambda lacking: _say(f"waiting for a subscriber to {lacking} ..."),
+            )
         time.sleep(args.delay)
         while True:
             began = time.monotonic()

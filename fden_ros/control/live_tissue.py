@@ -46,6 +46,8 @@ _SURPRISING_NIS = 25.0
 _SURPRISES = 3
 #: How fast the least delay seen is forgotten, as clocks drift [s/s].
 _DELAY_LEAK = 1e-4
+#: An identifier without input says so once a second; without that for this time it is lost [s].
+_STALE_PATIENCE = 3.0
 
 
 class Refusal(enum.Enum):
@@ -54,7 +56,7 @@ class Refusal(enum.Enum):
     NEVER_HEARD = "no estimate has come yet: is the identifier active?"
     LOST = "no estimate within the deadline: the identifier is frozen, killed or unreachable"
     LATE = "the estimates come later than the deadline: the identifier is overloaded"
-    STALE = "the identifier has no input: are force and displacement published?"
+    STALE = "the identifier has no input: are force and displacement published? is the bag over?"
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
     NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
@@ -173,6 +175,12 @@ class LiveTissue:
             self._compare(state)
         self.check(now)
 
+    def miss(self, now: float) -> None:
+        """Take note that no estimate came within the deadline."""
+        if self._state is not None and self._state.status is not Status.STALE:
+            self._alive = False
+        self.check(now)
+
     def lose(self, now: float) -> None:
         """Take note that the identifier is gone: until the next estimate."""
         self._alive = False
@@ -201,7 +209,9 @@ class LiveTissue:
         state = self._state
         if state is None:
             return Refusal.NEVER_HEARD
-        if not self._alive or now - self._arrival > self.deadline:
+        is_stale = state.status is Status.STALE
+        patience = max(self.deadline, _STALE_PATIENCE) if is_stale else self.deadline
+        if not self._alive or now - self._arrival > patience:
             return Refusal.LOST
         if self._lag > self.deadline:
             return Refusal.LATE

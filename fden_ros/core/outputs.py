@@ -142,6 +142,7 @@ class ContactSummary:
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
     rig: RigKnowledge | None = None  #: with which the next site begins
+    position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
 
 @dataclass(frozen=True)
@@ -176,8 +177,20 @@ class Failure:
 Output = TissueState | Classification | ContactSummary | DynamicModulus
 
 
-def stale(state: TissueState) -> TissueState:
-    """Return `state` as no longer current, with nothing in it to act on."""
+def stale(state: TissueState | None) -> TissueState:
+    """Return `state` as no longer current, with nothing in it to act on.
+
+    None: there was none yet; the stamp then is 0.
+    """
+    if state is None:
+        return TissueState(
+            stamp_ns=0,
+            status=Status.STALE,
+            flags=Flag.NONE,
+            site_id=0,
+            contact_id=0,
+            phase=Phase.NONE,
+        )
     return replace(
         state,
         # A stamp of its own, and before that of any sample to come.
@@ -190,6 +203,13 @@ def stale(state: TissueState) -> TissueState:
         apparent_stiffness=None,
         order_source=OrderSource.NONE,
     )
+
+
+def placed(output: Output, frame: str) -> Output:
+    """Return an output with the frame that its position, if it has one, is in."""
+    if not isinstance(output, ContactSummary) or output.position is None:
+        return output
+    return replace(output, position_frame=frame)
 
 
 def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSource:

@@ -194,10 +194,12 @@ class Pipeline:
         self._detector.reset()
         return None
 
-    def reset(self) -> None:
-        """End the contact, if any, as incomplete, and forget what was learned but of the rig."""
-        self.finish()
+    def reset(self) -> str | None:
+        """Forget what was learned but of the rig; return None, or why that cannot be done now."""
+        if self._detector.in_contact:
+            return "the probe is in contact: lift it, then reset"
         self._forget(_Forget.STREAMS)
+        return None
 
     def forget_rig(self) -> None:
         """Let the next site begin with what is stated of the rig."""
@@ -234,8 +236,8 @@ class Pipeline:
         detector = self._detector
         counts = {
             "the clock jumped back: everything learned was reset": self._clock_jumps,
-            "the force fell below its value in the air: does it have the wrong sign, "
-            "or did the data begin in contact?": detector.below_baseline,
+            "the force fell below its value in the air: does it have the wrong sign (force.axis, "
+            "force.inverted), or did the data begin in contact?": detector.below_baseline,
             "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
             "the force repeated one value: is the sensor dead, or at its end?": self.rejected[
                 f"force.{Reason.STUCK}"

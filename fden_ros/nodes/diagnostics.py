@@ -1,4 +1,4 @@
-"""What the node says about itself on ``/diagnostics``, once a second."""
+"""What the node says about itself, once a second: on ``/diagnostics``, and once in its log."""
 
 from __future__ import annotations
 
@@ -9,14 +9,19 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import qos_policy_name_from_kind
-from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import Backlog
-from fden_ros.ros.status import diagnostic_status, type_name
+from fden_ros.nodes.input_problems import ListenedTo, clock_problem, pairing_problem
+from fden_ros.ros.inputs import Inputs
+from fden_ros.ros.status import PipelineProblems, diagnostic_status
 
 _PERIOD = 1.0
+#: Drivers may start after the node: what its inputs lack is logged from this look on, 2 s after
+#: the activation.
+_FIRST_LOGGED = 2
+#: The same words come into the log no more often than this [s].
+_THROTTLE = 10.0
 
 
 class Diagnostics:
@@ -33,25 +38,26 @@ class Diagnostics:
         self._publisher = node.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer: Any = None
         self._pipeline: Pipeline | None = None
-        self._subscriptions: Sequence[Subscription] = ()
-        self._incompatible: dict[str, str] = {}
         self._lost: dict[str, int] = {}
-        self._backlog = Backlog()
-        self._pairs_before = 0
-        self._rejected_before = 0
         self._lost_before = 0
 
     def start(
-        self, pipeline: Pipeline, subscriptions: Sequence[Subscription], backlog: Backlog
+        self,
+        pipeline: Pipeline,
+        inputs: Inputs,
+        listened_to: Sequence[ListenedTo],
+        backlog: Backlog,
     ) -> None:
-        """Begin to report on `pipeline`, fed by `subscriptions`, a list that may still grow."""
+        """Begin to report on `pipeline`, fed by `listened_to`, a list that may still grow."""
         self._backlog = backlog
         self._pipeline = pipeline
-        self._subscriptions = subscriptions
-        self._incompatible.clear()
+        self._inputs = inputs
+        self._listened_to = listened_to
+        self._pipeline_problems = PipelineProblems(pipeline)
+        self._looks = 0
+        self._told: set[str] = set()
         self._lost.clear()
         self._lost_before = 0
-        self._pairs_before = self._rejected_before = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._node.create_timer(_PERIOD, self._publish, clock=steady)
 
@@ -67,16 +73,6 @@ class Diagnostics:
         self.stop()
         self._node.destroy_publisher(self._publisher)
 
-    def incompatible_qos(self, topic: str, event: Any) -> None:
-        """Take note of a publisher whose QoS does not match."""
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        problem = (
-            f"a publisher on {topic} offers an incompatible {policy.lower()}: nothing "
-            f"comes from it"
-        )
-        self._incompatible[topic] = problem
-        self._node.get_logger().warning(problem, throttle_duration_sec=10.0)
-
     def message_lost(self, topic: str, event: Any) -> None:
         """Take note of messages that came faster than they were read."""
         self._lost[topic] = int(event.total_count)
@@ -89,11 +85,18 @@ class Diagnostics:
         pipeline = self._pipeline
         if pipeline is None:
             return
+        news = self._pipeline_problems.look()
+        for words in news.warnings:
+            self._node.get_logger().warning(words, throttle_duration_sec=_THROTTLE)
+        self._log_rejected(pipeline, news.rejected)
+        problems = [*self._first_problems(pipeline), *news.problems, *self._lost_messages()]
+        if pipeline.is_failed:
+            problems.insert(0, str(pipeline.failures[-1]))
         status = diagnostic_status(
             self._node.get_fully_qualified_name(),
-            self._problems(pipeline),
+            problems,
             pipeline,
-            self._pairs_before,
+            news.pairs,
             {
                 "waiting": self._backlog.waiting,
                 "most waiting": self._backlog.most_waiting,
@@ -108,50 +111,44 @@ class Diagnostics:
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
-        self._pairs_before = pipeline.pair_count
-        self._rejected_before = pipeline.unusual_rejections
 
-    def _problems(self, pipeline: Pipeline) -> list[str]:
-        problems = list(self._incompatible.values())
-        if pipeline.is_failed:
-            problems.append(str(pipeline.failures[-1]))
-        for subscription in self._subscriptions:
-            problems += self._publisher_problems(subscription)
-        if pipeline.pair_count == self._pairs_before:
-            problems.append("no pair of force and displacement in the last second")
+    def _first_problems(self, pipeline: Pipeline) -> list[str]:
+        """Return what is wrong with the inputs; log it once while nothing has come of them."""
+        has_come = {"force": self._inputs.has_force, "displacement": self._inputs.has_displacement}
+        inputs = [
+            problem
+            for one in self._listened_to
+            for problem in one.problems(self._node, has_come=has_come[one.what])
+        ]
+        clock = clock_problem(self._node)
+        pairing = pairing_problem(pipeline, self._inputs)
+        always = [clock] if clock else []
+        first = [*inputs, pairing] if pairing else inputs
+        self._looks += 1
+        if self._looks >= _FIRST_LOGGED:
+            self._tell(always if pipeline.pair_count else [*first, *always])
+        return [*first, *always]
+
+    def _tell(self, problems: Sequence[str]) -> None:
+        for problem in problems:
+            if problem not in self._told:
+                self._told.add(problem)
+                self._node.get_logger().warning(problem)
+
+    def _log_rejected(self, pipeline: Pipeline, rejected: int) -> None:
+        if not rejected:
+            return
+        counts = ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items()))
+        self._node.get_logger().warning(
+            f"{rejected} samples rejected in the last second, by reason so far: {counts}",
+            throttle_duration_sec=_THROTTLE,
+        )
+
+    def _lost_messages(self) -> list[str]:
         lost = sum(self._lost_by_topic().values()) - self._lost_before
         self._lost_before += lost
-        if lost:
-            problems.append(f"{lost} messages lost in the last second: they come too fast")
-            self._node.get_logger().warning(
-                f"{lost} messages lost in the last second: they come too fast",
-                throttle_duration_sec=10.0,
-            )
-        rejected = pipeline.unusual_rejections - self._rejected_before
-        if rejected:
-            problems.append(f"{rejected} samples rejected in the last second")
-            self._node.get_logger().warning(
-                f"{rejected} samples rejected in the last second, by reason so far: "
-                + ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items())),
-                throttle_duration_sec=10.0,
-            )
-        if (
-            self._node.get_parameter("use_sim_time").value
-            and not self._node.get_clock().now().nanoseconds
-        ):
-            problems.append("use_sim_time is set but nothing publishes /clock")
-        return problems
-
-    def _publisher_problems(self, subscription: Subscription) -> list[str]:
-        topic = subscription.topic_name
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        if not publishers:
-            return [f"nothing publishes {topic}"]
-        expected = type_name(subscription.msg_type)
-        wrong = {p.topic_type for p in publishers if p.topic_type != expected}
-        problems = [
-            f"{topic} is published as {kind}, expected {expected}" for kind in sorted(wrong)
-        ]
-        if len(publishers) > 1:
-            problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
-        return problems
+        if not lost:
+            return []
+        words = f"{lost} messages lost in the last second: they come too fast"
+        self._node.get_logger().warning(words, throttle_duration_sec=_THROTTLE)
+        return [words]

@@ -7,7 +7,6 @@ program it presses one site after the other by itself.
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
@@ -144,7 +143,7 @@ class ForceControllerNode(Node):
     def _tare(self, force: float, now: float) -> None:
         """Take the first moments, in the air, for the force's bias."""
         self._started = self._started or now
-        unheard = self._feed.refusal() is Refusal.NEVER_HEARD
+        unheard = self._feed.refusal() in (Refusal.NEVER_HEARD, Refusal.STALE)
         if (
             self._values["scheduled"]
             and unheard
@@ -181,7 +180,3 @@ def _places(x: Any, y: Any) -> list[tuple[float, float]]:
 def main(arguments: list[str] | None = None) -> int:
     """Run the controller until SIGINT or SIGTERM."""
     return run_node("force_controller", ForceControllerNode, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import gc
 import struct
-import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -29,15 +28,16 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
+from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from fden_ros.core.outputs import Output, TissueState, stale
+from fden_ros.core.outputs import Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.decisions import Decisions
 from fden_ros.nodes.diagnostics import Diagnostics
+from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
 from fden_ros.parameters import (
@@ -52,9 +52,11 @@ from fden_ros.parameters.files import identifier_values
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import DAMAGED, DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
 from fden_ros.ros.status import type_name
-from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, Frames, OutputMessages
+from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, OutputMessages
 
 _STALE_CHECK_PERIOD = 0.05
+#: A stale estimate is published again and again at this period [s].
+_STALE_PERIOD = 1.0
 _ACKNOWLEDGE_TIMEOUT = 1.0
 
 
@@ -75,9 +77,9 @@ class Identifier(LifecycleNode):
         self._last_input = self._steady.now()
         self._seen_pairs = 0
         self._seen_failures = 0
-        self._is_stale = False
+        self._told_stale: Time | None = None
         self._made: list[Callable[[], object]] = []
-        self._subscriptions_made: list[Subscription] = []
+        self._listened_to: list[ListenedTo] = []
         self._publishers_made: dict[str, LifecyclePublisher] = {}
         self.add_on_set_parameters_callback(self._on_set_parameters)
 
@@ -144,6 +146,7 @@ class Identifier(LifecycleNode):
         """Report the open contact and fall silent."""
         result = self._transition("deactivate", self._deactivate)
         super().on_deactivate(state)
+        self.get_logger().info(f"deactivated: silent until it is activated{self._by('activate')}")
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -184,8 +187,7 @@ class Identifier(LifecycleNode):
             publisher = self.create_lifecycle_publisher(
                 topic.message_type,
                 f"~/{topic.name}",
-                # rclpy writes the overrides into the profile that it is given.
-                copy.copy(topic.qos),
+                topic.profile(parameters.estimate.period),
                 qos_overriding_options=OVERRIDABLE,
             )
             self._publishers_made[topic.name] = publisher
@@ -199,6 +201,7 @@ class Identifier(LifecycleNode):
         ):
             service = self.create_service(Trigger, name, callback)
             self._made.append(lambda s=service: self.destroy_service(s))  # type: ignore[misc]
+        self.get_logger().info(f"configured: silent until it is activated{self._by('activate')}")
 
     def _activate(self) -> None:
         parameters = self._parameters_now()
@@ -208,13 +211,13 @@ class Identifier(LifecycleNode):
         self._messages = OutputMessages()
         self._decisions = Decisions(self._pipeline.rejected)
         self._last_state = None
-        self._is_stale = False
+        self._told_stale = None
         self._seen_pairs = 0
         self._seen_failures = 0
         self._last_input = self._steady.now()
         self._active = True
         self._backlog = Backlog()
-        self._diagnostics.start(self._pipeline, self._subscriptions_made, self._backlog)
+        self._diagnostics.start(self._pipeline, self._inputs, self._listened_to, self._backlog)
         self._subscribe(FORCE_MESSAGES[parameters.force.message], "force", self._inputs)
         self._subscribe(
             DISPLACEMENT_MESSAGES[parameters.displacement.message], "displacement", self._inputs
@@ -224,7 +227,7 @@ class Identifier(LifecycleNode):
         )
         self._listening_timers = [self._stale_timer]
         # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
-        topics = " and ".join(one.topic_name for one in self._subscriptions_made)
+        topics = " and ".join(one.subscription.topic_name for one in self._listened_to)
         self.get_logger().info(f"listening to {topics}")
 
     def _subscribe(self, kind: type, topic: str, inputs: Inputs) -> None:
@@ -242,14 +245,15 @@ class Identifier(LifecycleNode):
             on_message,
             copy.copy(INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._diagnostics.incompatible_qos(topic, event),
+                # The diagnostics say it, with the override that mends it.
+                incompatible_qos=lambda event: None,
                 message_lost=lambda event: self._diagnostics.message_lost(topic, event),
             ),
             qos_overriding_options=OVERRIDABLE,
             # Decoding the few bytes that count is faster than making a message of them all.
             raw=True,
         )
-        self._subscriptions_made.append(subscription)
+        self._listened_to.append(ListenedTo(topic, subscription))
         source = Input(topic, taker(subscription), read)
         self._backlog.inputs.append(source)
 
@@ -277,9 +281,9 @@ class Identifier(LifecycleNode):
     def _stop_listening(self) -> None:
         self._active = False
         self._backlog.clear()
-        for subscription in self._subscriptions_made:
-            self.destroy_subscription(subscription)
-        self._subscriptions_made.clear()
+        for one in self._listened_to:
+            self.destroy_subscription(one.subscription)
+        self._listened_to.clear()
         for timer in getattr(self, "_listening_timers", []):
             self.destroy_timer(timer)
         self._listening_timers = []
@@ -292,6 +296,16 @@ class Identifier(LifecycleNode):
         self._pipeline.finish()
         self._log_failures()
         self._stop_listening()
+
+    def _by(self, transition: str) -> str:
+        return f" (ros2 lifecycle set {self.get_fully_qualified_name()} {transition})"
+
+    def tell_unconfigured(self) -> None:
+        """Log that nothing happens before somebody asks for it."""
+        self.get_logger().info(
+            "unconfigured: it neither listens nor publishes until it is configured"
+            f"{self._by('configure')} and activated; -p autostart:=true does both at the start"
+        )
 
     def _release(self) -> None:
         while self._made:
@@ -315,8 +329,8 @@ class Identifier(LifecycleNode):
 
     def _publish_messages(self, output: Output) -> None:
         assert self._inputs is not None
-        frames = Frames(self._inputs.force_frame, self._inputs.displacement_frame)
-        for topic, message in self._messages.of(output, frames):
+        output = placed(output, self._inputs.displacement_frame)
+        for topic, message in self._messages.of(output, self._inputs.force_frame):
             self._publishers_made[topic.name].publish(message)
 
     def _check_stale(self) -> None:
@@ -343,17 +357,22 @@ class Identifier(LifecycleNode):
         if pipeline.pair_count != self._seen_pairs:
             self._seen_pairs = pipeline.pair_count
             self._last_input = now
-            self._is_stale = False
+            self._told_stale = None
             return
-        timeout = self.get_parameter("stale_timeout").value
-        waited = (now - self._last_input).nanoseconds * 1e-9
-        if waited < timeout or self._is_stale or self._last_state is None:
+        waited = _seconds(self._last_input, now)
+        if waited < self.get_parameter("stale_timeout").value:
             return
-        self._is_stale = True
-        self.get_logger().warning(
-            f"no usable pair of force and displacement for {waited:.2f} s: the estimate is stale"
-        )
-        self._publish_messages(stale(self._last_state))
+        if self._told_stale is None and self._last_state is not None:
+            self.get_logger().warning(
+                f"no usable pair of force and displacement for {waited:.2f} s: the estimate is "
+                "stale"
+            )
+        elif self._told_stale is not None and _seconds(self._told_stale, now) < _STALE_PERIOD:
+            return
+        # Again and again, so that who comes late is told too.
+        self._told_stale = now
+        self._last_state = stale(self._last_state)
+        self._publish_messages(self._last_state)
 
     # Services
 
@@ -364,10 +383,12 @@ class Identifier(LifecycleNode):
     def _reset(self, response: Trigger.Response) -> Trigger.Response:
         if not self._active or self._pipeline is None or self._inputs is None:
             return _answer(response, "the node is not active: activate it first")
-        self._pipeline.reset()
-        self._inputs.reset()
-        self.get_logger().info("reset: everything learned but of the rig was forgotten")
-        return _answer(response, None)
+        problem = self._pipeline.reset()
+        if problem is None:
+            self._inputs.reset()
+        done = "everything learned but of the rig was forgotten"
+        self.get_logger().info(f"reset: {problem or done}")
+        return _answer(response, problem)
 
     def _on_forget_rig(
         self, request: Trigger.Request, response: Trigger.Response
@@ -401,6 +422,10 @@ class Identifier(LifecycleNode):
         # Lifecycle publishers hand on what rclpy's publishers can do.
         for publisher in self._publishers_made.values():
             publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+
+
+def _seconds(start: Time, end: Time) -> float:
+    return float((end - start).nanoseconds * 1e-9)
 
 
 def _answer(response: Trigger.Response, problem: str | None) -> Trigger.Response:
@@ -458,7 +483,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _start(node: Identifier) -> bool:
-    if node.get_parameter("autostart").value and not _autostart(node):
+    if not node.get_parameter("autostart").value:
+        node.tell_unconfigured()
+    elif not _autostart(node):
         return False
     # What is there by now stays: the collector need not look through it again and again.
     gc.collect()
@@ -469,7 +496,3 @@ def _start(node: Identifier) -> bool:
 def _autostart(node: Identifier) -> bool:
     success = TransitionCallbackReturn.SUCCESS
     return node.trigger_configure() == success and node.trigger_activate() == success
-
-
-if __name__ == "__main__":
-    sys.exit(main())

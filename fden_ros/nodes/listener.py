@@ -13,7 +13,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from fden_ros.core.outputs import ContactSummary, TissueState
+from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.report.figure import Session
 from fden_ros.ros.messages import state_of, summary_of
 
@@ -26,7 +26,7 @@ _LATCHED = QoSProfile(
 
 
 class Listener:
-    """Keep every estimate and summary that one identifier publishes.
+    """Keep every estimate, but those that say there is none, and summary of one identifier.
 
     Owns an rclpy context, so that it can live beside other nodes of the process.
 
@@ -74,7 +74,7 @@ class Listener:
 
     @property
     def quiet_for(self) -> float:
-        """Seconds since the last message."""
+        """Seconds since the last message that holds something."""
         return time.monotonic() - self._heard
 
     def session(self, truth: Mapping[int, Mapping[str, Any]]) -> Session:
@@ -82,8 +82,11 @@ class Listener:
         return Session(tuple(self.states), tuple(self.summaries), truth)
 
     def _on_estimate(self, message: TissueEstimate) -> None:
+        state = state_of(message)
+        if state.status is Status.STALE:
+            return
         self._heard = time.monotonic()
-        self.states.append(state_of(message))
+        self.states.append(state)
 
     def _on_summary(self, message: PalpationSummary) -> None:
         self._heard = time.monotonic()

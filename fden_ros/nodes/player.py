@@ -173,7 +173,12 @@ class Player:
         """End waiting and playing, from any thread."""
         self._stop.set()
 
-    def wait_for_subscribers(self, count: int = 1, timeout_s: float = 30.0) -> None:
+    def wait_for_subscribers(
+        self,
+        count: int = 1,
+        timeout_s: float = 30.0,
+        on_wait: Callable[[str], None] | None = None,
+    ) -> None:
         """Wait until every force and displacement topic has enough subscribers.
 
         Parameters
@@ -182,6 +187,9 @@ class Player:
             Subscribers that each of `input_topics` must have.
         timeout_s
             How long to wait (s).
+        on_wait
+            Called with the topics that lack subscribers, and why if one is incompatible, at first
+            and when they have changed.
 
         Raises
         ------
@@ -189,13 +197,18 @@ class Player:
             When a topic still lacks subscribers; it says which, and whether one is incompatible.
         """
         deadline = time.monotonic() + timeout_s
+        told = ""
         while lacking := self._lacking(count):
+            topics, why = ", ".join(lacking), self._incompatible(lacking)
+            if on_wait is not None and topics + why != told:
+                told = topics + why
+                on_wait(told)
             if self._stop.wait(_POLL_S):
                 return
             if time.monotonic() > deadline:
                 raise InputError(
-                    f"{', '.join(lacking)}: fewer than {count} subscribers after {timeout_s:g} s: "
-                    f"start them first, or do not wait (--no-wait){self._incompatible(lacking)}"
+                    f"{topics}: fewer than {count} subscribers after {timeout_s:g} s: "
+                    f"start them first, or do not wait (--no-wait){why}"
                 )
 
     def play(self, on_progress: Callable[[int, float], None] | None = None) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
@@ -17,6 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fden_ros.errors import InputError
+from fden_ros.nodes.signals import ignore_signals, note_signals
 from fden_ros.parameters.files import (
     Section,
     check_types,
@@ -57,16 +57,37 @@ def run_node(
     needs_section : bool
         Refuse a parameter file that has no section for this node.
     """
-    arguments = list(sys.argv if arguments is None else arguments)
+    noted = note_signals()
+    try:
+        return _run(
+            name,
+            make,
+            list(sys.argv if arguments is None else arguments),
+            start,
+            finish,
+            needs_section=needs_section,
+            is_over=lambda: bool(noted),
+        )
+    finally:
+        ignore_signals()
+
+
+def _run(
+    name: str,
+    make: Callable[[], _Node],
+    arguments: Sequence[str],
+    start: Callable[[_Node], bool],
+    finish: Callable[[_Node], object],
+    *,
+    needs_section: bool,
+    is_over: Callable[[], bool],
+) -> int:
     try:
         files = check_arguments(arguments)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (InputError, RuntimeError, ValueError) as error:
         # rclpy raises RCLError, a RuntimeError, for arguments that rcl cannot read.
         return _refuse(name, error)
-    stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda caught, _: stopped.append(caught))
     try:
         node = make()
         if needs_section:
@@ -78,9 +99,11 @@ def run_node(
     executor = make_executor()
     executor.add_node(node)
     try:
+        if is_over():
+            return 0
         if not start(node):
             return 1
-        spin(executor, lambda: bool(stopped))
+        spin(executor, is_over)
         return 0
     finally:
         finish(node)

@@ -7,7 +7,6 @@ and ``displacement``. The tissue itself is in :mod:`fden_ros.simulation`.
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
@@ -200,7 +199,3 @@ def _rig_config(values: dict[str, Any]) -> RigConfig:
 def main(arguments: list[str] | None = None) -> int:
     """Run the simulator until SIGINT or SIGTERM."""
     return run_node("tissue_simulator", TissueSimulator, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

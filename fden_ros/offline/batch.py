@@ -359,7 +359,7 @@ def _schema() -> Any:
     import pyarrow
 
     texts = {"bag", "content", "configuration", "error", "warnings"}
-    texts |= {"alpha_source", "label", *LISTS}
+    texts |= {"alpha_source", "frame", "label", *LISTS}
     integers = {"contact_id", "site", "start_ns", "end_ns", "samples", "rejected", "pairs"}
     booleans = {"converged", "complete"}
 

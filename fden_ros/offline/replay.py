@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output
+from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import RawMessage
-from fden_ros.recording.source import Selection, Source, open_source
+from fden_ros.recording.source import Selection, open_source
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -42,7 +42,6 @@ def replay(
     on_output: Callable[[Output, str], None] | None = None,
     on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
     tap: Callable[[Sink], Sink] | None = None,
-    on_source: Callable[[Source], None] | None = None,
 ) -> Replay:
     """Run a recording through the pipeline.
 
@@ -63,8 +62,6 @@ def replay(
         and the pipeline.
     tap : callable, optional
         Given the pipeline, returns what the samples are fed to instead; it must hand them on.
-    on_source : callable, optional
-        Called with what is read, before the first sample.
 
     Raises
     ------
@@ -72,11 +69,10 @@ def replay(
         If the recording or its topics cannot be used.
     """
     source = open_source(bag, parameters, selection)
-    if on_source is not None:
-        on_source(source)
     summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:
+        output = placed(output, source.displacement_frame)
         if isinstance(output, ContactSummary):
             if summaries and summaries[-1].contact_id == output.contact_id:
                 # The air after it has contradicted it.
@@ -166,6 +162,8 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "site": summary.site_id,
         "start_ns": summary.start_ns,
         "end_ns": summary.end_ns,
+        "position": summary.position,
+        "frame": summary.position_frame,
         "g": None,
         "g_n": None,
         "alpha": None,

@@ -15,11 +15,11 @@ from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
-from fden_ros.recording.source import Selection, Source
+from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp
-from fden_ros.ros.status import diagnostic_status, type_name
-from fden_ros.ros.topics import OUTPUT_TOPICS, Frames, OutputMessages
+from fden_ros.ros.status import PipelineProblems, diagnostic_status, type_name
+from fden_ros.ros.topics import OUTPUT_TOPICS, OutputMessages
 
 NODE = "/identifier"
 DIAGNOSTICS_TOPIC = "/diagnostics"
@@ -76,7 +76,6 @@ def replay_to_bag(
             on_output=recorder.take,
             on_input=recorder.tick,
             tap=rows.tap if rows is not None else None,
-            on_source=recorder.read,
         )
 
 
@@ -151,23 +150,16 @@ class _Recorder:
         self._writer, self._copy = writer, copy
         self._now_ns = 0
         self._next_diagnostics_ns: int | None = None
-        self._source: Source | None = None
         self._messages = OutputMessages()
-        self._pairs_before = self._rejected_before = 0
+        self._problems: PipelineProblems | None = None
         for topic in OUTPUT_TOPICS:
             qos = Qos.from_profile(topic.qos)
             writer.add_topic(f"{NODE}/{topic.name}", type_name(topic.message_type), qos)
         writer.add_topic(DIAGNOSTICS_TOPIC, type_name(DiagnosticArray), Qos())
 
-    def read(self, source: Source) -> None:
-        """Take note of what is read."""
-        self._source = source
-
     def take(self, output: Output, frame: str) -> None:
         """Write one output of the pipeline."""
-        assert self._source is not None
-        frames = Frames(frame, self._source.displacement_frame)
-        for topic, message in self._messages.of(output, frames):
+        for topic, message in self._messages.of(output, frame):
             self._writer.write(f"{NODE}/{topic.name}", message, self._now_ns)
 
     def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:
@@ -186,15 +178,9 @@ class _Recorder:
             self._copy.take(message)
 
     def _diagnose(self, now_ns: int, pipeline: Pipeline) -> None:
-        problems = []
-        if pipeline.pair_count == self._pairs_before:
-            problems.append("no pair of force and displacement in the last second")
-        rejected = pipeline.unusual_rejections - self._rejected_before
-        if rejected:
-            problems.append(f"{rejected} samples rejected in the last second")
-        status = diagnostic_status(NODE, problems, pipeline, self._pairs_before)
+        self._problems = self._problems or PipelineProblems(pipeline)
+        news = self._problems.look()
+        status = diagnostic_status(NODE, news.problems, pipeline, news.pairs)
         message = DiagnosticArray(status=[status])
         message.header.stamp = to_stamp(now_ns)
         self._writer.write(DIAGNOSTICS_TOPIC, message, now_ns)
-        self._pairs_before = pipeline.pair_count
-        self._rejected_before = pipeline.unusual_rejections

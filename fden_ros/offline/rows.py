@@ -11,17 +11,18 @@ from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.session import Session
 
-#: The columns, in their order. x, y, z: place of the touch [m]; mean_nis: mean of the normalised
-#: innovation squared, 1 where model and noise are right. apparent_stiffness [N/m]: for a motion of
-#: its time scale [s] at the deepest point. Correlations: of ln G, ln Gn and alpha.
+#: The columns, in their order. x, y, z: place of the touch [m] in `frame`; mean_nis: mean of the
+#: normalised innovation squared, 1 where model and noise are right. apparent_stiffness [N/m]: for
+#: a motion of its time scale [s] at the deepest point. Correlations: of ln G, ln Gn and alpha.
 COLUMNS = (
-    "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "g", "g_sd", "g_n", "g_n_sd",
-    "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale", "converged",
-    "complete", "flags", "max_strain", "max_stress", "max_force", "samples", "rejected", "label",
-    "probability", "mean_nis", "typicality", "decision_time", "decision_strain", "ratio",
-    "ratio_low", "ratio_high", "apparent_stiffness", "apparent_stiffness_sd",
-    "apparent_stiffness_time_scale", "g_g_n_correlation", "g_alpha_correlation",
-    "g_n_alpha_correlation", "valid_parameters", "converged_parameters", "edge_parameters",
+    "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "frame", "g", "g_sd", "g_n",
+    "g_n_sd", "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale",
+    "converged", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
+    "rejected", "label", "probability", "mean_nis", "typicality", "decision_time",
+    "decision_strain", "ratio", "ratio_low", "ratio_high", "apparent_stiffness",
+    "apparent_stiffness_sd", "apparent_stiffness_time_scale", "g_g_n_correlation",
+    "g_alpha_correlation", "g_n_alpha_correlation", "valid_parameters", "converged_parameters",
+    "edge_parameters",
 )  # fmt: skip
 
 #: Columns of several words.
@@ -40,7 +41,7 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
     probabilities: Mapping[str, float] = row.pop("probabilities")
     for name in LISTS:
         row[name] = " ".join(row[name])
-    row["x"], row["y"], row["z"] = summary.position or (None, None, None)
+    row["x"], row["y"], row["z"] = row.pop("position") or (None, None, None)
     row["rejected"] = summary.rejected_count
     row["probability"] = max(probabilities.values(), default=None)
     row["boundary_strain"] = row["exponential_scale"] = None

@@ -201,6 +201,8 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         place = (
             ", ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in summary.position) + " mm"
         )
+        if summary.position_frame:
+            place += f" in {summary.position_frame}"
     return {
         "row": _row(summary),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",

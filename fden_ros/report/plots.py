@@ -212,7 +212,9 @@ def site_map(session: Session) -> str:
             axes.annotate(
                 text, (across, along), xytext=(0, 12), textcoords="offset points", ha="center"
             )
-        axes.set_title("Where it was pressed (contact: G in Pa s^α)")
+        frame = placed[0].position_frame
+        where = f" in {frame}" if frame else ""
+        axes.set_title(f"Where it was pressed{where} (contact: G in Pa s^α)")
         axes.set_xlabel(f"{_axis_name(first)} [mm]")
         axes.set_ylabel(f"{_axis_name(second)} [mm]")
         # Room for the labels, also where all places are one.

@@ -82,6 +82,16 @@ class Inputs:
         """Return the frame_id of the positions; empty before the first."""
         return self._displacement_frame or ""
 
+    @property
+    def has_force(self) -> bool:
+        """Return whether a force message has come that could be read."""
+        return self._force_frame_known
+
+    @property
+    def has_displacement(self) -> bool:
+        """Return whether a displacement message has come that could be read."""
+        return self._displacement_frame is not None
+
     def reject(self, stream: str, reason: str) -> None:
         """Count a message that cannot be read."""
         self._sink.reject(stream, reason)

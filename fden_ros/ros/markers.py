@@ -34,7 +34,17 @@ _HALF_TRANSPARENT = 0.1
 _LEAST_OPACITY = 0.1
 #: Older sites are forgotten beyond so many.
 _MOST_SITES = 1000
-_FIELDS = ("x", "y", "z", "G", "Gn", "alpha", "G_sd", "Gn_sd", "alpha_sd")
+#: x, y, z as RViz wants them; the rest from the next multiple of 8 bytes on.
+_COORDINATES = ("x", "y", "z")
+_VALUES = ("G", "Gn", "alpha", "G_sd", "Gn_sd", "alpha_sd")
+_POINT = np.dtype(
+    {
+        "names": [*_COORDINATES, *_VALUES],
+        "formats": ["<f4"] * len(_COORDINATES) + ["<f8"] * len(_VALUES),
+        "offsets": [*range(0, 12, 4), *range(16, 16 + 8 * len(_VALUES), 8)],
+    }
+)
+_DATATYPES = {"<f4": PointField.FLOAT32, "<f8": PointField.FLOAT64}
 
 
 class StiffnessMap:
@@ -49,7 +59,7 @@ class StiffnessMap:
     def __init__(self, diameter: float = 0.005) -> None:
         self._diameter = diameter
         self._sites: OrderedDict[int, ContactSummary] = OrderedDict()
-        self._withdrawn: set[int] = set()
+        self._withdrawn: dict[int, str] = {}
         self._newest: ContactSummary | None = None
 
     def __contains__(self, summary: ContactSummary) -> bool:
@@ -67,54 +77,60 @@ class StiffnessMap:
             if known is None or known.contact_id != summary.contact_id:
                 return False
             del self._sites[site_id]
-            self._withdrawn.add(site_id)
+            self._withdrawn[site_id] = summary.position_frame
         else:
             self._sites[site_id] = summary
-            self._withdrawn.discard(site_id)
+            self._withdrawn.pop(site_id, None)
         self._newest = summary
         while len(self._sites) > _MOST_SITES:
             self._sites.popitem(last=False)
         return True
 
-    def markers(self, frame_id: str) -> MarkerArray:
+    def markers(self) -> MarkerArray:
         """Return a sphere and a word per site: colour by G, transparency by its deviation."""
         markers = [
             Marker(header=Header(frame_id=frame_id), ns=name, id=site_id, action=Marker.DELETE)
-            for site_id in sorted(self._withdrawn)
+            for site_id, frame_id in sorted(self._withdrawn.items())
             for name in ("sites", "values")
         ]
         for site_id, summary in self._sites.items():
-            markers += self._site_markers(site_id, summary, frame_id)
+            markers += self._site_markers(site_id, summary)
         return MarkerArray(markers=markers)
 
-    def cloud(self, frame_id: str) -> PointCloud2:
-        """Return the sites as points: float64 ``x, y, z, G, Gn, alpha`` and deviations."""
-        rows = np.array([_row(summary) for summary in self._sites.values()])
-        newest = max((s.stamp_ns for s in self._sites.values()), default=0)
-        step = 8 * len(_FIELDS)
+    def cloud(self) -> PointCloud2:
+        """Return the sites as points: float32 ``x, y, z``, float64 ``G, Gn, alpha``, deviations.
+
+        Points share one frame: sites in another than the newest summary's are left out.
+        """
+        newest = self._newest
+        frame_id = newest.position_frame if newest is not None else ""
+        sites = [s for s in self._sites.values() if s.position_frame == frame_id]
+        points = np.zeros(len(sites), _POINT)
+        for index, summary in enumerate(sites):
+            points[index] = _values_of(summary)
         return PointCloud2(
-            header=Header(stamp=to_stamp(newest), frame_id=frame_id),
+            header=Header(
+                stamp=to_stamp(newest.stamp_ns if newest is not None else 0), frame_id=frame_id
+            ),
             height=1,
-            width=len(self._sites),
+            width=len(sites),
             fields=[
-                PointField(name=name, offset=8 * index, datatype=PointField.FLOAT64, count=1)
-                for index, name in enumerate(_FIELDS)
+                PointField(name=name, offset=offset, datatype=_DATATYPES[kind.str], count=1)
+                for name, (kind, offset, *_) in (_POINT.fields or {}).items()
             ],
             is_bigendian=False,
-            point_step=step,
-            row_step=step * len(self._sites),
-            data=array.array("B", rows.astype("<f8").tobytes()),
+            point_step=_POINT.itemsize,
+            row_step=_POINT.itemsize * len(sites),
+            data=array.array("B", points.tobytes()),
             is_dense=True,
         )
 
-    def _site_markers(
-        self, site_id: int, summary: ContactSummary, frame_id: str
-    ) -> tuple[Marker, Marker]:
+    def _site_markers(self, site_id: int, summary: ContactSummary) -> tuple[Marker, Marker]:
         assert summary.position is not None and summary.estimate is not None
         x, y, z = (float(value) for value in summary.position)
         stiffness = summary.estimate.linear_stiffness
         deviation = float(summary.estimate.deviations[StateIndex.LOG_LINEAR_STIFFNESS])
-        header = Header(stamp=Time(), frame_id=frame_id)
+        header = Header(stamp=Time(), frame_id=summary.position_frame)
         ball = Marker(header=header, ns="sites", id=site_id, type=Marker.SPHERE, action=Marker.ADD)
         ball.pose.position = Point(x=x, y=y, z=z)
         ball.pose.orientation.w = 1.0
@@ -146,10 +162,10 @@ def colour_of(linear_stiffness: float, log_sd: float) -> ColorRGBA:
     return ColorRGBA(r=red, g=green, b=blue, a=float(opacity))
 
 
-def _row(summary: ContactSummary) -> list[float]:
+def _values_of(summary: ContactSummary) -> tuple[float, ...]:
     estimate = summary.estimate
     assert estimate is not None and summary.position is not None
-    return [
+    return (
         *summary.position,
         estimate.linear_stiffness,
         estimate.nonlinear_stiffness,
@@ -157,4 +173,4 @@ def _row(summary: ContactSummary) -> list[float]:
         estimate.linear_stiffness_sd,
         estimate.nonlinear_stiffness_sd,
         estimate.fractional_order_sd,
-    ]
+    )

@@ -125,6 +125,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     if summary.position is not None:
         message.position_valid = True
         message.position.x, message.position.y, message.position.z = summary.position
+        message.position_frame_id = summary.position_frame
     if summary.estimate is not None:
         _fill_parameters(message, summary.estimate, summary.order_source)
     message.max_strain = summary.max_strain
@@ -262,6 +263,7 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         if message.class_names
         else None,
         decided=Decided(message.decision_time, message.decision_strain) if message.label else None,
+        position_frame=message.position_frame_id,
         apparent_stiffness=_apparent_stiffness_of(message),
     )
 

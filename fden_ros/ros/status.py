@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -10,16 +12,19 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import DEFAULT_HARDWARE_ID
 
+#: What is odd about the input is repeated for this number of looks, one a second.
+_WARNED_FOR = 10
+
 
 def diagnostic_status(
     node_name: str,
     problems: Sequence[str],
     pipeline: Pipeline,
-    pairs_before: int,
+    pairs: int,
     more: Mapping[str, int] | None = None,
     hardware_id: str = DEFAULT_HARDWARE_ID,
 ) -> DiagnosticStatus:
-    """Return the status of a node called `node_name`, `pairs_before` as of a second ago."""
+    """Return the status of a node called `node_name`, with `pairs` in the last second."""
     status = DiagnosticStatus()
     status.name = f"{node_name.lstrip('/')}: tissue identification"
     status.hardware_id = hardware_id
@@ -27,15 +32,67 @@ def diagnostic_status(
     if pipeline.is_failed:
         status.level = DiagnosticStatus.ERROR
     status.message = "; ".join(problems) or "identifying"
-    for key, value in {**_values(pipeline, pairs_before), **(more or {})}.items():
+    for key, value in {**_values(pipeline, pairs), **(more or {})}.items():
         status.values.append(KeyValue(key=key, value=str(value)))
     return status
 
 
-def _values(pipeline: Pipeline, pairs_before: int) -> dict[str, Any]:
+class PipelineProblems:
+    """What went wrong in a pipeline since the last look at it, in words.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._pairs_before = 0
+        self._rejected_before = 0
+        self._warned_before: Counter[str] = Counter()
+        self._warned: dict[str, int] = {}
+
+    def look(self) -> PipelineNews:
+        """Return what is new; to be called once a second."""
+        pipeline = self._pipeline
+        pairs, rejected = pipeline.pair_count, pipeline.unusual_rejections
+        counts = Counter(pipeline.warnings)
+        for words in counts - self._warned_before:
+            self._warned[words] = _WARNED_FOR
+        news = PipelineNews(
+            pairs=pairs - self._pairs_before,
+            rejected=rejected - self._rejected_before,
+            warnings=tuple(self._warned),
+        )
+        self._pairs_before, self._rejected_before = pairs, rejected
+        self._warned_before = counts
+        self._warned = {words: left - 1 for words, left in self._warned.items() if left > 1}
+        return news
+
+
+@dataclass(frozen=True)
+class PipelineNews:
+    """What a pipeline did in the last second."""
+
+    pairs: int
+    rejected: int
+    warnings: tuple[str, ...]  #: what was odd about the input in the last ten seconds
+
+    @property
+    def problems(self) -> list[str]:
+        """Return what is wrong, a sentence each."""
+        problems = list(self.warnings)
+        if not self.pairs:
+            problems.append("no pair of force and displacement in the last second")
+        if self.rejected:
+            problems.append(f"{self.rejected} samples rejected in the last second")
+        return problems
+
+
+def _values(pipeline: Pipeline, pairs: int) -> dict[str, Any]:
     values: dict[str, Any] = {
         "pairs": pipeline.pair_count,
-        "pairs per second": pipeline.pair_count - pairs_before,
+        "pairs per second": pairs,
         "contacts": pipeline.contact_count,
         "sites": pipeline.site_count,
         "rejected": pipeline.rejected.total(),

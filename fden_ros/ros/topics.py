@@ -5,6 +5,7 @@ The node publishes by it, and a bag of results is written by it.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -43,15 +44,19 @@ INPUT_QOS = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-#: Deadline and lease are offered, so that those who ask for them are told when the node freezes.
-ESTIMATE_QOS = QoSProfile(
+_RELIABLE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
+)
+#: Offered, so that those who ask for it are told when the node freezes.
+_LEASE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=100,
     reliability=ReliabilityPolicy.RELIABLE,
-    deadline=Duration(seconds=0.05),
     liveliness=LivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=0.2),
 )
+#: The offered deadline in periods of the estimate, for a loaded machine, and the least [s].
+_DEADLINE_PERIODS, _LEAST_DEADLINE = 5.0, 0.05
 
 
 def _latched(depth: int) -> QoSProfile:
@@ -64,14 +69,6 @@ def _latched(depth: int) -> QoSProfile:
 
 
 @dataclass(frozen=True)
-class Frames:
-    """The frames that the measurements are in."""
-
-    force: str
-    displacement: str
-
-
-@dataclass(frozen=True)
 class OutputTopic:
     """One topic, below the node's name, and what is published there."""
 
@@ -79,8 +76,23 @@ class OutputTopic:
     message_type: type
     qos: QoSProfile
     output: type  #: of the core, that brings a message about
-    #: The message of an output, in these frames, with the map of the sites; None: there is none.
-    make: Callable[[Any, Frames, StiffnessMap], Any]
+    #: The message of an output, headed by a frame, with the map of the sites; None: there is none.
+    make: Callable[[Any, str, StiffnessMap], Any]
+    has_deadline: bool = False  #: it comes at the period of the estimate
+
+    def profile(self, period: float) -> QoSProfile:
+        """Return a profile of its own, with the deadline where there is one.
+
+        Parameters
+        ----------
+        period : float
+            Of the estimate [s].
+        """
+        profile = copy.copy(self.qos)
+        if self.has_deadline:
+            deadline = max(_LEAST_DEADLINE, _DEADLINE_PERIODS * period)
+            profile.deadline = Duration(seconds=deadline)
+        return profile
 
 
 #: In the order in which the messages of one output come. Who comes late still learns of the last
@@ -89,48 +101,45 @@ OUTPUT_TOPICS = (
     OutputTopic(
         "estimate",
         TissueEstimate,
-        ESTIMATE_QOS,
+        _LEASE,
         TissueState,
-        lambda state, frames, sites: estimate_message(state, frames.force),
+        lambda state, frame, sites: estimate_message(state, frame),
+        has_deadline=True,
     ),
     OutputTopic(
         "classification",
         TissueClassification,
         _latched(1),
         Classification,
-        lambda output, frames, sites: classification_message(output, frames.force),
+        lambda output, frame, sites: classification_message(output, frame),
     ),
     OutputTopic(
         "palpation",
         PalpationSummary,
         _latched(100),
         ContactSummary,
-        lambda summary, frames, sites: summary_message(summary, frames.force),
+        lambda summary, frame, sites: summary_message(summary, frame),
     ),
     OutputTopic(
         "complex_modulus",
         ComplexModulus,
-        ESTIMATE_QOS,
+        _RELIABLE,
         DynamicModulus,
-        lambda output, frames, sites: modulus_message(output, frames.force),
+        lambda output, frame, sites: modulus_message(output, frame),
     ),
     OutputTopic(
         "markers",
         MarkerArray,
         _latched(1),
         ContactSummary,
-        lambda summary, frames, sites: (
-            sites.markers(frames.displacement) if summary in sites else None
-        ),
+        lambda summary, frame, sites: sites.markers() if summary in sites else None,
     ),
     OutputTopic(
         "stiffness_map",
         PointCloud2,
         _latched(1),
         ContactSummary,
-        lambda summary, frames, sites: (
-            sites.cloud(frames.displacement) if summary in sites else None
-        ),
+        lambda summary, frame, sites: sites.cloud() if summary in sites else None,
     ),
 )
 _BY_OUTPUT: dict[type, tuple[OutputTopic, ...]] = {
@@ -145,11 +154,11 @@ class OutputMessages:
     def __init__(self) -> None:
         self._sites = StiffnessMap()
 
-    def of(self, output: Output, frames: Frames) -> Iterator[tuple[OutputTopic, Any]]:
-        """Yield each topic that an output has a message for, and the message."""
+    def of(self, output: Output, frame: str) -> Iterator[tuple[OutputTopic, Any]]:
+        """Yield each topic that an output has a message for, and it, headed by `frame`."""
         if isinstance(output, ContactSummary):
             self._sites.add(output)
         for topic in _BY_OUTPUT[type(output)]:
-            message = topic.make(output, frames, self._sites)
+            message = topic.make(output, frame, self._sites)
             if message is not None:
                 yield topic, message

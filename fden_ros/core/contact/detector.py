@@ -82,6 +82,14 @@ class Release(NamedTuple):
     stamp_ns: int
 
 
+class _Highest(NamedTuple):
+    """The highest mean force of a chunk in the air, and where the probe was then."""
+
+    stamp_ns: int
+    force: float  #: [N]
+    displacement: float  #: [m]
+
+
 #: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
 _CHUNK_NS = 20_000_000
 _CHUNK_SAMPLES = 3
@@ -103,6 +111,11 @@ _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: After 10 chunks in a row that lie below the bias by more than the threshold the baseline is
 #: measured anew.
 _BELOW_BASELINE_CHUNKS = 10
+#: A force that falls by 12 thresholds within a minute while the probe advances has the wrong sign,
+#: however slowly it falls. (The baseline follows a slow one.)
+_FALL_THRESHOLDS = 12.0
+#: That minute [ns].
+_FALL_NS = 60 * NANOSECONDS
 #: A contact is a mean over a chunk that lies above the bias by 4 standard deviations of the noise
 #: per sample ...
 _THRESHOLD_DEVIATIONS = 4.0
@@ -206,6 +219,7 @@ class ContactDetector:
         self._doubted_chunks = 0
         self._surface = self._deepest = 0.0
         self._behind_chunks = 0
+        self._highest: _Highest | None = None
 
     def compliance_free(self, pair: Pair, force: float) -> float:
         """Return the displacement of the tissue's surface [m], without the tool's own give."""
@@ -291,6 +305,7 @@ class ContactDetector:
         baseline.keep(chunk)
         baseline.is_suspected = self._doubted_rise == 0.0 and baseline.is_rising(bias, noise)
         self._watch_below_baseline(rise < -threshold)
+        self._watch_fall(chunk, threshold)
         return None
 
     def _settle_doubt(self) -> None:
@@ -304,8 +319,23 @@ class ContactDetector:
         # The chunks before were a contact, or the force has the wrong sign.
         self.below_baseline += 1
         self._low_chunks = 0
+        self._highest = None
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
+
+    def _watch_fall(self, chunk: Chunk, threshold: float) -> None:
+        """Count a force that falls as the probe advances; it is not taken for anything else."""
+        if not self._samples:
+            return
+        displacement, highest = self._samples[-1].displacement, self._highest
+        is_old = highest is not None and chunk.end_ns - highest.stamp_ns > _FALL_NS
+        if highest is None or is_old or chunk.mean > highest.force:
+            self._highest = _Highest(chunk.end_ns, chunk.mean, displacement)
+            return
+        fell = highest.force - chunk.mean > _FALL_THRESHOLDS * threshold
+        if fell and displacement > highest.displacement:
+            self.below_baseline += 1
+            self._highest = None
 
     def _approach_until(self, now_ns: int, bias: float, white: float) -> _Approach:
         pairs = self._samples
@@ -389,4 +419,5 @@ class ContactDetector:
         self.in_contact = False
         self._has_released = True
         self._low_chunks = 0
+        self._highest = None
         return Release(stamp_ns)

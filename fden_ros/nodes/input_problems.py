@@ -1,0 +1,152 @@
+"""What keeps the inputs from the node: the topic, what was found there, and what mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import Reason
+from fden_ros.ros.inputs import DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
+from fden_ros.ros.status import type_name
+
+#: By the name of an input, the type that each value of its parameter ``message`` stands for.
+_KINDS: Mapping[str, Mapping[str, str]] = {
+    what: {name: type_name(kind) for name, kind in kinds.items()}
+    for what, kinds in (("force", FORCE_MESSAGES), ("displacement", DISPLACEMENT_MESSAGES))
+}
+#: What a subscription can ask for that not every publisher offers: the weaker and the stronger.
+_POLICIES = (
+    ("reliability", ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
+    ("durability", DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL),
+)
+#: Other topics that are named where nothing publishes the one that is listened to, at most.
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True)
+class ListenedTo:
+    """One input of a node."""
+
+    what: str  #: ``force`` or ``displacement``, the name before any remapping
+    subscription: Subscription
+
+    def problems(self, node: Node, *, has_come: bool) -> list[str]:
+        """Return what is wrong with the publishers of this input, a sentence each.
+
+        Parameters
+        ----------
+        node : Node
+        has_come : bool
+            A message was received.
+        """
+        topic, expected = self.subscription.topic_name, type_name(self.subscription.msg_type)
+        publishers = node.get_publishers_info_by_topic(topic)
+        if not publishers:
+            return [self._nothing_publishes(node, expected)]
+        problems = [
+            self._other_type(kind, expected)
+            for kind in sorted({p.topic_type for p in publishers} - {expected})
+        ]
+        fitting = [p for p in publishers if p.topic_type == expected]
+        problems += dict.fromkeys(
+            problem for p in fitting for problem in self._incompatible(p.qos_profile)
+        )
+        if len(publishers) > 1:
+            problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
+        if not problems and not has_come:
+            names = ", ".join(sorted({_full_name(p) for p in publishers}))
+            problems.append(f"{topic} is published by {names}, but no message has come from it")
+        return problems
+
+    def _nothing_publishes(self, node: Node, expected: str) -> str:
+        topic = self.subscription.topic_name
+        others = _published(node, self.what)
+        same = [name for name, kind in others.items() if kind == expected]
+        found = f"nothing publishes {topic}, where {expected} is expected"
+        if same:
+            return f"{found}: {_list(same)} has that type; remap it, {self._remap(same[0])}"
+        if others:
+            name, kind = next(iter(others.items()))
+            remap = self._remap(name)
+            return f"{found}: {name} is {kind}; remap it, {remap}, and {self._set(kind)}"
+        return f"{found}: start its publisher, or remap it, {self._remap('TOPIC')}"
+
+    def _other_type(self, kind: str, expected: str) -> str:
+        found = f"{self.subscription.topic_name} is published as {kind}, expected {expected}"
+        mend = f"{self._set(kind)}, or " if kind in _KINDS[self.what].values() else ""
+        return f"{found}: {mend}remap it, {self._remap('TOPIC')}"
+
+    def _incompatible(self, offered: Any) -> list[str]:
+        topic, asked = self.subscription.topic_name, self.subscription.qos_profile
+        return [
+            f"a publisher on {topic} offers an incompatible {policy}, "
+            f"{weak.name.lower()} where {strong.name.lower()} is asked for: nothing comes from "
+            f"it; set qos_overrides.{topic}.subscription.{policy} to {weak.name.lower()}"
+            for policy, weak, strong in _POLICIES
+            if getattr(offered, policy) == weak and getattr(asked, policy) == strong
+        ]
+
+    def _remap(self, topic: str) -> str:
+        return f"-r {self.what}:={topic} (launch: {self.what}_topic:={topic})"
+
+    def _set(self, kind: str) -> str:
+        value = next(name for name, known in _KINDS[self.what].items() if known == kind)
+        return f"set {self.what}.message to {value}"
+
+
+def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
+    """Return why messages of both inputs have made no pair of samples; None while some lack."""
+    if pipeline.pair_count or not (inputs.has_force and inputs.has_displacement):
+        return None
+    mends = {
+        f"force.{Reason.MISSING_FIELD}": "no joint of that name, or no effort: set force.name",
+        f"displacement.{Reason.MISSING_FIELD}": (
+            "no joint of that name, or no position or orientation: set displacement.name"
+        ),
+        f"force.{Reason.ZERO_STAMP}": "the header stamps of the force are not set",
+        f"displacement.{Reason.ZERO_STAMP}": "the header stamps of the displacement are not set",
+    }
+    for reason, _ in pipeline.rejected.most_common():
+        if reason in mends:
+            return f"force and displacement come, but no pair of them ({reason}): {mends[reason]}"
+    return (
+        "force and displacement come, but no pair of them: do their header stamps overlap, and "
+        "are they of one clock?"
+    )
+
+
+def clock_problem(node: Node) -> str | None:
+    """Return that the time is asked of a topic that nothing publishes, if so."""
+    if not node.get_parameter("use_sim_time").value or node.get_clock().now().nanoseconds:
+        return None
+    return (
+        "use_sim_time is set but nothing publishes /clock: play the bag with --clock, or set "
+        "use_sim_time to false"
+    )
+
+
+def _published(node: Node, what: str) -> dict[str, str]:
+    """Return other topics, and their types, that could be the input `what`."""
+    kinds = set(_KINDS[what].values())
+    own = {subscription.topic_name for subscription in node.subscriptions}
+    return {
+        name: kind
+        for name, types in sorted(node.get_topic_names_and_types())
+        for kind in types
+        if kind in kinds and name not in own and node.count_publishers(name)
+    }
+
+
+def _list(names: list[str]) -> str:
+    rest = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {rest} others" if rest > 0 else "")
+
+
+def _full_name(publisher: Any) -> str:
+    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"

@@ -1,0 +1,124 @@
+"""The launch files, run by ``ros2 launch`` as a user runs them; there are no wheels of it."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from live_helpers import Ears
+
+pytest.importorskip("launch_ros", reason="ros2 launch is not to be had as a wheel")
+pytest.importorskip("ros2launch", reason="ros2 launch is not to be had as a wheel")
+CLEANLY = "process has finished cleanly"
+
+
+@contextmanager
+def launched(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run the launch file of the identifier; Ctrl-C it at the end, and keep its output."""
+    program = shutil.which("ros2")
+    assert program is not None
+    process = subprocess.Popen(
+        [program, "launch", "fden_ros", "identifier.launch.py", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        try:
+            output, _ = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+        process.output = output  # type: ignore[attr-defined]
+        print(output)
+
+
+def process_ids(namespace: str) -> list[int]:
+    """Processes whose command line has this namespace."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if f"__ns:={namespace}".encode() in words:
+            found.append(int(folder.name))
+    return found
+
+
+def is_up(ears: Ears, namespace: str) -> Callable[[], int]:
+    return lambda: ears.node.count_publishers(f"{namespace}/identifier/estimate")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "cannot read the parameter file: No such file or directory"),
+        (
+            "identifier: {ros__parameters: {geometry.thicknes: 0.02}}",
+            "there is no parameter geometry.thicknes; did you mean geometry.thickness?",
+        ),
+        ("/other: {ros__parameters: {geometry.thickness: 0.02}}", "no section for the node"),
+    ],
+)
+def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(
+    tmp_path: Path, text: str | None, words: str
+) -> None:
+    path = tmp_path / "probe.yaml"
+    if text is not None:
+        path.write_text(text)
+    # With respawn too: a node that refuses its file must not be started again and again.
+    with launched(f"parameters:={path}", "respawn:=true") as launch:
+        assert launch.wait(60.0) == 1
+    assert launch.output.count(words) == 1
+    assert "process started" not in launch.output and "Traceback" not in launch.output
+
+
+def test_ctrl_c_of_the_terminal_and_of_the_launch_file_ends_the_node_cleanly() -> None:
+    with Ears() as ears, launched("namespace:=/launched") as launch:
+        ears.wait_for(is_up(ears, "/launched"), "the identifier")
+        # A terminal sends it to the node too.
+        for process_id in process_ids("/launched"):
+            subprocess.run(["kill", "-INT", str(process_id)], check=False)
+        launch.send_signal(signal.SIGINT)
+    assert CLEANLY in launch.output
+    assert "process has died" not in launch.output and "Traceback" not in launch.output
+
+
+def test_a_node_that_was_killed_is_started_again_where_that_is_asked_for() -> None:
+    with Ears() as ears, launched("namespace:=/launched", "respawn:=true"):
+        ears.wait_for(is_up(ears, "/launched"), "the identifier")
+        (first,) = process_ids("/launched")
+        subprocess.run(["kill", "-KILL", str(first)], check=True)
+        ears.wait_for(lambda: process_ids("/launched") not in ([], [first]), "another process")
+        ears.wait_for(lambda: "/launched" in launched_namespaces(ears), "the identifier again")
+
+
+def launched_namespaces(ears: Ears) -> set[str]:
+    return {
+        namespace
+        for name, namespace in ears.node.get_node_names_and_namespaces()
+        if name == "identifier"
+    }
+
+
+def test_the_live_system_has_all_three_nodes() -> None:
+    program = shutil.which("ros2")
+    assert program is not None
+    done = subprocess.run(
+        [program, "launch", "fden_ros", "live.launch.py", "--print"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for node in ("tissue_simulator", "identifier", "force_controller"):
+        assert node in done.stdout
