@@ -17,7 +17,7 @@ from fden_ros.control.prediction import Prediction, Predictor, StressMemory
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
-from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.outputs import WITHHELD, Flag, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
@@ -28,6 +28,7 @@ REFUSED_FLAGS = (
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
+    | WITHHELD
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05

@@ -50,7 +50,12 @@ class Flag(enum.IntFlag):
     TISSUE_CHANGED = 16
     SATURATED = 32
     ESTIMATION_FAILED = 64
+    GEOMETRY_UNSTATED = 256
+    IMPLAUSIBLE = 512
 
+
+#: With one of these no estimate is converged, whatever the data say.
+WITHHELD = Flag.GEOMETRY_UNSTATED | Flag.IMPLAUSIBLE
 
 class OrderSource(enum.IntEnum):
     """Where alpha comes from."""

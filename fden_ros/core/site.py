@@ -18,7 +18,7 @@ from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
-from fden_ros.core.outputs import Flag
+from fden_ros.core.outputs import WITHHELD, Flag
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, lateral_distance
 
 #: The orders of the integral from here on are those between which it is interpolated; before them
@@ -41,6 +41,8 @@ class Site:
     onset : Onset
         Of the first touch.
     config : PipelineConfig
+    flags : Flag
+        What stands against every estimate.
 
     Attributes
     ----------
@@ -54,13 +56,15 @@ class Site:
         The newest.
     """
 
-    def __init__(self, site_id: int, onset: Onset, config: PipelineConfig) -> None:
+    def __init__(
+        self, site_id: int, onset: Onset, config: PipelineConfig, flags: Flag = Flag.NONE
+    ) -> None:
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self.last_ns = first.stamp_ns
         self.position = first.position
         self.is_usable = True
-        self.flags = Flag.NONE
+        self.flags = flags
         self.estimate: Estimate | None = None
         self._config = config
         if config.strain_origin is not None:
@@ -269,7 +273,17 @@ class Site:
             If it is not finite.
         """
         assert self._estimator is not None
-        self.estimate = _checked(self._estimator.estimate())
+        self._set(_checked(self._estimator.estimate()))
+
+    def withhold(self, flag: Flag) -> None:
+        """Take no estimate of this site for converged any more."""
+        self.flags |= flag
+        if self.estimate is not None:
+            self._set(self.estimate)
+
+    def _set(self, estimate: Estimate) -> None:
+        is_withheld = bool(self.flags & WITHHELD)
+        self.estimate = estimate._replace(converged=False) if is_withheld else estimate
 
     def relinearise(self) -> None:
         """Do what takes long while nobody waits for an estimate."""

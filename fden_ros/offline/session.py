@@ -14,7 +14,15 @@ from scipy.stats import chi2
 
 from fden_ros.core.estimation.estimate import Innovation, StateIndex
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, Status, TissueState
+from fden_ros.core.outputs import (
+    WITHHELD,
+    ContactSummary,
+    Flag,
+    OrderSource,
+    Output,
+    Status,
+    TissueState,
+)
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
@@ -386,11 +394,15 @@ def remarks(summary: ContactSummary) -> Iterator[str]:
         yield "A sensor was at its limit."
     if summary.flags & Flag.ESTIMATION_FAILED:
         yield "The computation failed at this site: there is no estimate until the next one."
+    if summary.flags & Flag.GEOMETRY_UNSTATED:
+        yield "The geometry is not stated: the numbers are those of a probe that stands in for it."
+    if summary.flags & Flag.IMPLAUSIBLE:
+        yield "Strain, force, rate or a size cannot be what it says: a unit may be wrong."
     if summary.rejected_count:
         yield f"{summary.rejected_count} samples were rejected during the contact."
     if estimate is None:
         yield "There is no estimate."
-    elif not summary.converged:
+    elif not summary.converged and not summary.flags & WITHHELD:
         boundary = math.exp(-estimate.log_nonlinear_stiffness)
         deviation = float(estimate.deviations[StateIndex.LOG_NONLINEAR_STIFFNESS])
         if summary.max_strain < boundary * math.exp(2.0 * deviation):

@@ -17,6 +17,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.parameters.table import Parameters
@@ -108,6 +109,10 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         ),
         dither_frequencies=tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0})),
         dither_periods=parameters.dither.periods,
+        plausibility=PlausibilityConfig(
+            most_force=parameters.plausible.force,
+            least_strain_rate=parameters.plausible.strain_rate,
+        ),
     )
 
 
@@ -124,14 +129,24 @@ def tool_weight(parameters: Parameters) -> ToolWeight | None:
     )
 
 
+#: Sizes that stand in for those that are not stated [m^2, m].
+_AREA, _THICKNESS, _RADIUS = 1e-4, 0.02, 0.005
+
+
 def geometry_of(parameters: Parameters) -> Geometry:
-    """Return how force and displacement become stress and strain."""
-    kind = parameters.geometry.kind
-    if kind == "sphere":
-        return Sphere(parameters.geometry.radius)
-    if kind == "torsional_rheometer":
-        return TorsionalRheometer(parameters.geometry.radius, parameters.geometry.thickness)
-    if kind == "pass_through":
+    """Return how force and displacement become stress and strain.
+
+    It is not stated where a size that its kind needs is 0; another one stands in for it.
+    """
+    own = parameters.geometry
+    area, thickness, radius = own.area or _AREA, own.thickness or _THICKNESS, own.radius or _RADIUS
+    has_thickness, has_radius = own.thickness > 0.0, own.radius > 0.0
+    if own.kind == "sphere":
+        return Sphere(radius, is_stated=has_radius)
+    if own.kind == "torsional_rheometer":
+        return TorsionalRheometer(radius, thickness, is_stated=has_radius and has_thickness)
+    if own.kind == "pass_through":
         return PassThrough()
-    poisson_ratio = parameters.geometry.poisson_ratio if parameters.geometry.hayes else None
-    return FlatPunch(parameters.geometry.area, parameters.geometry.thickness, poisson_ratio)
+    poisson_ratio = own.poisson_ratio if own.hayes else None
+    is_stated = own.area > 0.0 and has_thickness
+    return FlatPunch(area, thickness, poisson_ratio, is_stated=is_stated)

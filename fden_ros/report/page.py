@@ -16,6 +16,7 @@ from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
+from fden_ros.report.table import status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -94,7 +95,8 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         yield what.capitalize(), name
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
-    yield "Geometry", session.parameters.geometry.kind.replace("_", " ")
+    kind = session.parameters.geometry.kind.replace("_", " ")
+    yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
 
 
 def _headline(session: Session) -> str:
@@ -146,7 +148,6 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
             "alpha": f"{_pm(estimate.fractional_order, deviations[2])} "
             f"({_SOURCES[summary.order_source]})",
         }
-    status = "converged" if summary.converged else "not converged"
     return {
         **row,
         "id": summary.contact_id,
@@ -154,7 +155,7 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
         "seconds": f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
         "strain": f"{summary.max_strain:.3f}",
         "force": f"{summary.max_force:.3g}",
-        "status": status if summary.complete else f"{status}, cut short",
+        "status": status_words(summary),
         "converged": summary.converged,
         "label": _label(summary),
     }

@@ -8,7 +8,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from fden_ros.core.outputs import ContactSummary
+from fden_ros.core.outputs import ContactSummary, Flag
 
 DASH = "–"
 
@@ -41,6 +41,16 @@ def contact_table(
     return table
 
 
+def status_words(summary: ContactSummary) -> str:
+    """Return whether a contact is converged, and if not because nothing can be, why."""
+    words = "converged" if summary.converged else "not converged"
+    if summary.flags & Flag.GEOMETRY_UNSTATED:
+        words = "no geometry"
+    elif summary.flags & Flag.IMPLAUSIBLE:
+        words = "implausible"
+    return words if summary.complete else f"{words}, cut short"
+
+
 def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | None) -> list[str]:
     estimate = summary.estimate
     g = g_n = alpha = DASH
@@ -55,8 +65,7 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
     cells.append(g_n)
     if truth is not None:
         cells.append(f"{site['nonlinear_stiffness']:.2f}" if site else DASH)
-    status = "converged" if summary.converged else "not converged"
-    return [*cells, alpha, status if summary.complete else f"{status}, cut short", _label(summary)]
+    return [*cells, alpha, status_words(summary), _label(summary)]
 
 
 def _label(summary: ContactSummary) -> str:

@@ -14,7 +14,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fden_ros.core.estimation.estimate import StateIndex
-from fden_ros.core.outputs import ContactSummary
+from fden_ros.core.outputs import WITHHELD, ContactSummary
 from fden_ros.ros.messages import to_stamp
 
 #: Linear stiffness [Pa s^alpha] at the ends of the colours.
@@ -55,8 +55,8 @@ class StiffnessMap:
         return self._sites.get(summary.site_id) is summary
 
     def add(self, summary: ContactSummary) -> bool:
-        """Take a summary; return whether the map has changed."""
-        if summary.position is None or summary.estimate is None:
+        """Take a summary; return whether the map has changed: not by one that is in doubt."""
+        if summary.position is None or summary.estimate is None or summary.flags & WITHHELD:
             return False
         self._sites[summary.site_id] = summary
         while len(self._sites) > _MOST_SITES:
