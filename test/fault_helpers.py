@@ -12,7 +12,15 @@ import numpy as np
 from pipeline_helpers import Item, items_of, parameters_of, summaries_of
 from scipy.spatial.transform import Rotation
 
-from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, Status, TissueState
+from fden_ros.core.outputs import (
+    WITHHELD,
+    Classification,
+    ContactSummary,
+    Flag,
+    Output,
+    Status,
+    TissueState,
+)
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
@@ -30,6 +38,7 @@ WARNING_FLAGS = (
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
     | Flag.FORCE_DRIFTED
+    | WITHHELD
 )
 #: A number under a good status is wrong beyond so many standard deviations and so much of ln G.
 _DEVIATIONS, _SLACK = 5.0, 0.02

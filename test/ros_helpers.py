@@ -162,6 +162,10 @@ class Bench:
         return level
 
 
+#: Of a probe, where no file states one.
+PUNCH = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
+
+
 @contextlib.contextmanager
 def identifier(
     parameters: Mapping[str, Any] | None = None,
@@ -177,7 +181,8 @@ def identifier(
         command[1:4] = ["-c", program]
     if file is not None:
         command += ["--params-file", str(file)]
-    for name, value in (parameters or {}).items():
+    given = {**(PUNCH if file is None else {}), **(parameters or {})}
+    for name, value in given.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
         command += ["-p", f"{name}:={text}"]
     for old, new in (remap or {}).items():

@@ -15,6 +15,7 @@ from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linea
 
 MODEL = FdenModel(545.0, 8.55, 0.131)
 TIMES = np.geomspace(1.0, 180.0, 40)
+SLIPPED = FdenModel(500.0, 4.5, 0.2)
 FISH = Path(__file__).parents[2] / "shared" / "data" / "fish_muscle_relaxation_modulus.tsv"
 
 
@@ -109,6 +110,30 @@ def test_relaxation_file_with_several_strains_gives_gn(tmp_path, capsys):
     assert (found["alpha"], found["g"], found["g_n"]) == pytest.approx(
         (0.131, 545.0, 8.55), rel=1e-6
     )
+
+
+def test_press_that_slips_is_not_fitted_by_a_poorer_minimum(tmp_path, capsys):
+    # Below 1/Gn the law is a straight line whatever Gn: from one start alone a fit ends there.
+    times = np.linspace(0.0, 30.0, 151)
+    strain = np.interp(times, [0.0, 2.0], [0.0, 0.3])
+    stress = stress_of_piecewise_linear_strain([0.0, 2.0], [0.0, 0.3], times, SLIPPED)
+    stress[times > 1.0] -= 0.3 * stress.max()
+    path = write(tmp_path / "press.csv", time_s=times, strain=strain, stress_pa=stress)
+    found = fit_object(capsys, "indentation", path)
+    assert 0.3 * found["g_n"] > 1.0 and found["g_n_sd"] < found["g_n"]
+    assert found["r2"] > 0.935
+
+
+def test_deviation_larger_than_the_value_is_said(tmp_path, capsys):
+    times = np.linspace(0.0, 3.0, 91)
+    stress = stress_of_piecewise_linear_strain([0.0, 1.0], [0.0, 0.08], times, MODEL)
+    stress *= 1.0 + 0.05 * np.random.default_rng(3).standard_normal(times.size)
+    strain = 0.08 * np.minimum(times, 1.0)
+    path = write(tmp_path / "shallow.csv", time_s=times, strain=strain, stress_pa=stress)
+    found = fit_object(capsys, "indentation", path)
+    assert found["g_n_sd"] > found["g_n"] > 0.0 and found["g_sd"] < found["g"]
+    named = [w.split()[0] for w in found["warnings"] if "do not determine it" in w]
+    assert named == ["g_n", "g_i", "x_b"]
 
 
 def test_relaxation_with_a_ramp_leaves_the_ramp_out(tmp_path, capsys):

@@ -318,3 +318,56 @@ def test_force_in_coarse_steps_is_never_stuck():
     for n, value in enumerate(ramp + 0.01 * rng.standard_normal(ramp.size) * (ramp < 2.0)):
         run.both(START + n * MS, float(value))
     assert run.rejected["force.stuck"] > 9_000
+
+
+def log_spaced(first_ms, last_ms, per_decade):
+    count = round(per_decade * np.log10(last_ms / first_ms)) + 1
+    return np.geomspace(first_ms, last_ms, count)
+
+
+SLOW = {
+    "every 5 s": np.arange(0.0, 600e3, 5e3),
+    "every 5 s, with jitter": np.arange(0.0, 600e3, 5e3)
+    + np.random.default_rng(0).uniform(-1e3, 1e3, 120),
+    "log-spaced, 20 a decade": log_spaced(10.0, 1e6, 20),
+    "log-spaced, 5 a decade": log_spaced(10.0, 1e6, 5),
+    "100 Hz, then log-spaced": np.concatenate(
+        [np.arange(0.0, 5e3, 10.0), 5e3 + log_spaced(10.0, 1e6, 10)]
+    ),
+}
+
+
+@pytest.mark.parametrize("times_ms", SLOW.values(), ids=SLOW)
+def test_slow_and_log_spaced_samples_are_paired(times_ms):
+    stamps = (START + np.round(times_ms * MS)).astype(int).tolist()
+    same, apart = Run(), Run()
+    for before, stamp in zip([START - 5_000 * MS, *stamps], stamps, strict=False):
+        same.both(stamp)
+        # The displacement lags the force by half a step.
+        apart.add(DISPLACEMENT, (before + stamp) // 2).add(FORCE, stamp)
+    # The last stamp is held until the next one confirms it.
+    assert len(same.pairs) >= len(stamps) - 1 and not same.rejected
+    # Of 5 a decade each is 1.6 times as far as the one before: too far to interpolate between.
+    if stamps[-1] - stamps[-2] < 1.3 * (stamps[-2] - stamps[-3]):
+        assert len(apart.pairs) >= len(stamps) - 5 and apart.rejected.total() <= 3
+
+
+def test_stray_and_late_stamps_of_a_slow_stream_are_rejected():
+    run = Run()
+    for second in range(0, 200, 5):
+        run.both(START + second * 1000 * MS)
+    run.add(FORCE, START + 9_000_000 * MS).both(START + 200_000 * MS)
+    run.add(FORCE, START + 190_500 * MS).both(START + 205_000 * MS)
+    run.both(START + 210_000 * MS)
+    assert run.rejected == {"force.future_stamp": 1, "force.late_stamp": 1}
+    assert run.stamps == [1000 * s for s in range(0, 215, 5)]
+    assert {pair.epoch for pair in run.pairs} == {0}
+
+
+def test_pause_does_not_widen_the_gap_that_is_interpolated_over():
+    run = Run()
+    for ms in [*range(0, 1000, 5), *range(11_000, 12_000, 5)]:
+        run.both(START + ms * MS)
+    for ms in (0, 5):
+        run.add(FORCE, START + (12_200 + ms) * MS).add(DISPLACEMENT, START + (12_400 + ms) * MS)
+    assert run.rejected == {"force.displacement_gap": 2}

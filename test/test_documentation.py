@@ -225,15 +225,16 @@ def test_a_wrong_sign_shows_as_the_readme_says() -> None:
 def test_depth_in_mm_shows_as_the_readme_says() -> None:
     result = identified({}, "time_s,force_N,depth_mm")
     assert not any(converged(result))
-    assert all(summary.flags & Flag.ESTIMATE_AT_EDGE for summary in result.summaries)
-    assert result.summaries[0].max_strain == pytest.approx(295, abs=1)
+    assert all(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
+    assert "a strain of 297" in result.warnings[0] and "factor 0.001" in result.warnings[0]
 
 
-def test_a_geometry_left_at_its_default_shows_as_the_readme_says() -> None:
-    area = {"geometry.area": Parameters().geometry.area}
-    result = identified(area)
-    assert all(converged(result))
-    assert stiffness(result) == pytest.approx([1386.0, 2221.0], rel=0.01)
+def test_a_geometry_that_is_not_stated_shows_as_the_readme_says() -> None:
+    result = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
+    assert not any(converged(result))
+    assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in result.summaries)
+    assert stiffness(result) == pytest.approx([1249.0, 2001.0], rel=0.01)
+    area = {"geometry.area": 1e-4}
     # Where nothing is left open, the prior counts nothing beside the data.
     for wrong, right in zip(
         stiffness(identified({**area, **EXACT})), stiffness(identified(EXACT)), strict=True

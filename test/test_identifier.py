@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueClassification, TissueEstimate
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -293,6 +294,22 @@ def test_a_bad_parameter_at_start_ends_the_node_with_a_line_that_names_it(
         assert node.wait(30.0) == 1
     assert words in node.output
     assert "Traceback" not in node.output
+
+
+def test_a_geometry_that_is_not_stated_is_said_in_estimates_diagnostics_and_log() -> None:
+    with Bench() as bench, identifier({"autostart": True, "geometry.area": 0.0, **LOSSLESS}) as n:
+        bench.wait_until_heard()
+        for index in range(20):
+            bench.publish(START_NS + index * STEP_NS, 0.0, 0.0)
+        bench.wait_for(lambda: bench.estimates, "an estimate")
+        flags = TissueEstimate.FLAG_GEOMETRY_UNSTATED
+        assert all(e.flags & flags for e in bench.estimates)
+        bench.wait_for(
+            lambda: "the geometry is not stated" in bench.diagnostic().get("message", ""),
+            "the words in the diagnostics",
+        )
+        assert bench.diagnostic_level() == DiagnosticStatus.WARN
+    assert n.output.count("geometry: {kind: flat_punch,") == 1
 
 
 def test_rejected_samples_are_counted_by_reason_in_diagnostics() -> None:

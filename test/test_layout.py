@@ -18,6 +18,7 @@ ROOMS = (
     "core.contact",
     "core.estimation",
     "core.classification",
+    "core.plausibility",
     "core.config",
     "core.outputs",
     "core.block",

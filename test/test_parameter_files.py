@@ -180,7 +180,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     ),
     "out of range": (
         any_node("geometry.area: 2"),
-        "parameter geometry.area is 2, must be 1e-09 to 1",
+        "parameter geometry.area is 2, must be 0, or 1e-09 to 1",
     ),
     "out of the node's range": (
         any_node("stale_timeout: 0.0"),
@@ -200,7 +200,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     ),
     "not a number": (
         any_node("geometry.area: .nan"),
-        "parameter geometry.area is nan, must be 1e-09 to 1",
+        "parameter geometry.area is nan, must be 0, or 1e-09 to 1",
     ),
     "empty list": (
         any_node("force.axis: []"),

@@ -57,7 +57,7 @@ def test_what_is_not_given_takes_its_default():
     assert check({}).as_dict() == {p.name: p.default for p in PARAMETERS}
     changed = check({"geometry.area": 2e-4})
     assert changed.geometry.area == 2e-4
-    assert changed.changed({"geometry.area": 1e-4}) == Parameters()
+    assert changed.changed({"geometry.area": 0.0}) == Parameters()
 
 
 def test_checked_parameters_cannot_change():
@@ -102,7 +102,8 @@ def test_old_name_says_the_new_one(old, value, new):
         ("geometry.area", True, "must be a number"),
         ("geometry.area", None, "must be a number"),
         ("geometry.area", [1.0, 2.0, 3.0], "must be a number"),
-        ("geometry.area", 0.0, "1e-09 to 1"),
+        ("geometry.area", 1e-10, "0, or 1e-09 to 1"),
+        ("geometry.thickness", 20.0, "[m]: 20 mm are 0.02 m"),
         ("geometry.area", 2.0, "1e-09 to 1"),
         ("geometry.area", math.nan, "1e-09 to 1"),
         ("geometry.area", math.inf, "1e-09 to 1"),
@@ -148,22 +149,31 @@ def test_axis_is_normalised():
     ).contact.approach_axis == (pytest.approx((0.6, 0.8, 0.0)))
 
 
+PUNCH = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
+
+
 @pytest.mark.parametrize(
     ("values", "geometry"),
     [
         ({"geometry.area": 2e-4, "geometry.thickness": 0.03}, FlatPunch(2e-4, 0.03)),
         (
-            {"geometry.hayes": True, "geometry.poisson_ratio": 0.45},
+            {**PUNCH, "geometry.hayes": True, "geometry.poisson_ratio": 0.45},
             FlatPunch(1e-4, 0.02, 0.45),
         ),
         ({"geometry.kind": "sphere", "geometry.radius": 0.01}, Sphere(0.01)),
         (
-            {"geometry.kind": "torsional_rheometer", "geometry.radius": 0.01},
+            {
+                "geometry.kind": "torsional_rheometer",
+                "geometry.radius": 0.01,
+                "geometry.thickness": 0.02,
+            },
             TorsionalRheometer(0.01, 0.02),
         ),
         ({"geometry.kind": "pass_through"}, PassThrough()),
+        ({"geometry.area": 2e-4}, FlatPunch(2e-4, 0.02, is_stated=False)),
+        ({"geometry.kind": "sphere"}, Sphere(0.005, is_stated=False)),
     ],
-    ids=["flat", "hayes", "sphere", "rheometer", "pass through"],
+    ids=["flat", "hayes", "sphere", "rheometer", "pass through", "half stated", "not stated"],
 )
 def test_geometry_is_made_of_its_parameters(values, geometry):
     assert pipeline_config(check(values)).geometry == geometry
@@ -172,7 +182,7 @@ def test_geometry_is_made_of_its_parameters(values, geometry):
 def test_defaults_of_the_table_are_those_of_the_core():
     config = pipeline_config(Parameters())
     core = PipelineConfig(library=load_library())
-    for part in ("geometry", "synchronize", "contact"):
+    for part in ("geometry", "synchronize", "contact", "plausibility"):
         assert getattr(config, part) == getattr(core, part)
     assert config.strain_origin is None
     assert config.block_duration == core.block_duration
@@ -226,7 +236,7 @@ def test_library_that_is_not_there_is_told(tmp_path):
 
 GIVEN = {"origin.source": "given"}
 TOOL = {"tool.mass": 0.1}
-SPHERE = {"geometry.kind": "sphere"}
+SPHERE = {"geometry.kind": "sphere", "geometry.radius": 0.005}
 RELATIVE = {"classification.mode": "relative"}
 ARRIVES = {
     "force.threshold": (0.2, {}, lambda c: c.contact.force_threshold, 0.2),
@@ -257,18 +267,20 @@ ARRIVES = {
     ),
     "synchronize.max_gap": (0.1, {}, lambda c: c.synchronize.max_gap, 0.1),
     "synchronize.window": (2.0, {}, lambda c: c.synchronize.pairing_window, 2.0),
-    "geometry.kind": ("sphere", {}, lambda c: c.geometry, Sphere(0.005)),
-    "geometry.area": (2e-4, {}, lambda c: c.geometry, FlatPunch(2e-4, 0.02)),
-    "geometry.thickness": (0.03, {}, lambda c: c.geometry, FlatPunch(1e-4, 0.03)),
+    "geometry.kind": ("pass_through", {}, lambda c: c.geometry, PassThrough()),
+    "geometry.area": (2e-4, PUNCH, lambda c: c.geometry, FlatPunch(2e-4, 0.02)),
+    "geometry.thickness": (0.03, PUNCH, lambda c: c.geometry, FlatPunch(1e-4, 0.03)),
     "geometry.radius": (0.01, SPHERE, lambda c: c.geometry, Sphere(0.01)),
-    "geometry.hayes": (True, {}, lambda c: c.geometry, FlatPunch(1e-4, 0.02, 0.5)),
+    "geometry.hayes": (True, PUNCH, lambda c: c.geometry, FlatPunch(1e-4, 0.02, 0.5)),
     "geometry.poisson_ratio": (
         0.45,
-        {"geometry.hayes": True},
+        {**PUNCH, "geometry.hayes": True},
         lambda c: c.geometry,
         FlatPunch(1e-4, 0.02, 0.45),
     ),
     "geometry.thickness_sd": (0.1, {}, lambda c: c.estimator.uncertainty.thickness_sd, 0.1),
+    "plausible.force": (50.0, {}, lambda c: c.plausibility.most_force, 50.0),
+    "plausible.strain_rate": (0.0, {}, lambda c: c.plausibility.least_strain_rate, 0.0),
     "origin.source": ("given", {}, lambda c: c.strain_origin, 0.0),
     "origin.displacement": (-0.1, GIVEN, lambda c: c.strain_origin, -0.1),
     "contact.lookback": (2.0, {}, lambda c: c.contact.lookback, 2.0),

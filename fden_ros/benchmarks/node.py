@@ -271,6 +271,7 @@ def _node_arguments() -> list[str]:
         "autostart": "true",
         "site.timeout": "1.0",
         "geometry.area": "3.14159e-4",
+        "geometry.thickness": "0.02",
         "alpha.learn": "false",
         "prior.alpha_sd": "0.0",
     }

@@ -7,8 +7,14 @@ import json
 import signal
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+
+if TYPE_CHECKING:
+    from fden_ros.offline.replay import Replay
+
+_NOTHING_IDENTIFIED = 3
 
 DESCRIPTION = """\
 Run the identification on a recording, without DDS: the same pipeline as the live node, so the
@@ -29,7 +35,8 @@ examples:
   fden replay press.csv --config probe.yaml --columns 'time_s,force_N,depth_mm*1e-3'
 
 `fden info BAG` shows what is in a bag and what would be used. The configuration is the identifier
-node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
+node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 nothing
+was identified: no contact is converged.
 """
 
 
@@ -66,8 +73,9 @@ def run(args: argparse.Namespace) -> int:
     parameters, selection = parameters_of(args), selection_of(args)
     progress = sys.stderr.isatty()
     if args.output is None:
-        _show(replay(args.bag, parameters, selection, progress=progress), args.json)
-        return 0
+        result = replay(args.bag, parameters, selection, progress=progress)
+        _show(result, args.json)
+        return _exit_code(result)
     from fden_ros.offline.results import replay_to_bag
 
     # As Ctrl-C does: what was written so far is removed on the way out.
@@ -84,17 +92,23 @@ def run(args: argparse.Namespace) -> int:
     _show(result, args.json)
     if not args.json:
         print(f"wrote {args.output}")
-    return 0
+    return _exit_code(result)
 
 
-def _show(result: object, as_json: bool) -> None:
+def _exit_code(result: Replay) -> int:
+    if result.has_identified:
+        return 0
+    print("fden: nothing was identified: no contact is converged", file=sys.stderr)
+    return _NOTHING_IDENTIFIED
+
+
+def _show(result: Replay, as_json: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    from fden_ros.offline.replay import Replay, result_object
+    from fden_ros.offline.replay import result_object
     from fden_ros.report.table import contact_table
 
-    assert isinstance(result, Replay)
     if as_json:
         json.dump(result_object(result), sys.stdout, allow_nan=False)
         print()

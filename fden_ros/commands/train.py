@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
                 f"{', '.join(contacts.classes)}"
             )
     unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
-    geometry = _geometry(parameters) if args.config else {}
+    geometry = _geometry(parameters) if geometry_of(parameters).is_stated else {}
     units = units_of(geometry_of(parameters))
 
     def make(spreads: Mapping[str, Spread]) -> Any:

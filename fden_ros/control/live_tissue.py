@@ -23,7 +23,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
-from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.outputs import WITHHELD, Flag, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
@@ -36,6 +36,7 @@ REFUSED_FLAGS = (
     | Flag.ESTIMATION_FAILED
     | Flag.ESTIMATE_AT_EDGE
     | Flag.FORCE_DRIFTED
+    | WITHHELD
 )
 #: The stress between two estimates farther apart than this is not known.
 _LONGEST_STEP = 0.05

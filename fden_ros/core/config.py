@@ -12,6 +12,7 @@ from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import EstimatorConfig
 from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.samples import lateral_distance
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 
@@ -25,8 +26,9 @@ class PipelineConfig:
     library : TissueLibrary or None
         Tissues to classify into; None: nothing is classified.
     geometry : Geometry
-        From force and displacement to stress and strain.
-    synchronize, contact, estimator
+        From force and displacement to stress and strain. It must be stated: with the default
+        nothing is converged.
+    synchronize, contact, estimator, plausibility
         Configuration of those steps.
     strain_origin : float or None
         Displacement at which the tissue is free of load [m]; None: found from the force.
@@ -49,7 +51,7 @@ class PipelineConfig:
     """
 
     library: TissueLibrary | None
-    geometry: Geometry = field(default_factory=lambda: FlatPunch(area=1e-4, thickness=0.02))
+    geometry: Geometry = field(default_factory=lambda: FlatPunch(1e-4, 0.02, is_stated=False))
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
@@ -62,6 +64,7 @@ class PipelineConfig:
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
     learns_rig: bool = True
+    plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
 
 
 def labeller_of(config: PipelineConfig) -> Labeller:

@@ -54,7 +54,13 @@ class Flag(enum.IntFlag):
     SATURATED = 32
     ESTIMATION_FAILED = 64
     ESTIMATE_AT_EDGE = 128
-    FORCE_DRIFTED = 256
+    GEOMETRY_UNSTATED = 256
+    IMPLAUSIBLE = 512
+    FORCE_DRIFTED = 1024
+
+
+#: With one of these no estimate is converged, whatever the data say.
+WITHHELD = Flag.GEOMETRY_UNSTATED | Flag.IMPLAUSIBLE
 
 
 class OrderSource(enum.IntEnum):

@@ -33,6 +33,7 @@ from fden_ros.core.outputs import (
     failure_of,
     order_source,
 )
+from fden_ros.core.plausibility import Plausibility, of_stream, stands_against
 from fden_ros.core.press import Press
 from fden_ros.core.site import Site, prepare
 from fden_ros.core.streams.guard import GapGuard
@@ -118,6 +119,16 @@ class Pipeline:
         self._sums = BlockSums(config.block_duration, config.block_compression)
         self._phase = PhaseMeter()
         self._labeller = labeller_of(config)
+        self._plausibility = Plausibility(
+            config.plausibility, config.geometry, config.estimator.prior
+        )
+        words = stands_against(config.geometry)
+        #: What stands against every estimate, a sentence each, and its flags.
+        self.problems = (words,) if words else ()
+        self._standing = Flag.NONE
+        if words:
+            is_stated = config.geometry.is_stated
+            self._standing = Flag.IMPLAUSIBLE if is_stated else Flag.GEOMETRY_UNSTATED
         self._forget(_Forget.STREAMS)
         self.forget_rig()
         prepare(config)
@@ -234,7 +245,14 @@ class Pipeline:
     def warnings(self) -> dict[str, int]:
         """What was odd about the input, in words, and how often."""
         detector = self._detector
+        synchronizer, config = self._synchronizer, self.config.synchronize
         counts = {
+            **dict.fromkeys(self.problems, 1),
+            **self._plausibility.found,
+            of_stream("force", synchronizer.force_guard, config.force_limit): 1,
+            of_stream(
+                "displacement", synchronizer.displacement_guard, config.displacement_limit
+            ): 1,
             "the clock jumped back: everything learned was reset": self._clock_jumps,
             "the force fell below its value in the air: does it have the wrong sign (force.axis, "
             "force.inverted), or did the data begin in contact?": detector.below_baseline,
@@ -243,7 +261,7 @@ class Pipeline:
                 f"force.{Reason.STUCK}"
             ],
         }
-        return {words: count for words, count in counts.items() if count}
+        return {words: count for words, count in counts.items() if words and count}
 
     # Pairs
 
@@ -310,7 +328,8 @@ class Pipeline:
         site = self._site
         if site is None or site.is_elsewhere(first):
             self.site_count += 1
-            site = self._site = Site(self.site_count, onset, self.config, self.rig)
+            site = Site(self.site_count, onset, self.config, self.rig, self._standing)
+            self._site = site
         self.contact_count += 1
         site.check_history(onset)
         press = self._press = Press(
@@ -322,6 +341,7 @@ class Pipeline:
             self._labeller,
             self.config,
         )
+        self._plausibility.begin(onset)
         if not site.has_failed:
             site.begin_contact(onset, self._synchronizer.motion_noise())
             press.begin(site.change_count)
@@ -373,6 +393,7 @@ class Pipeline:
             return
         if not press.has_ended:
             site.end_contact()
+            self._judge_units(end_ns, press, site, is_over=True)
             if not complete:
                 press.see_missing(self.rejected)
             summary = press.summary(end_ns, self.rejected, complete=complete)
@@ -444,12 +465,25 @@ class Pipeline:
                 site.refresh()
         phase = self._phase.add(stamp_ns, block.compression)
         signals = press.signals(block, fractional_stress)
+        self._judge_units(stamp_ns, press, site)
         if is_silent:
             return
         flags = self._input_flags()
         self._emit(press.state(stamp_ns, signals, block.compression, phase, innovation, flags))
         for answer in press.label(stamp_ns, self._blocks):
             self._emit(press.classification(stamp_ns, answer))
+
+    def _judge_units(
+        self, stamp_ns: int, press: Press, site: Site, *, is_over: bool = False
+    ) -> None:
+        """Withhold the estimate of a contact that cannot be what its units say."""
+        if self._standing or press.has_ended:
+            return
+        if self._plausibility.is_implausible(
+            stamp_ns, press.max_strain, press.max_force, press.max_stress, is_over=is_over
+        ):
+            press.flags |= Flag.IMPLAUSIBLE
+            site.withhold(Flag.IMPLAUSIBLE)
 
     def _hover(self, pair: Pair) -> None:
         """Put out a state in the air, one per duration of a block."""
@@ -466,7 +500,7 @@ class Pipeline:
                 stamp_ns=pair.stamp_ns,
                 # After a jump of the clock the probe may press on a tissue without a site.
                 status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
-                flags=self._input_flags() | edge_flag(estimate),
+                flags=self._input_flags() | self._standing | edge_flag(estimate),
                 site_id=site.site_id if site is not None else 0,
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,

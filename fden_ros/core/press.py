@@ -12,6 +12,7 @@ from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimate import Block, Estimate, Innovation, ParameterSet
 from fden_ros.core.outputs import (
+    WITHHELD,
     ApparentStiffness,
     Classification,
     ContactSummary,
@@ -260,7 +261,8 @@ class Press:
         is_free: bool,
     ) -> list[DynamicModulus]:
         """Return the complex moduli that end with a sample."""
-        if is_free or self.has_ended:
+        if is_free or self.has_ended or self.flags & WITHHELD:
+            # A modulus carries no flag.
             meter.reset()
             return []
         estimate = self._site.estimate

@@ -15,6 +15,7 @@ from fden_ros.core.estimation.estimate import (
     Estimator,
     Innovation,
     Observation,
+    ParameterSet,
     converged,
 )
 from fden_ros.core.estimation.fractional_stress_estimator import (
@@ -26,7 +27,7 @@ from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
-from fden_ros.core.outputs import Flag
+from fden_ros.core.outputs import WITHHELD, Flag
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, lateral_distance
 
 #: The orders of the integral from here on are those between which it is interpolated; before them
@@ -51,6 +52,8 @@ class Site:
     config : PipelineConfig
     rig : RigKnowledge
         What is known of the rig before the first touch.
+    flags : Flag
+        What stands against every estimate.
 
     Attributes
     ----------
@@ -67,14 +70,19 @@ class Site:
     """
 
     def __init__(
-        self, site_id: int, onset: Onset, config: PipelineConfig, rig: RigKnowledge
+        self,
+        site_id: int,
+        onset: Onset,
+        config: PipelineConfig,
+        rig: RigKnowledge,
+        flags: Flag = Flag.NONE,
     ) -> None:
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self.last_ns = first.stamp_ns
         self.position = first.position
         self.is_usable = True
-        self.flags = Flag.NONE
+        self.flags = flags
         self.estimate: Estimate | None = None
         self._config = config
         self._rig = rig
@@ -286,7 +294,19 @@ class Site:
             If it is not finite.
         """
         assert self._estimator is not None
-        self.estimate = self._widened(_checked(self._estimator.estimate()))
+        estimate = _checked(self._estimator.estimate())
+        self.estimate = self._withheld(self._widened(estimate))
+
+    def withhold(self, flag: Flag) -> None:
+        """Take no estimate of this site for converged any more."""
+        self.flags |= flag
+        if self.estimate is not None:
+            self.estimate = self._withheld(self.estimate)
+
+    def _withheld(self, estimate: Estimate) -> Estimate:
+        """Return an estimate of which nothing is known where something stands against it."""
+        is_withheld = bool(self.flags & WITHHELD)
+        return estimate._replace(known=ParameterSet.NONE) if is_withheld else estimate
 
     def _widened(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the variance that contradictions of its data ask for."""

@@ -16,7 +16,7 @@ from fden_ros.experiments.dynamic import fit_bode, fit_complex_modulus
 from fden_ros.experiments.indentation import fit_indentation
 from fden_ros.experiments.nonlinearity import CreepTest, fit_creep_series, fit_nonlinearity
 from fden_ros.experiments.relaxation import Hold, fit_relaxation
-from fden_ros.experiments.result import Array, Fit
+from fden_ros.experiments.result import Array, Fit, undetermined
 
 #: The paper leaves the first second of a creep test out: the rheometer still vibrates.
 CREEP_START = 1.0
@@ -66,7 +66,8 @@ def fit_file(kind: str, path: str | Path, options: Options) -> Fit:
     """
     if not Path(path).exists():
         raise InputError(f"{path} does not exist; give a CSV file")
-    return READERS[kind](Path(path), options)
+    fit = READERS[kind](Path(path), options)
+    return replace(fit, warnings=(*fit.warnings, *undetermined(fit.parameters)))
 
 
 def _dynamic(path: Path, options: Options) -> Fit:

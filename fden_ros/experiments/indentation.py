@@ -30,7 +30,7 @@ from fden_ros.experiments.characteristic import (
     undetermined_nonlinearity,
 )
 from fden_ros.experiments.nonlinearity import appendix_d
-from fden_ros.experiments.regression import minimise
+from fden_ros.experiments.regression import Solution, minimise
 from fden_ros.experiments.result import Array, Curve, Fit, Panel, Parameter, plain, r_squared
 
 #: Change of strain within which phi is taken linear: an error of 2e-8 at Gn 10.
@@ -42,6 +42,8 @@ _MOST_GRID = 1 << 20
 _EVEN = 1e-6
 _ORDER_RANGE = (1e-3, 0.95)
 _WEAK_ORDER_SD = 0.05
+#: Gn from which a fit starts, the best of each pair.
+_START_NONLINEARITIES = ((1.5, 3.0), (5.0, 8.0), (12.0, 20.0))
 #: Appendix F takes so many samples, at strains from this part of the largest on.
 _STATIC_FROM = 0.2
 _STATIC_PAIRS = 60
@@ -91,12 +93,18 @@ def fit_indentation(
         return np.append(rows, (alpha - given) / fractional_order_sd)
 
     orders = (given,) if fractional_order is not None else (0.1, 0.3)
-    start = _start(history, observed, orders)
+    starts = _starts(history, observed, orders)
     low = np.array([_ORDER_RANGE[0], -np.inf, LOG_NONLINEAR_RANGE[0]])
     high = np.array([_ORDER_RANGE[1], np.inf, LOG_NONLINEAR_RANGE[1]])
     free = slice(1, None) if fixed else slice(None)
     prior_rows = 0 if fixed or fractional_order is None else 1
-    solution = minimise(residuals, start[free], (low[free], high[free]), prior_rows)
+    bounds = (low[free], high[free])
+    solutions: list[Solution] = []
+    for start in starts:
+        solutions.append(minimise(residuals, start[free], bounds, prior_rows))
+        if solutions[-1].values[-1] > -math.log(float(strain.max())):
+            break
+    solution = min(solutions, key=lambda found: float(found.residuals @ found.residuals))
     values = solution.values
     alpha = given if fixed else float(values[0])
     alpha_sd = 0.0 if fixed else solution.deviation_of(np.eye(3)[0])
@@ -205,17 +213,29 @@ class StrainHistory:
         return np.asarray(-np.diff(past, axis=1) / gamma(1.0 + power))
 
 
-def _start(history: StrainHistory, observed: Array, orders: tuple[float, ...]) -> Array:
-    """Return (alpha, ln G, ln Gn), the best of a coarse grid; G enters linearly."""
-    best, values = math.inf, np.zeros(3)
-    for alpha in orders:
-        for log_g_n in np.log([1.5, 3.0, 5.0, 8.0, 12.0, 20.0]):
-            shape = history.stress(alpha, 0.0, log_g_n)
-            g = max(float(shape @ observed / (shape @ shape)), 1e-9)
-            cost = float(np.sum((g * shape - observed) ** 2))
-            if cost < best:
-                best, values = cost, np.array([alpha, math.log(g), log_g_n])
-    return values
+def _starts(history: StrainHistory, observed: Array, orders: tuple[float, ...]) -> list[Array]:
+    """Return (alpha, ln G, ln Gn), the best of a coarse grid in each range of Gn, best first.
+
+    G enters linearly. Several, since the misfit is flat in Gn where no strain lies beyond 1/Gn: a
+    fit that ends there may have missed a better minimum.
+    """
+    cells = [
+        min(
+            (_cell(history, observed, alpha, math.log(g_n)) for alpha in orders for g_n in some),
+            key=lambda cell: cell[0],
+        )
+        for some in _START_NONLINEARITIES
+    ]
+    return [start for _, start in sorted(cells, key=lambda cell: cell[0])]
+
+
+def _cell(
+    history: StrainHistory, observed: Array, alpha: float, log_g_n: float
+) -> tuple[float, Array]:
+    """Return the misfit of the best G, and (alpha, ln G, ln Gn)."""
+    shape = history.stress(alpha, 0.0, log_g_n)
+    g = max(float(shape @ observed / (shape @ shape)), 1e-9)
+    return float(np.sum((g * shape - observed) ** 2)), np.array([alpha, math.log(g), log_g_n])
 
 
 def _appendix_f(time: Array, strain: Array, stress: Array, alpha: float) -> dict[str, Parameter]:

@@ -115,11 +115,19 @@ def plain(value: float, sd: float = math.nan, dof: float = math.inf) -> Paramete
 def positive(log_value: float, log_sd: float = math.nan, dof: float = math.inf) -> Parameter:
     """Return a positive parameter from its logarithm; the interval is symmetric in the log."""
     value, reach = math.exp(log_value), _quantile(dof) * log_sd
+    with np.errstate(over="ignore"):
+        high = float(np.exp(log_value + reach))
     return Parameter(
-        value,
-        float(value * reach / _NORMAL_REACH),
-        float(np.exp(log_value - reach)),
-        float(np.exp(log_value + reach)),
+        value, float(value * reach / _NORMAL_REACH), float(np.exp(log_value - reach)), high
+    )
+
+
+def undetermined(parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
+    """Return a warning for each parameter whose deviation exceeds its magnitude."""
+    return tuple(
+        f"{name} is {p.value:.3g} with a deviation of {p.sd:.3g}: the data do not determine it"
+        for name, p in parameters.items()
+        if p.sd > abs(p.value)
     )
 
 

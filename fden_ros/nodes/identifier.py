@@ -229,6 +229,8 @@ class Identifier(LifecycleNode):
         # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
         topics = " and ".join(one.subscription.topic_name for one in self._listened_to)
         self.get_logger().info(f"listening to {topics}")
+        for problem in self._pipeline.problems:
+            self.get_logger().warning(problem)
 
     def _subscribe(self, kind: type, topic: str, inputs: Inputs) -> None:
         read = self._reader(kind, topic, inputs)
@@ -459,7 +461,10 @@ def _node_descriptor(parameter: Parameter) -> ParameterDescriptor:
     )
     if is_number and isinstance(parameter.default, float):
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)
+            FloatingPointRange(
+                from_value=0.0 if parameter.may_be_zero else parameter.minimum,
+                to_value=parameter.maximum,
+            )
         ]
     elif is_number:
         descriptor.integer_range = [

@@ -32,6 +32,11 @@ class Replay:
     inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
     failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
 
+    @property
+    def has_identified(self) -> bool:
+        """Whether a contact converged."""
+        return any(summary.converged for summary in self.summaries)
+
 
 def replay(
     bag: str | Path,
@@ -127,11 +132,15 @@ class _progress_bar:  # noqa: N801 - used as a function
 
 
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
-    warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in pipeline.warnings.items()]
+    odd = pipeline.warnings
+    warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in odd.items()]
+    is_explained = len(odd) > len(pipeline.problems)
     warnings += map(str, pipeline.failures)
     if pipeline.unusual_rejections:
         rejected = pipeline.rejected.total()
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")
+    if is_explained:
+        return warnings
     if not pipeline.pair_count:
         warnings.append(
             "no pair of force and displacement: do the stamps of the two topics overlap?"

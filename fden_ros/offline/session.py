@@ -14,7 +14,14 @@ from scipy.stats import chi2
 
 from fden_ros.core.estimation.estimate import Estimate, Innovation, ParameterSet
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
+from fden_ros.core.outputs import (
+    WITHHELD,
+    ContactSummary,
+    Flag,
+    Output,
+    Status,
+    TissueState,
+)
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
@@ -391,13 +398,17 @@ def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
         )
     if summary.flags & Flag.ESTIMATION_FAILED:
         yield "The computation failed at this site: there is no estimate until the next one."
+    if summary.flags & Flag.GEOMETRY_UNSTATED:
+        yield "The geometry is not stated: the numbers are those of a probe that stands in for it."
+    if summary.flags & Flag.IMPLAUSIBLE:
+        yield "Strain, force, rate or a size cannot be what it says: a unit may be wrong."
     if summary.rejected_count:
         yield f"{summary.rejected_count} samples were rejected during the contact."
     if estimate is None:
         yield "There is no estimate."
     elif estimate.at_edge:
         yield from _at_edge(estimate)
-    elif not summary.converged:
+    elif not summary.converged and not summary.flags & WITHHELD:
         yield _not_converged(summary, estimate)
     if estimate is not None and not (
         estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid

@@ -41,7 +41,7 @@ class Parameter:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
-    may_be_zero: bool = False  #: of a vector
+    may_be_zero: bool = False  #: of a vector; of a number, beside its range
     most: int = 0
 
     @property
@@ -61,7 +61,8 @@ class Parameter:
         low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
         if low and high:
             each = f"1 to {self.most} numbers, each " if self.most else ""
-            return f"{each}{self.minimum:g} to {self.maximum:g}"
+            zero = "0, or " if self.may_be_zero else ""
+            return f"{each}{zero}{self.minimum:g} to {self.maximum:g}"
         return f"at least {self.minimum:g}" if low else f"at most {self.maximum:g}" if high else ""
 
     def check(self, value: object) -> Value:
@@ -109,11 +110,24 @@ class Parameter:
     def _number(self, value: Any) -> int | float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise InputError(f"parameter {self.name} is {value!r}, must be {self.type_name}")
-        if not math.isfinite(value) or not self.minimum <= value <= self.maximum:
-            raise InputError(f"parameter {self.name} is {value!r}, must be {self.constraint}")
+        is_unset = self.may_be_zero and value == 0
+        if not math.isfinite(value) or not (self.minimum <= value <= self.maximum or is_unset):
+            raise InputError(
+                f"parameter {self.name} is {value!r}, must be {self.constraint}"
+                + self._other_unit(value)
+            )
         return value if isinstance(self.default, int) else float(value)
 
+    def _other_unit(self, value: float) -> str:
+        """Return what a value beyond the range would be if it was meant in a usual unit."""
+        name, factor = _OTHER_UNITS.get(self.unit, ("", 0.0))
+        if not name or not self.minimum <= factor * value <= self.maximum < value:
+            return ""
+        return f" [{self.unit}]: {value:g} {name} are {factor * value:g} {self.unit}"
 
+
+#: Units that values are often given in, and their factor to those of the parameters.
+_OTHER_UNITS = {"m": ("mm", 1e-3), "m^2": ("mm^2", 1e-6), "s": ("ms", 1e-3)}
 #: Least value of a parameter that must be above 0.
 TINY = 1e-9
 
@@ -126,9 +140,12 @@ def number(
     description: str,
     minimum: float = -math.inf,
     maximum: float = math.inf,
+    *,
+    may_be_zero: bool = False,
 ) -> Any:
-    """Return the field of a number in an inclusive range."""
-    return _field(default, unit, description, minimum=minimum, maximum=maximum)
+    """Return the field of a number in an inclusive range, or 0 beside it."""
+    limits = {"minimum": minimum, "maximum": maximum}
+    return _field(default, unit, description, **limits, may_be_zero=may_be_zero)
 
 
 def whole_number(default: int, unit: str, description: str, minimum: int, maximum: int) -> Any:

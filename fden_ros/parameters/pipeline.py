@@ -17,6 +17,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.errors import InputError
@@ -27,6 +28,10 @@ from fden_ros.tissues.library import library_for
 #: their tissue but not its memory: so a scan of 3 mm has a site at each touch. Positions are known
 #: to half a millimetre [m] or better.
 _SITE_SHARE, _LEAST_SITE_DISTANCE, _LARGEST_SITE_DISTANCE = 0.2, 5e-4, 2e-3
+
+
+#: Sizes that stand in for those that are not stated [m^2, m].
+_AREA, _THICKNESS, _RADIUS = 1e-4, 0.02, 0.005
 
 
 def unit_vector(values: Sequence[float]) -> tuple[float, float, float]:
@@ -110,6 +115,10 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         dither_frequencies=tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0})),
         dither_periods=parameters.dither.periods,
         learns_rig=parameters.rig.learn,
+        plausibility=PlausibilityConfig(
+            most_force=parameters.plausible.force,
+            least_strain_rate=parameters.plausible.strain_rate,
+        ),
     )
 
 
@@ -155,20 +164,26 @@ def _site_distance(parameters: Parameters) -> float:
     kind = parameters.geometry.kind
     if kind == "pass_through":
         return _LEAST_SITE_DISTANCE
-    radius = parameters.geometry.radius
+    radius = parameters.geometry.radius or _RADIUS
     if kind == "flat_punch":
-        radius = math.sqrt(parameters.geometry.area / math.pi)
+        radius = math.sqrt((parameters.geometry.area or _AREA) / math.pi)
     return min(max(_SITE_SHARE * radius, _LEAST_SITE_DISTANCE), _LARGEST_SITE_DISTANCE)
 
 
 def geometry_of(parameters: Parameters) -> Geometry:
-    """Return how force and displacement become stress and strain."""
-    kind = parameters.geometry.kind
-    if kind == "sphere":
-        return Sphere(parameters.geometry.radius)
-    if kind == "torsional_rheometer":
-        return TorsionalRheometer(parameters.geometry.radius, parameters.geometry.thickness)
-    if kind == "pass_through":
+    """Return how force and displacement become stress and strain.
+
+    It is not stated where a size that its kind needs is 0; another one stands in for it.
+    """
+    own = parameters.geometry
+    area, thickness, radius = own.area or _AREA, own.thickness or _THICKNESS, own.radius or _RADIUS
+    has_thickness, has_radius = own.thickness > 0.0, own.radius > 0.0
+    if own.kind == "sphere":
+        return Sphere(radius, is_stated=has_radius)
+    if own.kind == "torsional_rheometer":
+        return TorsionalRheometer(radius, thickness, is_stated=has_radius and has_thickness)
+    if own.kind == "pass_through":
         return PassThrough()
-    poisson_ratio = parameters.geometry.poisson_ratio if parameters.geometry.hayes else None
-    return FlatPunch(parameters.geometry.area, parameters.geometry.thickness, poisson_ratio)
+    poisson_ratio = own.poisson_ratio if own.hayes else None
+    is_stated = own.area > 0.0 and has_thickness
+    return FlatPunch(area, thickness, poisson_ratio, is_stated=is_stated)

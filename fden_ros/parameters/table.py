@@ -244,15 +244,15 @@ class SynchronizeParameters:
     max_gap: float = number(
         0.25,
         "s",
-        "Displacement samples further apart are not interpolated between; a contact with a "
-        "longer gap is given up.",
+        "Displacement samples further apart, and than 2 usual steps of the force, are not "
+        "interpolated between; a contact with a longer gap is given up.",
         0.0001,
         10.0,
     )
     window: float = number(
         5.0,
         "s",
-        "How long a sample waits, in stamps, for the other stream.",
+        "How long a sample waits, in stamps, for the other stream; or 4 usual steps of its own.",
         0.01,
         60.0,
     )
@@ -268,25 +268,30 @@ class GeometryParameters:
         choices=("flat_punch", "sphere", "torsional_rheometer", "pass_through"),
     )
     area: float = number(
-        0.0001,
+        0.0,
         "m^2",
-        "flat_punch: area of the probe's face.",
+        "flat_punch: area of the probe's face; 0: not stated, so nothing is converged.",
         TINY,
         1.0,
+        may_be_zero=True,
     )
     thickness: float = number(
-        0.02,
+        0.0,
         "m",
-        "flat_punch: thickness of the tissue; torsional_rheometer: height of the sample.",
+        "flat_punch: thickness of the tissue; torsional_rheometer: height of the sample; 0: not "
+        "stated, so nothing is converged.",
         1e-06,
         1.0,
+        may_be_zero=True,
     )
     radius: float = number(
-        0.005,
+        0.0,
         "m",
-        "sphere: radius of the tip; torsional_rheometer: radius of the sample.",
+        "sphere: radius of the tip; torsional_rheometer: radius of the sample; 0: not stated, so "
+        "nothing is converged.",
         1e-06,
         1.0,
+        may_be_zero=True,
     )
     hayes: bool = flag(
         False,
@@ -305,6 +310,27 @@ class GeometryParameters:
         "Poisson's ratio for Hayes' factor.",
         0.0,
         0.5,
+    )
+
+
+@dataclass(frozen=True)
+class PlausibleParameters:
+    """What a contact cannot exceed where the units are right."""
+
+    force: float = number(
+        200.0,
+        "N",
+        "flat_punch, sphere: a contact of more force is implausible, and never converged.",
+        TINY,
+        1000000000.0,
+    )
+    strain_rate: float = number(
+        0.001,
+        "1/s",
+        "A press that is strained slower than this and sampled slower than 2 Hz is implausible, "
+        "and never converged; 0: any is plausible.",
+        0.0,
+        1.0,
     )
 
 
@@ -334,7 +360,8 @@ class ContactParameters:
     lookback: float = number(
         5.0,
         "s",
-        "How far before its detection the onset of a contact is looked for.",
+        "How far before its detection the onset of a contact is looked for; or 24 times 3 "
+        "samples, where those last longer.",
         0.1,
         60.0,
     )
@@ -592,6 +619,7 @@ class Parameters:
     tool: ToolParameters = ToolParameters()
     synchronize: SynchronizeParameters = SynchronizeParameters()
     geometry: GeometryParameters = GeometryParameters()
+    plausible: PlausibleParameters = PlausibleParameters()
     origin: OriginParameters = OriginParameters()
     contact: ContactParameters = ContactParameters()
     site: SiteParameters = SiteParameters()

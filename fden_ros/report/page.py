@@ -96,7 +96,8 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         yield what.capitalize(), name
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
-    yield "Geometry", session.parameters.geometry.kind.replace("_", " ")
+    kind = session.parameters.geometry.kind.replace("_", " ")
+    yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
 
 
 def _headline(session: Session) -> str:

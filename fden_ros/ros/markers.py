@@ -14,7 +14,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fden_ros.core.estimation.estimate import StateIndex
-from fden_ros.core.outputs import ContactSummary
+from fden_ros.core.outputs import WITHHELD, ContactSummary
 from fden_ros.ros.messages import to_stamp
 
 #: Linear stiffness [Pa s^alpha] at the ends of the colours.
@@ -67,9 +67,9 @@ class StiffnessMap:
         return self._newest is summary
 
     def add(self, summary: ContactSummary) -> bool:
-        """Take a summary; return whether the map has changed."""
+        """Take a summary; return whether the map has changed: not by one that is in doubt."""
         site_id = summary.site_id
-        if summary.position is None:
+        if summary.position is None or summary.flags & WITHHELD:
             return False
         if summary.estimate is None:
             # A contact that was withdrawn takes its site off the map.

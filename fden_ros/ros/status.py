@@ -28,6 +28,7 @@ def diagnostic_status(
     status = DiagnosticStatus()
     status.name = f"{node_name.lstrip('/')}: tissue identification"
     status.hardware_id = hardware_id
+    problems = [*pipeline.problems, *problems]
     status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
     if pipeline.is_failed:
         status.level = DiagnosticStatus.ERROR

@@ -47,6 +47,8 @@ MIN_CHUNKS = 5
 #: noise may come out so small that noise looks like a contact.
 _MIN_AIR_SAMPLES = 48
 _ENOUGH_CHUNKS = 12
+#: The air is remembered for at least 24 chunks, however slow the sensor.
+_LEAST_REMEMBERED = 2 * _ENOUGH_CHUNKS
 #: Chunks of the newest second [ns] may hold the beginning of a slow contact: they do not count.
 _LAG_NS = NANOSECONDS
 #: Bias and noise are measured anew after every 8 chunks.
@@ -74,7 +76,8 @@ class Baseline:
     Parameters
     ----------
     lookback : float
-        Chunks older than this are forgotten [s]; than 4 times this while a slow contact may be on.
+        Chunks older than this, and than 24 chunks last, are forgotten [s]; than 4 times this while
+        a slow contact may be on.
     force_noise : float
         Standard deviation of the force per sample [N]; 0: measured.
     noise_floor : float
@@ -95,6 +98,7 @@ class Baseline:
         self.is_suspected = False  #: a slow contact may be on
         self._chunks: deque[Chunk] = deque()
         self._count = 0
+        self._chunk_ns = 0  # time from chunk to chunk
         self._air: Air | None = None
         self._trend = Level(0.0, 0.0, 0.0)
         self._trend_end_ns = 0
@@ -106,8 +110,9 @@ class Baseline:
 
     @property
     def reach_ns(self) -> int:
-        """How far back the air is remembered [ns]."""
-        return self._lookback_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
+        """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
+        reach_ns = max(self._lookback_ns, _LEAST_REMEMBERED * self._chunk_ns)
+        return reach_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
 
     def mean(self) -> float | None:
         """Return the mean of the chunks [N]; None while there are fewer than 5."""
@@ -122,6 +127,8 @@ class Baseline:
     def keep(self, chunk: Chunk) -> None:
         """Take a chunk in the air."""
         chunks = self._chunks
+        if chunks and chunk.start_ns - chunks[-1].end_ns <= chunk.end_ns - chunk.start_ns:
+            self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)
         self._count += 1
         while chunk.start_ns - chunks[0].start_ns > self.reach_ns:

@@ -20,6 +20,10 @@ class Geometry(Protocol):
     """What a contact geometry must offer."""
 
     @property
+    def is_stated(self) -> bool:
+        """Whether its sizes are those of a probe, not numbers that stand in for them."""
+
+    @property
     def length(self) -> float:
         """Characteristic length L [m]: compression is displacement / L."""
 
@@ -50,11 +54,14 @@ class FlatPunch:
     poisson_ratio : float or None
         Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
         the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
+    is_stated : bool
+        Whether the sizes are known. False: nothing can be converged.
     """
 
     area: float
     thickness: float
     poisson_ratio: float | None = None
+    is_stated: bool = True
 
     @property
     def length(self) -> float:
@@ -99,9 +106,12 @@ class Sphere:
     ----------
     radius : float
         Radius of the tip R [m].
+    is_stated : bool
+        Whether it is known. False: nothing can be converged.
     """
 
     radius: float
+    is_stated: bool = True
 
     @property
     def length(self) -> float:
@@ -140,10 +150,13 @@ class TorsionalRheometer:
         factor of 8 in stress.
     height : float
         Height of the sample d [m].
+    is_stated : bool
+        Whether the sizes are known. False: nothing can be converged.
     """
 
     radius: float
     height: float
+    is_stated: bool = True
 
     @property
     def length(self) -> float:
@@ -174,6 +187,7 @@ class PassThrough:
 
     length: float = 1.0
     stress_per_force: float = 1.0
+    is_stated: bool = True
 
     def strain(self, compression: float) -> float:
         """Return the compression itself."""

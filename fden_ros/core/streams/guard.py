@@ -14,9 +14,11 @@ _MIN_STEP_NS = 10_000
 #: a jump of the clock; by less, a late sample.
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
 #: A stamp more than 10 usual steps, or more than 1 s [ns], ahead waits for the next sample to
-#: confirm it.
+#: confirm it: one that follows within 1 s, or within 10 times its own step.
 _FAR_STEPS = 10.0
 _FORWARD_JUMP_NS = NANOSECONDS
+#: In a stream with steps above 0.3 s these are 3 usual steps in place of 1 s.
+_SLOW_FAR_STEPS = 3.0
 #: 20 late samples in a row, in order among themselves, are a jump of the clock too.
 _LATE_RUN = 20
 #: Gain of the exponential means of the step between stamps and of the change between values.
@@ -34,6 +36,8 @@ _STUCK_TIMES = 5
 #: ... unless it comes in steps that its usual change is no 4 of: such a force stands still between
 #: two steps.
 _FINE_STEPS = 4.0
+#: A step between samples enters its mean as at most 4 times the mean: a pause is not usual.
+_MOST_STEP_GROWTH = 4.0
 #: A step between pairs is a gap when it is longer than 10 mean steps and than 20 ms [ns]; the mean
 #: step follows with this gain.
 _GAP_STEPS = 10.0
@@ -44,6 +48,38 @@ _GAP_GAIN = 0.05
 def force_at_limit(rejected: Counter[str]) -> int:
     """Return how many forces were rejected because the sensor was stuck or at its end."""
     return rejected[f"force.{Reason.STUCK}"] + rejected[f"force.{Reason.OUT_OF_RANGE}"]
+
+
+class UsualStep:
+    """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
+
+    The larger of the mean of all steps and of the shorter one of the last two.
+
+    Parameters
+    ----------
+    gain : float
+        Of the exponential mean [1].
+    """
+
+    def __init__(self, gain: float) -> None:
+        self._gain = gain
+        self._last_ns = 0.0
+        self._mean_ns = 0.0
+        self.value_ns = 0.0  #: 0 before the first step [ns]
+        self.count = 0
+
+    def add(self, step_ns: float) -> None:
+        """Take a step."""
+        self.count += 1
+        mean_ns = self._mean_ns or step_ns
+        growth_ns = min(step_ns, _MOST_STEP_GROWTH * mean_ns) - mean_ns
+        self._mean_ns = mean_ns + self._gain * growth_ns
+        self.see(step_ns)
+
+    def see(self, step_ns: float) -> None:
+        """Take a step that may be a pause: two of them in a row are usual, the mean stays."""
+        self.value_ns = max(self._mean_ns, min(self._last_ns, step_ns))
+        self._last_ns = step_ns
 
 
 class StreamGuard:
@@ -60,17 +96,36 @@ class StreamGuard:
         self.epoch = 0
         self.epoch_start_ns = 0
         self._newest_ns: int | None = None
+        self._newest_epoch = 0
         self._held: Sample | None = None
         self._late_run = 0
         self._late_newest_ns = 0
-        self._usual_step_ns = 0.0
-        self._step_count = 0
+        self._usual = UsualStep(_GAIN)
         self._values = ValueGuard(limits_runs=name == "force")
+        self._close_ns = 0
+        self.largest = 0.0  #: magnitude that was rejected as out of range
+        self.too_large = 0  #: samples that were
+        self.too_close = 0  #: samples within 10 us of the last that are not copies of it
 
     @property
     def is_stuck(self) -> bool:
         """Whether the signal repeats a value 5 times longer than it did before."""
         return self._values.is_stuck
+
+    @property
+    def accepted(self) -> int:
+        """How many steps between stamps were accepted."""
+        return self._usual.count
+
+    @property
+    def usual_step(self) -> float:
+        """Usual step between accepted stamps [s]."""
+        return self._usual.value_ns / NANOSECONDS
+
+    @property
+    def close_step(self) -> float:
+        """Mean step of the stamps that were too close to the last [s]."""
+        return self._close_ns / max(self.too_close, 1) / NANOSECONDS
 
     def reject(self, reason: str) -> None:
         """Count one rejected sample."""
@@ -85,11 +140,14 @@ class StreamGuard:
             return ()
         if abs(value) > self._limit:
             self.reject(Reason.OUT_OF_RANGE)
+            self.too_large += 1
+            self.largest = max(self.largest, abs(value))
             return ()
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
             return ()
-        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position, load))
+        usual_ns = self._usual.value_ns
+        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position, load, usual_ns))
         return self._by_value(accepted) if accepted else ()
 
     def _by_stamp(self, sample: Sample) -> tuple[Sample, ...]:
@@ -110,12 +168,13 @@ class StreamGuard:
         return tuple(accepted)
 
     def _take(self, *samples: Sample) -> tuple[Sample, ...]:
-        if self._newest_ns is not None and samples[0].epoch == self.epoch:
-            step_ns = float(samples[-1].stamp_ns - self._newest_ns) / len(samples)
-            usual_ns = self._usual_step_ns or step_ns
-            self._step_count += 1
-            self._usual_step_ns = usual_ns + _GAIN * (step_ns - usual_ns)
-        self._newest_ns = samples[-1].stamp_ns
+        # A sample that begins an epoch has no step.
+        newest_ns = self._newest_ns if samples[0].epoch == self._newest_epoch else None
+        for sample in samples:
+            if newest_ns is not None:
+                self._usual.add(float(sample.stamp_ns - newest_ns))
+            newest_ns = sample.stamp_ns
+        self._newest_ns, self._newest_epoch = newest_ns, self.epoch
         self._late_run = 0
         return samples
 
@@ -123,9 +182,11 @@ class StreamGuard:
         assert self._newest_ns is not None
         step = sample.stamp_ns - self._newest_ns
         # Taken at once, a stray stamp a little ahead would make all that come after it late.
+        usual_ns = self._usual.value_ns
         far: float = _FORWARD_JUMP_NS
-        if self._step_count >= _USUAL_SAMPLES:
-            far = min(_FAR_STEPS * self._usual_step_ns, far)
+        if self._usual.count >= _USUAL_SAMPLES:
+            far = min(_FAR_STEPS * usual_ns, far)
+        far = max(far, _SLOW_FAR_STEPS * usual_ns)
         if _MIN_STEP_NS <= step <= far:
             return self._take(sample)
         if step > far or step < -_BACKWARD_JUMP_NS:
@@ -133,6 +194,9 @@ class StreamGuard:
             return ()
         if step > -_MIN_STEP_NS:
             self.reject(Reason.DUPLICATE_STAMP)
+            if step > 0:
+                self.too_close += 1
+                self._close_ns += step
             return ()
         return self._late(sample)
 
@@ -148,13 +212,17 @@ class StreamGuard:
     def _after_held(self, held: Sample, sample: Sample) -> tuple[Sample, ...]:
         assert self._newest_ns is not None
         self._held = None
-        if _MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= _FORWARD_JUMP_NS:
-            if held.stamp_ns > self._newest_ns:
+        is_ahead = held.stamp_ns > self._newest_ns
+        own_ns = _FAR_STEPS * (held.stamp_ns - self._newest_ns) if is_ahead else 0.0
+        far = max(_FORWARD_JUMP_NS, _SLOW_FAR_STEPS * self._usual.value_ns, own_ns)
+        if _MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far and (
+            is_ahead or sample.stamp_ns < self._newest_ns
+        ):
+            if is_ahead:
                 return self._take(held, sample)
             first = self._next_epoch(held)
             return self._take(first, sample._replace(epoch=self.epoch))
-        future = held.stamp_ns > self._newest_ns
-        self.reject(Reason.FUTURE_STAMP if future else Reason.LATE_STAMP)
+        self.reject(Reason.FUTURE_STAMP if is_ahead else Reason.LATE_STAMP)
         return self._in_order(sample)
 
     def _next_epoch(self, sample: Sample) -> Sample:
@@ -246,7 +314,7 @@ class GapGuard:
 
     def __init__(self) -> None:
         self.newest_ns: int | None = None
-        self._usual_step_ns = 0.0
+        self._usual = UsualStep(_GAP_GAIN)
 
     def step(self, stamp_ns: int) -> int:
         """Take a stamp; return how long the gap before it lasted [ns], 0 without one."""
@@ -254,10 +322,9 @@ class GapGuard:
         if previous_ns is None:
             return 0
         step_ns = stamp_ns - previous_ns
-        usual_ns = self._usual_step_ns
+        usual_ns = self._usual.value_ns
         if usual_ns and step_ns > max(_GAP_STEPS * usual_ns, _GAP_NS):
+            self._usual.see(float(step_ns))
             return step_ns
-        self._usual_step_ns = (
-            usual_ns + _GAP_GAIN * (step_ns - usual_ns) if usual_ns else 1.0 * step_ns
-        )
+        self._usual.add(float(step_ns))
         return 0

@@ -36,6 +36,7 @@ class Sample(NamedTuple):
     value: float
     position: Position | None = None
     load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
+    usual_ns: float = 0.0  #: usual step of its stream before it [ns]; 0: not known
 
 
 class Pair(NamedTuple):

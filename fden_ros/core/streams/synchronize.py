@@ -20,6 +20,9 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, S
 #: which is 0.6745 standard deviations of a normal variable.
 _NOISE_SAMPLES = 256
 _MEDIAN_OF_NORMAL = 0.6745
+#: In a slow stream displacements up to 2 usual steps of the force apart are interpolated between,
+#: and a sample waits for up to 4 usual steps of its stream.
+_GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,11 @@ class SynchronizeConfig:
     displacement_delay : float
         The displacement's stamps lag the force's by this much [s]; may be negative.
     max_gap : float
-        Displacement samples further apart than this are not interpolated between [s].
+        Displacement samples further apart than this, and than 2 usual steps of the force, are not
+        interpolated between [s].
     pairing_window : float
-        A sample waits at most this long, in stamps, for its partner [s].
+        A sample waits at most this long, in stamps, for its partner [s]; or 4 usual steps of its
+        stream, where they are longer.
     force_limit, displacement_limit : float
         Larger magnitudes are rejected as out of range [N, m].
     """
@@ -140,7 +145,7 @@ class Synchronizer:
             self._reject_oldest_force(Reason.UNPAIRED)
             return
         gap_ns = after.stamp_ns - before.stamp_ns
-        if gap_ns > self._max_gap_ns:
+        if gap_ns > max(self._max_gap_ns, _GAP_STEPS * force.usual_ns):
             self._reject_oldest_force(Reason.DISPLACEMENT_GAP)
             return
         share = (force.stamp_ns - before.stamp_ns) / gap_ns
@@ -174,7 +179,8 @@ class Synchronizer:
         that stream is then taken to be in the same epoch.
         """
         newest = samples[-1]
-        while self._waited_ns(samples[0], newest, guard) > self._window_ns:
+        window_ns = max(self._window_ns, _WINDOW_STEPS * newest.usual_ns)
+        while self._waited_ns(samples[0], newest, guard) > window_ns:
             samples.popleft()
             if guard is self.force_guard:
                 guard.reject(Reason.UNPAIRED)

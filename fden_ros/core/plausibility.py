@@ -1,0 +1,299 @@
+"""Whether what is measured can be what its units say: m, N, s and the sizes of the geometry.
+
+A recording in mm, g or ms gives numbers that look like any others. What tissue under a probe
+cannot do is told here, with the factor that would make it plausible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.samples import NANOSECONDS
+
+
+@dataclass(frozen=True)
+class PlausibilityConfig:
+    """What a contact cannot exceed, where the units are right.
+
+    Parameters
+    ----------
+    most_force : float
+        Largest force of a contact [N]; counts under a flat punch or a sphere.
+    least_strain_rate : float
+        Strain over time from the touch on [1/s], where samples come slower than 2 Hz; 0: any.
+    """
+
+    most_force: float = 200.0
+    least_strain_rate: float = 1e-3
+
+
+#: Largest strain [1]. A flat punch cannot go deeper than the tissue is thick; a sphere may, and
+#: ten is 4.6 radii deep.
+_MOST_STRAIN, _MOST_STRAIN_OF_PUNCH, _MOST_STRAIN_OF_SPHERE = 3.0, 1.0, 10.0
+#: Largest area [m^2], thickness and radius [m]: of a face of 14 cm, a body, a ball of 20 cm.
+_MOST_AREA, _MOST_THICKNESS, _MOST_RADIUS = 0.02, 0.3, 0.1
+#: Area that stands for an unknown one [m^2]: the stress is in newtons.
+_UNKNOWN_AREA = 1.0
+#: G lies within 5 standard deviations of its prior, or a factor of 30 where they are less ...
+_PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
+#: ... and, where the prior allows more, within these [Pa s^alpha]: fat and cartilage lie between.
+_LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
+#: ... for any Gn within 2 standard deviations of its prior.
+_NONLINEAR_DEVIATIONS = 2.0
+#: Strain from which on a contact is judged before it is over [1]: at less the origin counts.
+_LEAST_STRAIN = 0.02
+#: Samples farther apart than this are slow, and closer than this are of no force sensor [s].
+_SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
+#: The strain is judged anew when it has grown by this factor.
+_GROWTH = 1.1
+#: Least count of samples of a stream that are judged.
+_MIN_SAMPLES = 32
+#: What is likely of a press, for a factor to be named: strain [1], force [N], strain rate [1/s].
+_LIKELY_STRAIN, _LIKELY_FORCE, _LIKELY_RATE = 0.05, (0.02, 50.0), (0.01, 100.0)
+
+_LENGTHS = {"mm": 1e-3, "mm/10": 1e-4, "cm": 1e-2, "um": 1e-6}
+_FORCES = {"g": 9.80665e-3, "mN": 1e-3}
+_TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def stands_against(geometry: Geometry) -> str:
+    """Return why no estimate with a geometry can be right, in one sentence; empty: it can."""
+    if not geometry.is_stated:
+        example = {
+            Sphere: "kind: sphere, radius: 0.005",
+            TorsionalRheometer: "kind: torsional_rheometer, radius: 0.01, thickness: 0.005",
+        }.get(type(geometry), "kind: flat_punch, area: 3.14e-4, thickness: 0.02")
+        return (
+            "the geometry is not stated, so nothing is converged: state probe and tissue in the "
+            f"parameters, such as geometry: {{{example}}}, in m and m^2"
+        )
+    if isinstance(geometry, FlatPunch):
+        if _MOST_AREA < geometry.area < _UNKNOWN_AREA:
+            return _too_large("area", geometry.area, "m^2", "cm^2", 1e-4)
+        if geometry.thickness > _MOST_THICKNESS:
+            return _too_large("thickness", geometry.thickness, "m", "cm", 1e-2)
+    if isinstance(geometry, Sphere) and geometry.radius > _MOST_RADIUS:
+        return _too_large("radius", geometry.radius, "m", "cm", 1e-2)
+    return ""
+
+
+def _too_large(name: str, value: float, unit: str, other: str, factor: float) -> str:
+    return (
+        f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: was "
+        f"{other} meant? With the factor {factor:g} it would be {factor * value:.3g} {unit}"
+    )
+
+
+class Plausibility:
+    """Judges contacts and streams.
+
+    Parameters
+    ----------
+    config : PlausibilityConfig
+    geometry : Geometry
+    prior : Prior
+        Of the tissue.
+
+    Attributes
+    ----------
+    counts : Counter
+        Contacts that were found implausible, by the kind of reason.
+    """
+
+    def __init__(self, config: PlausibilityConfig, geometry: Geometry, prior: Prior) -> None:
+        self._config, self._geometry, self._prior = config, geometry, prior
+        self._low, self._high = _stiffness_range(geometry, prior)
+        self._words: dict[str, str] = {}
+        self.counts: Counter[str] = Counter()
+        self._start_ns = 0
+        self._step = 0.0
+        self._judged_strain = 0.0
+        self._kind = ""
+        self._is_first = False
+
+    @property
+    def found(self) -> dict[str, int]:
+        """What was implausible of contacts, the first of each kind in words, and how often."""
+        return {words: self.counts[kind] for kind, words in self._words.items()}
+
+    def begin(self, onset: Onset) -> None:
+        """Begin with a contact."""
+        samples = onset.samples
+        self._start_ns = samples[0].stamp_ns
+        whole = (samples[-1].stamp_ns - self._start_ns) / NANOSECONDS
+        self._step = whole / max(len(samples) - 1, 1)
+        self._judged_strain = 0.0
+        self._kind = ""
+
+    def is_implausible(
+        self, stamp_ns: int, strain: float, force: float, stress: float, *, is_over: bool = False
+    ) -> bool:
+        """Judge a contact by its largest strain [1], force [N] and stress [Pa] until a stamp.
+
+        Once it is implausible it is judged again only when it `is_over`, for better words.
+        """
+        if self._kind and not is_over:
+            return True
+        elapsed = (stamp_ns - self._start_ns) / NANOSECONDS
+        for kind, words in (
+            ("strain", self._of_strain(strain)),
+            ("force", self._of_force(force)),
+            ("rate", self._of_rate(strain, elapsed)),
+            ("stiffness", self._of_stiffness(strain, stress, is_over=is_over)),
+        ):
+            if words:
+                self._find(kind, words)
+                break
+        return bool(self._kind)
+
+    def _find(self, kind: str, words: str) -> None:
+        if self._kind:
+            self.counts[self._kind] -= 1
+            if self._is_first:
+                del self._words[self._kind]
+        self._kind, self._is_first = kind, kind not in self._words
+        self.counts[kind] += 1
+        self._words.setdefault(kind, words)
+
+    def _of_strain(self, strain: float) -> str:
+        most = _most_strain(self._geometry)
+        if strain <= most:
+            return ""
+        power = 1.5 if isinstance(self._geometry, Sphere) else 1.0
+        values = {name: strain * factor**power for name, factor in _LENGTHS.items()}
+        asked = _asked(values, _LENGTHS, _LIKELY_STRAIN, most)
+        if not asked:
+            factor = 10.0 ** -math.ceil(math.log10(strain / most) / power)
+            asked = f"another unit (factor {factor:.3g}: {strain * factor**power:.2g})"
+        return (
+            f"a contact reached a strain of {strain:.3g}, at most {most:g} is plausible: is the "
+            f"displacement in {asked}, not m? Or is the geometry wrong?"
+        )
+
+    def _of_force(self, force: float) -> str:
+        most = self._config.most_force
+        if force <= most or not isinstance(self._geometry, (FlatPunch, Sphere)):
+            return ""
+        asked = _asked(
+            {name: force * factor for name, factor in _FORCES.items()}, _FORCES, *_LIKELY_FORCE
+        )
+        return (
+            f"a contact reached {force:.3g} N, more than plausible.force ({most:g} N): is the "
+            f"force in {asked or 'N'}? If it is that large, set plausible.force"
+        )
+
+    def _of_rate(self, strain: float, elapsed: float) -> str:
+        if 0.0 < self._step < _FASTEST_STEP:
+            return too_fast(self._step)
+        if strain <= _GROWTH * self._judged_strain or strain < _LEAST_STRAIN:
+            return ""
+        self._judged_strain = strain
+        least = self._config.least_strain_rate
+        if self._step < _SLOW_STEP or strain >= least * elapsed:
+            return ""
+        asked = _asked(
+            {name: strain / elapsed / factor for name, factor in _TIMES.items()},
+            _TIMES, *_LIKELY_RATE,
+        )  # fmt: skip
+        return (
+            f"a strain of {strain:.2g} took {elapsed:.3g} s, slower than plausible.strain_rate "
+            f"({least:g} 1/s), and samples come every {self._step:.2g} s: is the time in "
+            f"{asked or 's'}? If the press is that slow, set plausible.strain_rate"
+        )
+
+    def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:
+        if strain <= (0.0 if is_over else _LEAST_STRAIN) or stress <= 0.0:
+            return ""
+        prior = self._prior
+        spread = _NONLINEAR_DEVIATIONS * prior.nonlinear_stiffness_log_sd
+        middle = math.log(prior.nonlinear_stiffness)
+        least, most = (
+            math.log(stress / elastic_response(strain, 1.0, math.exp(middle + one)).value)
+            for one in (spread, -spread)
+        )
+        if least <= math.log(self._high) and most >= math.log(self._low):
+            return ""
+        ratio = math.exp(0.5 * (least + most)) / prior.linear_stiffness
+        units = {**_FORCES, "kN": 1e3}
+        likely = (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
+        asked = _asked(
+            {name: ratio * factor for name, factor in units.items()},
+            units,
+            *likely,
+            is_shown=False,
+        )
+        if ratio > 1.0 and strain < _LEAST_STRAIN:
+            asked = f"{asked or 'N'}, or the displacement in m already (factor 1e3)"
+        return (
+            f"the stress at a strain of {strain:.2g} is some {ratio:.2g} times that of "
+            f"prior.linear_stiffness: is the force in {asked or 'N'}? If not, state the prior"
+        )
+
+
+def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
+    """Return what is implausible of a stream, `force` or `displacement`, in words; or empty.
+
+    `limit` is that of its magnitude [N, m].
+    """
+    if guard.too_large > max(_MIN_SAMPLES, guard.accepted):
+        units = _FORCES if name == "force" else _LENGTHS
+        unit = "N" if name == "force" else "m"
+        words = " or ".join(f"{u} (factor {units[u]:.3g})" for u in list(units)[:2])
+        return (
+            f"most samples of the {name} are beyond {name}.limit ({limit:g} {unit}), up to "
+            f"{guard.largest:.3g}: is it in {words}, not {unit}?"
+        )
+    if 2 * guard.too_close > max(_MIN_SAMPLES, guard.accepted):
+        return too_fast(guard.close_step)
+    if guard.accepted > _MIN_SAMPLES and guard.usual_step < _FASTEST_STEP:
+        return too_fast(guard.usual_step)
+    return ""
+
+
+def too_fast(step: float) -> str:
+    """Return that samples come faster than a sensor measures, every `step` seconds."""
+    return (
+        f"samples come every {step:.2g} s, faster than a force sensor measures: is the time in s "
+        f"already? With the factor 1e3 it would be every {1e3 * step:.2g} s"
+    )
+
+
+def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
+    """Return the least and the greatest plausible G."""
+    spread = max(_PRIOR_DEVIATIONS * prior.linear_stiffness_log_sd, math.log(_PRIOR_FACTOR))
+    g = prior.linear_stiffness
+    low, high = g * math.exp(-spread), g * math.exp(spread)
+    is_pascal = not isinstance(geometry, PassThrough) and geometry.stress_per_force != 1.0
+    if is_pascal:
+        low = max(low, min(_LEAST_STIFFNESS, g / _PRIOR_FACTOR))
+        high = min(high, max(_MOST_STIFFNESS, g * _PRIOR_FACTOR))
+    return low, high
+
+
+def _most_strain(geometry: Geometry) -> float:
+    if isinstance(geometry, FlatPunch):
+        return _MOST_STRAIN_OF_PUNCH
+    return _MOST_STRAIN_OF_SPHERE if isinstance(geometry, Sphere) else _MOST_STRAIN
+
+
+def _asked(
+    values: dict[str, float],
+    factors: dict[str, float],
+    low: float,
+    high: float,
+    *,
+    is_shown: bool = True,
+) -> str:
+    """Return the units whose value is likely, each with its factor and, if shown, its value."""
+    return " or ".join(
+        f"{name} (factor {factors[name]:.3g}" + (f": {value:.2g})" if is_shown else ")")
+        for name, value in values.items()
+        if low <= value <= high
+    )

@@ -1,0 +1,228 @@
+"""Units that cannot be, a geometry that is not stated: said everywhere, and never converged."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from fden_ros.cli import main
+from fden_ros.control.live_tissue import LiveTissue, Refusal
+from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
+from fden_ros.errors import InputError
+from fden_ros.offline.replay import Replay, replay
+from fden_ros.parameters import check
+from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.source import Selection
+from fden_ros.recording.table import Columns
+from fden_ros.report.monitor import MonitorView, monitor_view
+
+PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
+RIGHT = "time_s,force_N,depth_mm*1e-3"
+PROBE = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+#: What the data say counts, so that nothing but the flags stands against a good status.
+RIGID = {
+    **PROBE,
+    "model_error.sd": 0.0,
+    "surface.motion_sd": 0.0,
+    "force.drift_sd": 0.0,
+    "force.friction_sd": 0.0,
+    "displacement.compliance_sd": 0.0,
+    "displacement.delay_sd": 0.0,
+    "geometry.thickness_sd": 0.0,
+}
+SPHERE = {**RIGID, "geometry.kind": "sphere", "geometry.radius": 0.01}
+WIDE = {**RIGID, "prior.linear_stiffness_log_sd": 2.9}
+
+
+def identified(
+    columns: str, parameters: dict[str, object], outputs: list[Output] | None = None
+) -> Replay:
+    return replay(
+        PRESS,
+        check(parameters),
+        Selection(columns=Columns.parse(columns)),
+        on_output=None if outputs is None else lambda output, _frame: outputs.append(output),
+    )
+
+
+WRONG = {
+    "mm": ("time_s,force_N,depth_mm", RIGID, "mm (factor 0.001: 0.3)"),
+    "mm/10": ("time_s,force_N,depth_mm*1e-1", RIGID, "cm (factor 0.01: 0.3)"),
+    "mm/10 under a sphere": ("time_s,force_N,depth_mm*1e-1", SPHERE, "(factor 0.01"),
+    "tenfold": ("time_s,force_N,depth_mm*1e-2", RIGID, "(factor 0.1: 0."),
+    "g": ("time_s,force_N*102,depth_mm*1e-3", RIGID, "is the force in g (factor 0.00981)"),
+    "mN": (
+        "time_s,force_N*1e3,depth_mm*1e-3",
+        {**WIDE, "plausible.force": 50.0},
+        "mN (factor 0.001: 0.097)",
+    ),
+    "ms": ("time_s*1e3,force_N,depth_mm*1e-3", RIGID, "is the time in ms (factor 0.001: "),
+    "thickness in inches": (RIGHT, {**RIGID, "geometry.thickness": 0.79}, "0.0079 m"),
+    "area in cm^2": (RIGHT, {**RIGID, "geometry.area": 0.5}, "5e-05 m^2"),
+}
+
+
+@pytest.mark.parametrize(("columns", "parameters", "words"), WRONG.values(), ids=WRONG)
+def test_wrong_unit_is_never_converged_and_said_with_its_factor(
+    columns: str, parameters: dict[str, object], words: str
+) -> None:
+    outputs: list[Output] = []
+    result = identified(columns, parameters, outputs)
+    assert result.summaries and not result.has_identified
+    assert all(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
+    assert any(words in warning for warning in result.warnings), result.warnings
+    flagged = [o for o in outputs if getattr(o, "flags", Flag.NONE) & Flag.IMPLAUSIBLE]
+    estimates = [o.estimate for o in flagged if isinstance(o, TissueState)]
+    assert estimates and not any(e.converged for e in estimates if e is not None)
+    assert all(o.classes is None for o in flagged if isinstance(o, Classification))
+
+
+@pytest.mark.parametrize(
+    ("columns", "parameters", "words"),
+    [
+        ("time_s*1e-3,force_N,depth_mm*1e-3", RIGID, "is the time in s already"),
+        ("time_s,force_N,depth_mm", {**RIGID, "displacement.limit": 1e-3}, "is it in mm"),
+    ],
+    ids=["ms for s", "beyond the limit"],
+)
+def test_stream_without_a_usable_sample_is_explained(
+    columns: str, parameters: dict[str, object], words: str
+) -> None:
+    result = identified(columns, parameters)
+    assert not result.summaries and any(words in warning for warning in result.warnings)
+    assert not any("overlap" in warning or "axis" in warning for warning in result.warnings)
+
+
+def test_what_is_stated_to_be_so_is_plausible() -> None:
+    slow = identified("time_s*1e3,force_N,depth_mm*1e-3", {**RIGID, "plausible.strain_rate": 0.0})
+    strong = identified(
+        "time_s,force_N*1e4,depth_mm*1e-3",
+        {**WIDE, "prior.linear_stiffness": 5e6, "plausible.force": 2e3},
+    )
+    for result in (slow, strong):
+        assert result.has_identified and not result.warnings
+        assert not any(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
+
+
+@pytest.mark.parametrize("factor", [10, 100])
+def test_slow_recording_is_identified(factor: int) -> None:
+    # 20 and 2 samples a second become one in 50 ms and in 0.5 s; G goes with time^alpha.
+    result = identified(f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
+    assert not result.rejected and not result.warnings
+    for summary, (g, g_n) in zip(result.summaries, ((450.0, 9.0), (700.0, 8.0)), strict=True):
+        assert summary.converged and summary.estimate is not None
+        assert summary.estimate.linear_stiffness == pytest.approx(g * factor**0.131, rel=0.02)
+        assert summary.estimate.nonlinear_stiffness == pytest.approx(g_n, rel=0.01)
+
+
+def test_log_spaced_hold_is_identified(tmp_path: Path) -> None:
+    """Of the hold, ever fewer samples: what a laboratory's relaxation test looks like."""
+    heading, *lines = PRESS.read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines]
+    kept, step = [rows[0]], 0.005
+    for row in rows[1:]:
+        is_hold = 2.6 <= float(row[0]) < 4.0
+        if not is_hold or float(row[0]) - float(kept[-1][0]) >= step:
+            kept.append(row)
+            step = 1.15 * step if is_hold else 0.005
+    times = [float(row[0]) for row in kept]
+    assert max(b - a for a, b in itertools.pairwise(times)) > 0.1
+    table = tmp_path / "log.csv"
+    table.write_text("\n".join([heading, *(",".join(row) for row in kept)]), encoding="utf-8")
+    result = replay(
+        table, check(RIGID), Selection(columns=Columns.parse("time_s*100,force_N,depth_mm*1e-3"))
+    )
+    assert not result.rejected
+    first = result.summaries[0]
+    assert first.converged and not first.flags and first.estimate is not None
+    assert first.estimate.nonlinear_stiffness == pytest.approx(9.0, rel=0.01)
+
+
+def test_nothing_identified_is_an_exit_code_of_its_own(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    config = tmp_path / "probe.yaml"
+    config.write_text("/**: {ros__parameters: {geometry: {area: 3.14e-4, thickness: 0.02}}}\n")
+    command = ["replay", str(PRESS), "--config", str(config), "--json", "--columns"]
+    assert main([*command, "time_s,force_N,depth_mm"]) == 3
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and "nothing was identified" in printed.err
+    assert all("implausible" in c["flags"] for c in json.loads(printed.out)["contacts"])
+    assert main([*command, RIGHT]) == 0
+    assert capsys.readouterr().err == ""
+
+
+# A geometry that is not stated
+
+
+@pytest.mark.parametrize(
+    ("parameters", "example"),
+    [
+        ({}, "kind: flat_punch, area: "),
+        ({"geometry.area": 3.14e-4}, "kind: flat_punch, area: "),
+        ({"geometry.kind": "sphere"}, "kind: sphere, radius: "),
+        ({"geometry.kind": "torsional_rheometer", "geometry.radius": 0.01}, "radius: 0.01, thick"),
+    ],
+)
+def test_without_a_stated_geometry_nothing_is_converged(
+    parameters: dict[str, object], example: str
+) -> None:
+    outputs: list[Output] = []
+    result = identified(RIGHT, {**RIGID, **dict.fromkeys(PROBE, 0.0), **parameters}, outputs)
+    assert not result.has_identified and example in result.warnings[0]
+    flagged = [o for o in outputs if isinstance(o, (TissueState, Classification, ContactSummary))]
+    assert len(flagged) > 100 and all(o.flags & Flag.GEOMETRY_UNSTATED for o in flagged)
+    assert not any(o.estimate.converged for o in outputs if getattr(o, "estimate", None))
+    live = LiveTissue()
+    state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
+    live.add(state, 0.0)
+    assert live.refusal(0.0) is Refusal.REJECTED
+
+
+def test_every_output_says_that_the_geometry_is_not_stated(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    results, page = tmp_path / "results", tmp_path / "press.html"
+    assert main(["replay", str(PRESS), "--columns", RIGHT, "-o", str(results)]) == 3
+    printed = capsys.readouterr()
+    assert printed.out.count("no geometry") == 2
+    assert " ".join(printed.out.split()).count("such as geometry: {kind: flat_punch,") == 1
+    assert main(["replay", str(PRESS), "--columns", RIGHT, "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert all(
+        c["flags"] == ["geometry_unstated"] and not c["converged"] for c in found["contacts"]
+    )
+    assert found["warnings"][0].startswith("the geometry is not stated")
+    assert main(["report", str(PRESS), "--columns", RIGHT, "-o", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "sizes not stated" in text and "none converged" in text
+    assert "a probe that stands in for it" in text
+    messages = [decode(m) for m in BagReader(results).messages(["/diagnostics"])]
+    assert messages
+    for message in messages:
+        (status,) = message.status
+        assert status.level == status.WARN and "the geometry is not stated" in status.message
+
+
+def test_monitor_says_that_the_geometry_is_not_stated() -> None:
+    outputs: list[Output] = []
+    identified(RIGHT, {}, outputs)
+    state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
+    console = Console(width=120, file=io.StringIO(), record=True)
+    console.print(monitor_view(MonitorView("/identifier", state, age=0.0, refusal=None)))
+    assert "geometry_unstated" in console.export_text()
+
+
+def test_value_in_millimetres_is_refused_with_what_it_is_in_metres() -> None:
+    for name, value, words in (
+        ("geometry.thickness", 20, r"\[m\]: 20 mm are 0.02 m"),
+        ("geometry.area", 314.0, r"\[m\^2\]: 314 mm\^2 are 0.000314 m\^2"),
+        ("geometry.radius", 5.0, r"\[m\]: 5 mm are 0.005 m"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check({name: value})
