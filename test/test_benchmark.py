@@ -253,3 +253,46 @@ def test_tables_and_pictures_hold_estimators_that_never_answer(tmp_path):
     figure = Figure(layout="constrained")
     _draw(figure, [result])
     figure.savefig(tmp_path / "empty.png")
+
+
+def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
+    from fden_ros.benchmarks import real
+    from fden_ros.core.estimation.estimate import Estimate
+
+    times = np.linspace(0.0, 5.0, 501)
+    depth = np.minimum(times, 1.0) * 1e-3
+    tests = [
+        real.Test(f"{n} a", "beef_x", times, 1.0 + depth, depth, thickness=0.02) for n in "12"
+    ]
+    estimate = Estimate(0.0, 2.0, 0.2, np.diag([0.01, 0.01, 1e-4]), 0, 0, 1, True, 100)
+    made = [
+        real.Outcome(
+            np.ones(2),
+            np.ones(2),
+            error,
+            coverage,
+            mismatch,
+            False,
+            True,
+            5.0,
+            np.ones(3),
+            estimate,
+        )
+        for error, coverage, mismatch in ((1.0, 0.9, True), (3.0, 1.0, False))
+    ]
+    outcomes = {real.FREE: {t.name: o for t, o in zip(tests, made, strict=True)}}
+    errors = {
+        real.FREE: {t.name: o.error for t, o in zip(tests, made, strict=True)},
+        "last value": {t.name: 4.0 for t in tests},
+    }
+    figures = real._figures(tests, outcomes, errors, (0, 20))
+    report = Report(goals=(), figures=figures, draw=lambda figure: None)
+    methods = report.json_object("real", True)["figures"]["methods"]["beef"]
+    own, other = methods[real.FREE], methods["last value"]
+    wanted = {"median": 2.0, "percentile_90": 2.8, "coverage": 0.95, "half_width": 5.0}
+    wanted |= {"converged": 1.0, "changed": 0.0, "mismatch": 0.5}
+    assert {key: own[key] for key in wanted} == pytest.approx(wanted)
+    assert {key: other[key] for key in wanted} == dict.fromkeys(wanted) | {
+        "median": 4.0,
+        "percentile_90": 4.0,
+    }

@@ -171,7 +171,7 @@ def test_processes_of_this_machine_give_what_replay_gives_and_a_second_run_skips
     said = capsys.readouterr()
     assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in said.out
     (line,) = (line for line in said.err.splitlines() if line.startswith("broken: "))
-    assert str(archive / "broken.mcap") in line and "no MCAP" in line
+    assert str(archive / "broken.mcap") in line and "is not an MCAP file" in line
     rows = rows_of(table)
     assert [Path(row["bag"]).name for row in rows] == ["air", "broken.mcap", "press", "press"]
     assert [bool(row["error"]) for row in rows] == [False, True, False, False]

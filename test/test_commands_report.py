@@ -258,6 +258,7 @@ def test_an_estimate_gone_astray_leaves_the_other_contacts_visible(
     assert stiffness is not None
     assert shown.axes[2].get_ylim()[1] < 3.0 * stiffness.linear_stiffness
     assert shown.axes[4].get_ylim()[1] < 2.0 * wild.replay.summaries[1].max_stress
+    assert shown.axes[5].get_ylim()[1] < 50.0  # percent
     assert "NaN" not in render(wild)
 
 

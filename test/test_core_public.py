@@ -17,6 +17,7 @@ NAMES = [
     "ContactSummary",
     "DynamicModulus",
     "Decision",
+    "Determined",
     "Flag",
     "OrderSource",
     "Phase",

@@ -479,3 +479,21 @@ def test_use_sim_time_follows_the_clock_of_the_player() -> None:
             ),
             "diagnostics stamped with the bag's time",
         )
+
+
+def test_at_the_level_of_debug_the_log_says_what_the_node_decides() -> None:
+    bag = GOLDEN / "golden_press"
+    with Bench() as bench:
+        with identifier(
+            {"autostart": True, "hardware_id": "FT-0815", **LOSSLESS},
+            file=bag / PARAMETER_FILE,
+            first="import sys\nsys.argv += ['--log-level', 'identifier:=debug']",
+        ) as node:
+            bench.wait_until_connected()
+            play(bag, 4.0)
+            bench.wait_for(lambda: len(bench.summaries) >= 2, "every summary")
+            bench.wait_for(lambda: bench.diagnostics, "diagnostics")
+        assert bench.diagnostics[-1].status[0].hardware_id == "FT-0815"
+    log = [line for line in node.output.splitlines() if "DEBUG" in line]  # type: ignore[attr-defined]
+    for words in ("contact 1 begins, at site 1", "-> converged; G ", "contact 2 ends: converged"):
+        assert any(words in line for line in log), node.output  # type: ignore[attr-defined]

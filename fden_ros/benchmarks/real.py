@@ -575,12 +575,17 @@ def _figures(
     }
 
 
+#: Figures that only FDEN has, null for the others.
+_OF_FDEN = ("converged", "changed", "mismatch", "coverage", "half_width")
+
+
 def _own_figures(
     kind: str, tests: Sequence[Test], by_test: Mapping[str, Outcome]
 ) -> dict[str, Any]:
     own = [by_test[t.name] for t in tests if t.kind == kind and t.name in by_test]
     if not own:
-        return {}
+        # The others state no deviation, nor whether they have converged.
+        return dict.fromkeys(_OF_FDEN)
     return {
         "converged": _share(own, "is_converged"),
         "changed": _share(own, "is_changed"),
@@ -621,7 +626,7 @@ def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Error
         own = _errors_of(kind, tests, by_test)
         figures = _own_figures(kind, tests, outcomes.get(name, {}))
         errors_of = [f"{np.median(own):.2f}", f"{np.percentile(own, 90.0):.2f}"]
-        if not figures:
+        if figures["converged"] is None:
             table.add_row(name, *[""] * 6, *errors_of)
             continue
         shares = ("converged", "changed", "mismatch", "coverage")

@@ -224,7 +224,7 @@ def _draw_errors(axes: Axes, session: Session, known: Sequence[ContactSummary]) 
             reaches.append(100 * abs(error) + 200 * sd)
         place, error, width = np.array(rows).T
         axes.errorbar(place, error, width, fmt="o", capsize=3, color=colour, label=name)
-    limit = symmetric_limit(np.array(reaches), 0.1)
+    limit = symmetric_limit(np.array(reaches), 0.1, share=0.5, factor=10.0)
     axes.set_ylim(-limit, limit)
     axes.legend(fontsize="small", frameon=False, ncols=2)
     axes.set_xticks([s.contact_id for s in known])

@@ -41,7 +41,9 @@ def interval_limits(values: Array, low: Array, high: Array) -> tuple[float, floa
     return least - margin, most + margin
 
 
-def symmetric_limit(reaches: Array, least: float, factor: float = 5.0) -> float:
+def symmetric_limit(
+    reaches: Array, least: float, share: float = 0.9, factor: float = 5.0
+) -> float:
     """Return the limit of an axis about 0 that leaves out reaches `factor` beyond most others.
 
     Parameters
@@ -50,11 +52,11 @@ def symmetric_limit(reaches: Array, least: float, factor: float = 5.0) -> float:
         Distances from 0.
     least : float
         The limit is at least this.
-    factor : float
-        What lies beyond this many 90th percentiles is left out.
+    share, factor : float
+        What lies beyond `factor` times the quantile at `share` is left out.
     """
     finite = np.abs(reaches[np.isfinite(reaches)])
     if not finite.size:
         return least
-    usual = factor * float(np.quantile(finite, 0.9, method="lower"))
+    usual = factor * float(np.quantile(finite, share, method="lower"))
     return max(least, 1.1 * float(np.max(finite[finite <= usual], initial=0.0)))
