@@ -17,7 +17,6 @@ NAMES = [
     "ContactSummary",
     "DynamicModulus",
     "Decision",
-    "Determined",
     "Flag",
     "OrderSource",
     "Phase",

@@ -410,7 +410,6 @@ def members(kind: type[enum.IntEnum] | type[enum.IntFlag]) -> dict[str, int]:
     [
         ("STATUS", Status, "TissueEstimate.msg"),
         ("FLAG", Flag, "TissueEstimate.msg"),
-        ("DETERMINED", Determined, "TissueEstimate.msg"),
         ("PHASE", Phase, "TissueEstimate.msg"),
         ("ALPHA", OrderSource, "TissueEstimate.msg"),
         ("DECISION", Decision, "TissueClassification.msg"),
@@ -424,7 +423,7 @@ def test_the_page_of_the_interface_has_every_value_of_an_enumeration(
     heading = {"ALPHA": "`alpha_source`", "FLAG": "`flags`"}.get(prefix, f"`{prefix.lower()}`")
     table = page.partition(f"| {heading}")[2].partition("\n\n")[0]
     named = {name for line in table.splitlines()[2:] for name in quoted(line.split("|")[1])}
-    assert named == set(members(kind)) - ({"NONE"} if kind in (Flag, Determined) else set())
+    assert named == set(members(kind)) - ({"NONE"} if kind is Flag else set())
 
 
 def test_the_page_of_the_interface_gives_the_value_of_every_flag() -> None:
@@ -443,7 +442,7 @@ def test_the_page_of_the_interface_says_which_fields_each_bit_of_valid_covers() 
         r"(?m)^[\w/]+(?:\[\d*\])?\s+([a-z]\w*)\s*(?:#.*)?$",
         text_of(MESSAGES / "TissueEstimate.msg"),
     )
-    always = ["header", "status", "flags", "valid", "determined", "site_id", "contact_id"]
+    always = ["header", "status", "flags", "valid", "site_id", "contact_id"]
     always += ["phase"]
     assert sorted(covered + always) == sorted(fields)
 

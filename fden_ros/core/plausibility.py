@@ -48,7 +48,7 @@ _LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
 #: Strain from which on a contact is judged before it is over [1]: at less the origin counts.
-_LEAST_STRAIN = 0.02
+_LEAST_STRAIN = 0.05
 #: Samples farther apart than this are slow, and closer than this are of no force sensor [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.
