@@ -29,6 +29,7 @@ WARNING_FLAGS = (
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
+    | Flag.ESTIMATE_AT_EDGE
 )
 #: A number under a good status is wrong beyond so many standard deviations and so much of ln G.
 _DEVIATIONS, _SLACK = 5.0, 0.02
