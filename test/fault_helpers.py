@@ -39,6 +39,7 @@ WARNING_FLAGS = (
     | Flag.ESTIMATION_FAILED
     | Flag.FORCE_DRIFTED
     | WITHHELD
+    | Flag.ESTIMATE_AT_EDGE
 )
 #: A number under a good status is wrong beyond so many standard deviations and so much of ln G.
 _DEVIATIONS, _SLACK = 5.0, 0.02

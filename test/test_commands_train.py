@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 import yaml
+from pipeline_helpers import LIVER_FILE
 
 from fden_ros.cli import main
 from fden_ros.tissues.library import load_library
@@ -104,7 +105,7 @@ def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys, suffix
         parquet.write_table(pyarrow.table(columns), path)
     else:
         written(path, body, header)
-    assert train(capsys, path, "-o", tmp_path / "l.yaml")[0] == 0
+    assert train(capsys, path, "-o", tmp_path / "l.yaml", "--config", LIVER_FILE)[0] == 0
     found = load_library(tmp_path / "l.yaml").tissues[0]
     assert found.mean[0] == pytest.approx(mean + 0.8, abs=0.05)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import feed, items_of, parameters_of, summaries_of
+from pipeline_helpers import LIVER_PARAMETERS, feed, items_of, parameters_of, summaries_of
 
 from fden_ros.core.classification.classifier import TissueLibrary
 from fden_ros.core.outputs import Classification, Decision, Flag, Output, Status, TissueState
@@ -46,12 +46,16 @@ def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1, **others)
         displacement=DisplacementSensor(rate_hz=200.0),
     )
     recording = simulate(scenario, 1)
-    parameters = parameters_of(recording) | {
-        "alpha.learn": True,
-        "prior.alpha": 0.2,
-        "prior.alpha_sd": 0.1,
-        "prior.linear_stiffness_log_sd": 1.0,
-    }
+    parameters = (
+        parameters_of(recording)
+        | LIVER_PARAMETERS
+        | {
+            "alpha.learn": True,
+            "prior.alpha": 0.2,
+            "prior.alpha_sd": 0.1,
+            "prior.linear_stiffness_log_sd": 1.0,
+        }
+    )
     parameters |= {name.replace("__", "."): value for name, value in others.items()}
     config = replace(pipeline_config(check(parameters)), library=library)
     outputs: list[Output] = []

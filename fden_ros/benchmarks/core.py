@@ -28,8 +28,10 @@ from scipy.special import gamma
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector
+from fden_ros.core.estimation.estimate import Prior
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.law.interpolation import LogStiffnessGrid
 from fden_ros.core.law.kernel import order_nodes
 from fden_ros.core.law.stress_response import StressBasis
 from fden_ros.core.pipeline import Pipeline
@@ -349,7 +351,7 @@ def _integral() -> float:
 
 
 def _responses() -> float:
-    nodes = math.log(8.4) + 0.1 * np.arange(-8.0, 9.0)
+    nodes = LogStiffnessGrid(math.log(Prior().nonlinear_stiffness), 2.0).nodes
     basis = StressBasis(FlatPunch(1e-4, 0.02), nodes, np.linspace(-0.003, 0.003, 3))
 
     def action() -> None:

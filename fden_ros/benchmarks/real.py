@@ -74,8 +74,8 @@ _SEEN_HOLD = 2.0
 _AT_HOLD = 1e-5
 #: The force noise of these tests, as their README states it [N].
 _FORCE_NOISE = 1e-3
-#: Wide: G anywhere within a factor of 400 of 1 N s^alpha, Gn of 1.7 to 42, alpha of 0 to 0.5.
-_WIDE = Prior(1.0, 3.0, 8.4, 0.8, 0.2, 0.15)
+#: The default prior, for G in N s^alpha as of a face of 1 cm^2.
+_WIDE = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
 _LEAST_ORDER_SD = 0.005
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY_DEVIATION = 1e-9

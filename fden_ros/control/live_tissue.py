@@ -228,7 +228,11 @@ class LiveTissue:
         if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
             return Refusal.NOT_CONVERGED
         if not self._is_known(state):
-            is_linear = ParameterSet.LINEAR_STIFFNESS in state.estimate.known
+            known, valid = state.estimate.known, state.estimate.valid
+            is_linear = (
+                ParameterSet.LINEAR_STIFFNESS in known
+                and ParameterSet.NONLINEAR_STIFFNESS not in valid
+            )
             return Refusal.NOT_OBSERVABLE if is_linear else Refusal.NOT_CONVERGED
         if self._contradicted == state.contact_id:
             return Refusal.CONTRADICTED
@@ -277,6 +281,8 @@ class LiveTissue:
 
     def _is_known(self, state: TissueState) -> bool:
         """Whether what is required has converged."""
+        if ParameterSet.STIFFNESS in self._required and state.status is not Status.CONVERGED:
+            return False
         return state.estimate is not None and self._required in state.estimate.known
 
     def _watch_delay(self, state: TissueState, now: float) -> None:

@@ -69,8 +69,9 @@ _SCALES = (0.0, 1.0)
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
 _RARELY = 40
-#: Share of the prior's deviation of ln G [1] below which the data have said something.
-_KNOWN_SHARE = 0.5
+#: Share of the prior's deviation of ln G [1] below which the data have said something, and
+#: deviation of ln G [1] above which the stress is not normal about its prediction.
+_KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
 
 
 class StressEstimator:
@@ -250,7 +251,7 @@ class StressEstimator:
             is_unimodal=posterior.is_unimodal,
             is_fresh=posterior.is_unimodal or posterior.blocks_since_solved == 0,
             is_exact=self._is_exact,
-            is_beyond_model_error=(self._is_exact or self._is_tissue_known)
+            is_beyond_model_error=self._is_tissue_known
             and all(
                 prediction.residual**2 > CHANGE_DEVIATIONS**2 * (noise + prediction.spread)
                 for prediction in predictions
@@ -279,7 +280,9 @@ class StressEstimator:
     @property
     def _is_tissue_known(self) -> bool:
         """Whether the data say something of the tissue's stiffness: only then can it change."""
-        known = _KNOWN_SHARE * self._config.prior.linear_stiffness_log_sd
+        known = _KNOWN_LOG_SD
+        if len(self._bank) > 1:
+            known = min(known, _KNOWN_SHARE * self._config.prior.linear_stiffness_log_sd)
         return bool(self._best.covariance[_LOG_G, _LOG_G] < known**2)
 
     def _elastic(self, block: Block, state: Array) -> tuple[ElasticResponse, float]:

@@ -1,0 +1,182 @@
+"""What the data determine is told for G, Gn and alpha each, with the default prior."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pipeline_helpers import identified, items_of, parameters_of, summaries_of
+from rich.console import Console
+
+from fden_ros.benchmarks.real import identify as identify_measured
+from fden_ros.benchmarks.real import read_tests
+from fden_ros.control.live_tissue import LiveTissue, Refusal
+from fden_ros.core.estimation.edge import weights_pile_up
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet, Prior
+from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
+from fden_ros.offline.replay import contact_object
+from fden_ros.offline.session import remarks
+from fden_ros.report.table import contact_table, status_words
+from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
+from fden_ros.simulation.scenario import Tissue, ramp_scenario
+from fden_ros.simulation.simulate import simulate
+
+G, GN = ParameterSet.LINEAR_STIFFNESS, ParameterSet.NONLINEAR_STIFFNESS
+ALPHA = ParameterSet.FRACTIONAL_ORDER
+#: Folder of the measured data: not part of the repository.
+DATA = os.environ.get("FDEN_DATA")
+LINEAR, ELASTIC = (20000.0, 1.5, 0.2), (2000.0, 8.0, 1e-6)
+
+
+@cache
+def pressed(tissue: tuple[float, float, float], noise: float = 3.0) -> Sequence[Output]:
+    """Return what the default prior makes of a press and hold of a tissue (G, Gn, alpha)."""
+    scenario = ramp_scenario(
+        strain_rate=0.4,
+        max_strain=0.25,
+        hold_s=1.5,
+        tissue=Tissue(*tissue),
+        rate_hz=200.0,
+        noise_stress_pa=noise,
+        seed=1,
+    )
+    recording = simulate(scenario)
+    stated = parameters_of(recording).items()
+    parameters = {k: v for k, v in stated if not k.startswith(("prior.", "alpha."))}
+    return identified(items_of(recording), parameters)[1]
+
+
+def summary_and_estimate(outputs: Sequence[Output]) -> tuple[ContactSummary, Estimate]:
+    (summary,) = summaries_of(outputs)
+    assert summary.estimate is not None
+    return summary, summary.estimate
+
+
+def states_of(outputs: Sequence[Output]) -> list[TissueState]:
+    return [x for x in outputs if isinstance(x, TissueState) and x.contact_id and x.signals]
+
+
+def off(estimate: Estimate, tissue: tuple[float, float, float]) -> np.ndarray:
+    """Return the errors of ln G, ln Gn and alpha in their deviations."""
+    truth = np.array([math.log(tissue[0]), math.log(tissue[1]), tissue[2]])
+    return (estimate.mean - truth) / estimate.deviations
+
+
+@pytest.mark.parametrize(
+    ("tissue", "noise"),
+    [
+        ((30.0, 12.0, 0.1), 0.3),
+        ((545.0, 8.5, 0.131), 3.0),
+        ((15000.0, 20.0, 0.45), 100.0),
+        ((200000.0, 6.0, 0.32), 300.0),
+    ],
+)
+def test_tissue_of_any_kind_is_identified_without_a_setting(
+    tissue: tuple[float, float, float], noise: float
+) -> None:
+    summary, estimate = summary_and_estimate(pressed(tissue, noise))
+    assert summary.converged and not summary.flags
+    assert estimate.valid == estimate.known == ParameterSet.ALL
+    assert np.all(np.abs(off(estimate, tissue)) < 4.0)
+
+
+def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable() -> None:
+    summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
+    assert not summary.converged and not summary.flags
+    assert estimate.valid == estimate.known == G | ALPHA
+    assert np.all(np.abs(off(estimate, LINEAR)[[0, 2]]) < 4.0)
+    assert status_words(summary) == "G known"
+    (said,) = remarks(summary)
+    assert said.startswith("G is known, Gn is not observable: the strain reached 0.2")
+    assert "press deeper" not in said
+    found = contact_object(summary)
+    assert found["valid_parameters"] == ["linear_stiffness", "fractional_order"]
+    assert found["converged_parameters"] == found["valid_parameters"]
+    assert found["edge_parameters"] == []
+    console = Console(width=120, record=True)
+    console.print(contact_table([summary]))
+    shown = console.export_text()
+    assert f"({estimate.nonlinear_stiffness:.2f} ±" in shown
+    assert f" {estimate.linear_stiffness:.1f} ±" in shown and "in brackets" in shown
+
+
+def test_a_consumer_that_needs_g_alone_has_it_of_near_linear_material() -> None:
+    default, linear = LiveTissue(), LiveTissue(required=G)
+    for state in states_of(pressed(LINEAR, 20.0)):
+        now = state.stamp_ns * 1e-9
+        default.add(state, now)
+        linear.add(state, now)
+    assert default.reading(now) is None
+    assert default.refusal(now) is Refusal.NOT_OBSERVABLE
+    reading = linear.reading(now)
+    assert reading is not None and reading.linear_stiffness == pytest.approx(20000.0, rel=0.1)
+    value, deviation = reading.stiffness(0.1)
+    assert 0.0 < deviation < 0.2 * value
+    # What stiffens how is not known: nothing is predicted.
+    assert linear.predictor(now) is None
+
+
+def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged() -> None:
+    summary, estimate = summary_and_estimate(pressed(ELASTIC))
+    assert summary.flags & Flag.ESTIMATE_AT_EDGE and not summary.converged
+    assert estimate.at_edge == ALPHA and estimate.known == ParameterSet.NONE
+    assert status_words(summary) == "at the edge"
+    said = " ".join(remarks(summary))
+    assert "an end of the range of alpha" in said and "prior knowledge" not in said
+    for state in states_of(pressed(ELASTIC)):
+        assert state.estimate is not None
+        assert bool(state.estimate.at_edge) == bool(state.flags & Flag.ESTIMATE_AT_EDGE)
+        assert not (state.estimate.at_edge and state.estimate.known)
+
+
+def test_what_is_known_survives_the_message() -> None:
+    outputs = pressed(LINEAR, 20.0)
+    summary, _ = summary_and_estimate(outputs)
+    state = states_of(outputs)[-1]
+    assert state.estimate is not None
+    edge = replace(state, estimate=state.estimate._replace(at_edge=ALPHA, known=G))
+    for sent, heard in (
+        (summary, summary_of(summary_message(summary, "probe"))),
+        (state, state_of(estimate_message(state, "probe"))),
+        (edge, state_of(estimate_message(edge, "probe"))),
+    ):
+        one, other = sent.estimate, heard.estimate
+        assert one is not None and other is not None
+        assert (other.valid, other.known, other.at_edge) == (one.valid, one.known, one.at_edge)
+
+
+def test_a_flat_likelihood_is_no_edge_and_one_that_grows_to_the_end_is() -> None:
+    nodes = np.linspace(-2.0, 2.0, 41)
+    log_prior = -0.5 * (nodes / 0.92) ** 2
+    for log_likelihood, is_edge in (
+        (np.zeros(41), False),
+        (np.where(nodes < -1.0, 0.0, -1e3), False),  # Gn is not observable
+        (-4.0 * nodes, True),
+        (4.0 * nodes, True),
+        (-0.5 * (nodes / 0.2) ** 2, False),
+    ):
+        weights = np.exp(log_prior + log_likelihood - np.max(log_prior + log_likelihood))
+        assert weights_pile_up(weights / weights.sum(), log_prior) == is_edge
+
+
+def test_measured_beef_and_silicone_are_identified_without_a_setting() -> None:
+    if not DATA:
+        pytest.skip("set FDEN_DATA to the folder of the measured data")
+    # G in N s^alpha, as of a face of 1 cm^2.
+    prior = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
+    tests = read_tests(Path(DATA))
+    found = {
+        kind: [
+            identify_measured(test, prior, test.times.size)[0]
+            for test in [t for t in tests if t.kind == kind][::step]
+        ]
+        for kind, step in (("beef", 8), ("silicone", 1))
+    }
+    assert np.mean([estimate.converged for estimate in found["beef"]]) >= 0.8
+    assert np.mean([estimate.knows(0) for estimate in found["silicone"]]) >= 0.8
