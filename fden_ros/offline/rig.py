@@ -15,7 +15,6 @@ from fden_ros.recording.source import Selection
 
 #: Parameters of each quantity: the value that a learned one adds to, and its deviation.
 _NAMES = {
-    "compliance": ("displacement.compliance", "displacement.compliance_sd"),
     "delay": ("displacement.delay", "displacement.delay_sd"),
     "friction": ("force.friction", "force.friction_sd"),
 }

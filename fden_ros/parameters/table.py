@@ -190,8 +190,8 @@ class RigParameters:
 
     learn: bool = flag(
         True,
-        "What a contact tells of compliance, delay and friction, the next site knows; false: each "
-        "begins with what is stated here.",
+        "What a contact tells of delay and friction, the next site knows; false: each begins "
+        "with what is stated here.",
     )
 
 
