@@ -88,7 +88,7 @@ def touches():
     own = recording.truth["identifier_parameters"]
     parameters = {name: own[name] for name in own if name.startswith("geometry.")}
     parameters.pop("geometry.thickness_sd", None)
-    return items_of(recording), {**parameters, **PRIOR}
+    return items_of(recording), {**parameters, **PRIOR, "rig.learn": True}
 
 
 def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset():

@@ -61,7 +61,7 @@ class PipelineConfig:
     relative: RelativeConfig | None = None
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
-    learns_rig: bool = True
+    learns_rig: bool = False
 
 
 def labeller_of(config: PipelineConfig) -> Labeller:

@@ -189,7 +189,7 @@ class RigParameters:
     """What is learned of the robot that holds the probe."""
 
     learn: bool = flag(
-        True,
+        False,
         "What a contact tells of delay and friction, the next site knows; false: each begins "
         "with what is stated here.",
     )
