@@ -66,17 +66,17 @@ def test_knowledge_narrows_to_half_of_what_is_stated_and_forgets_what_another_ri
     for value, stated in zip(known.values.values(), ARM.rig_sd, strict=True):
         assert value.sd == pytest.approx(0.5 * stated)
     mean, covariance = known.scaled(ARM)
-    other = known.taught(mean + np.array([0.0, 0.0, 2.1]), covariance, CONFIG)
+    other = known.taught(mean + np.array([0.0, 2.0]), covariance, CONFIG)
     assert other == RigKnowledge.stated(CONFIG)
 
 
 def test_what_is_said_to_be_exact_is_not_learned():
-    uncertainty = replace(ARM, compliance_sd=0.0)
+    uncertainty = replace(ARM, delay_sd=0.0)
     config = replace(CONFIG, uncertainty=uncertainty, friction=0.01)
     known = RigKnowledge.stated(config)
     mean, covariance = known.scaled(uncertainty)
     taught = known.taught(mean, 0.5 * covariance, config)
-    assert taught.values["compliance"] == (0.0, 0.0)
+    assert taught.values["delay"] == (0.0, 0.0)
     assert taught.values["friction"].mean == pytest.approx(0.01)
 
 
@@ -88,7 +88,7 @@ def touches():
     own = recording.truth["identifier_parameters"]
     parameters = {name: own[name] for name in own if name.startswith("geometry.")}
     parameters.pop("geometry.thickness_sd", None)
-    return items_of(recording), {**parameters, **PRIOR}
+    return items_of(recording), {**parameters, **PRIOR, "rig.learn": True}
 
 
 def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset():

@@ -287,7 +287,6 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
         assert math.sqrt(summary.estimate.covariance[0, 0]) > 0.33
 
 
-@pytest.mark.xfail(strict=True, reason="docs/limits.md: beyond what is stated nothing is said")
 def test_a_delay_of_20_ms_gives_no_wrong_number_under_a_good_status() -> None:
     result = identified({"displacement.delay": -0.02})
     for estimate, (g, g_n) in zip(estimates(result), TRUTH, strict=True):

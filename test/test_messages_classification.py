@@ -57,11 +57,10 @@ def summary(classes=CLASSES, decided=None, comparison=None):
 
 
 def test_what_is_learned_of_the_rig_goes_into_the_summary():
-    covariance = ((4e-8, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 0.0))
-    rig = RigKnowledge((1e-4, 2e-3, 0.01), covariance, contacts=3)
+    rig = RigKnowledge((2e-3, 0.01), ((1e-6, 0.0), (0.0, 0.0)), contacts=3)
     message = summary_message(replace(summary(), rig=rig), "probe")
-    assert (message.compliance, message.delay, message.friction) == (1e-4, 2e-3, 0.01)
-    assert (message.compliance_sd, message.delay_sd) == pytest.approx((2e-4, 1e-3))
+    assert (message.delay, message.friction) == (2e-3, 0.01)
+    assert message.delay_sd == pytest.approx(1e-3)
     assert (message.friction_sd, message.rig_contacts) == (0.0, 3)
 
 

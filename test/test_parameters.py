@@ -257,7 +257,7 @@ ARRIVES = {
         1e-3,
     ),
     "displacement.delay_sd": (0.01, {}, lambda c: c.estimator.uncertainty.delay_sd, 0.01),
-    "rig.learn": (False, {}, lambda c: c.learns_rig, False),
+    "rig.learn": (True, {}, lambda c: c.learns_rig, True),
     "surface.motion_sd": (1e-3, {}, lambda c: c.estimator.uncertainty.surface_motion_sd, 1e-3),
     "model_error.sd": (
         0.4,

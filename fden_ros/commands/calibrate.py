@@ -36,8 +36,8 @@ Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
 RIG_DESCRIPTION = """\
-Learn compliance, delay and friction from contacts on any tissue, as the node does while it runs:
-what one contact tells, the next one knows. Print what is known after the last, as parameters.
+Learn delay and friction from contacts on any tissue, as the node does while it runs: what one
+contact tells, the next one knows. Print what is known after the last, as parameters.
 """
 
 RIG_EPILOG = """\
@@ -45,9 +45,8 @@ examples:
   fden calibrate rig session_bag --config arm.yaml -o arm_learned.yaml
   fden calibrate rig session_bag --json | jq .parameters
 
-Recording: ten touches or so at different places, each with a hold and a release. With the
-deviations of a typical arm one touch tells some of friction and delay and hardly anything of the
-compliance; on tissue that rests (surface.motion_sd: 0) it tells more.
+Recording: ten touches or so at different places, each with a hold and a release. The compliance is
+not learned: measure it against something rigid.
 Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
@@ -85,7 +84,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _add_rig_parser(what: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     rig = what.add_parser(
         "rig",
-        help="compliance, delay and friction that the contacts of a recording tell",
+        help="delay and friction that the contacts of a recording tell",
         description=RIG_DESCRIPTION,
         epilog=RIG_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -120,7 +119,7 @@ def run_rig(args: argparse.Namespace) -> int:
         return 0
     values = rig.values
     print(f"{rig.contacts} contacts tell of the rig, beside what the parameters say:")
-    for name, unit in (("compliance", "mm/N"), ("delay", "ms"), ("friction", "mN")):
+    for name, unit in (("delay", "ms"), ("friction", "mN")):
         value = values[name]
         print(f"  {name:<11}{1e3 * value.mean:8.3f} ± {1e3 * value.sd:.3f} {unit}")
     for name, number in learned.items():

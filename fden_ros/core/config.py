@@ -63,7 +63,7 @@ class PipelineConfig:
     relative: RelativeConfig | None = None
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
-    learns_rig: bool = True
+    learns_rig: bool = False
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
 
 

@@ -15,7 +15,6 @@ from fden_ros.recording.source import Selection
 
 #: Parameters of each quantity: the value that a learned one adds to, and its deviation.
 _NAMES = {
-    "compliance": ("displacement.compliance", "displacement.compliance_sd"),
     "delay": ("displacement.delay", "displacement.delay_sd"),
     "friction": ("force.friction", "force.friction_sd"),
 }
@@ -31,12 +30,13 @@ def learn_rig(
     InputError
         If the recording cannot be used, or no contact in it tells of the rig.
     """
-    summaries = replay(bag, parameters, selection, progress=True).summaries
+    learning = parameters.changed({"rig.learn": True})
+    summaries = replay(bag, learning, selection, progress=True).summaries
     rig = summaries[-1].rig if summaries else None
     if rig is None or not rig.contacts:
         raise InputError(
             f"{bag}: none of its {len(summaries)} contacts tells of the rig: it takes contacts "
-            "that converge, without a flag, with hold and release, and rig.learn"
+            "that converge, without a flag, with hold and release"
         )
     return rig
 

@@ -189,9 +189,9 @@ class RigParameters:
     """What is learned of the robot that holds the probe."""
 
     learn: bool = flag(
-        True,
-        "What a contact tells of compliance, delay and friction, the next site knows; false: each "
-        "begins with what is stated here.",
+        False,
+        "What a contact tells of delay and friction, the next site knows; false: each begins "
+        "with what is stated here.",
     )
 
 

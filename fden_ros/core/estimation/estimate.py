@@ -145,9 +145,9 @@ class Uncertainty:
     thickness_sd: float = 0.0
 
     @property
-    def rig_sd(self) -> tuple[float, float, float]:
-        """Deviations of what is the rig's: compliance [m/N], delay [s] and friction [N]."""
-        return self.compliance_sd, self.delay_sd, self.friction_sd
+    def rig_sd(self) -> tuple[float, float]:
+        """Deviations of what is learned of the rig: delay [s] and friction [N]."""
+        return self.delay_sd, self.friction_sd
 
     @property
     def walks(self) -> bool:

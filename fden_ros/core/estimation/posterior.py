@@ -49,6 +49,8 @@ _ORDER = StateIndex.FRACTIONAL_ORDER
 _ORIGIN = StateIndex.STRAIN_ORIGIN
 _BIAS, _DRIFT, _PULSE = StateIndex.BIAS, StateIndex.DRIFT, StateIndex.PULSE
 _RIG = (StateIndex.COMPLIANCE, StateIndex.DELAY, StateIndex.FRICTION)
+#: Of the rig, what is carried from site to site.
+_CARRIED = _RIG[1:]
 _JITTER = StateIndex.JITTER
 _WALK = (StateIndex.WALK, StateIndex.WALK_NEXT)
 #: Parameters that enter the stress linearly, in the order of the state, and those of them whose
@@ -105,9 +107,9 @@ class StressPosterior:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
-    rig : tuple of ndarray, shape (3,), (3, 3)
-        Mean and covariance of compliance, delay and friction before the first contact, in their
-        stated deviations.
+    rig : tuple of ndarray, shape (2,), (2, 2)
+        Mean and covariance of delay and friction before the first contact, in their stated
+        deviations.
     """
 
     def __init__(
@@ -131,6 +133,7 @@ class StressPosterior:
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
             deviations[_JITTER] = _JITTER_SD
+        deviations[_RIG[0]] = np.sign(uncertainty.compliance_sd)
         self._prior = StatePrior(mean, deviations)
         self._know(*rig)
         self._solver = GaussNewton(
@@ -159,13 +162,13 @@ class StressPosterior:
     def _know(self, mean: Array, covariance: Array) -> None:
         """Begin with what is known of the rig."""
         is_open = covariance.diagonal() > 0.0
-        own = np.array(_RIG)[is_open]
+        own = np.array(_CARRIED)[is_open]
         if own.size:
             self._prior.set_group(own, mean[is_open], covariance[np.ix_(is_open, is_open)])
 
     def rig(self) -> tuple[Array, Array]:
-        """Return mean (3,) and covariance (3, 3) of the rig, in its stated deviations."""
-        own = list(_RIG)
+        """Return mean (2,) and covariance (2, 2) of delay and friction, in stated deviations."""
+        own = list(_CARRIED)
         return self.state[own], self.covariance[np.ix_(own, own)]
 
     def _begin_nodes(self) -> None:

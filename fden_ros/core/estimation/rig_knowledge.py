@@ -1,4 +1,10 @@
-"""What is known of the rig: one compliance, delay and friction for all contacts."""
+"""What is known of the rig: one delay and one friction for all contacts.
+
+The compliance is one for all contacts too, but not learned: what contacts tell of it is too little
+where the tissue is soft, and wrong where it is stiff, since the displacement's noise then looks
+like a stiffer tool. The thickness cannot be learned: ln G and ln Gn are off together by its error,
+and nothing else is.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +20,8 @@ from fden_ros.core.estimation.estimate import EstimatorConfig, Uncertainty
 #: a running linearisation, and what they tell is off the same way in each contact.
 _LEAST_SHARE = 0.5
 #: A contact that moves the mean by more than this many deviations of what was known [1] speaks of
-#: another rig: beyond it lie 1e-3 of three normal variables.
-_CONTRADICTION = 4.03
+#: another rig: beyond it lie 1e-3 of two normal variables.
+_CONTRADICTION = 3.72
 
 
 class RigValue(NamedTuple):
@@ -27,14 +33,14 @@ class RigValue(NamedTuple):
 
 @dataclass(frozen=True)
 class RigKnowledge:
-    """Mean and covariance of (compliance [m/N], delay [s], friction [N]).
+    """Mean and covariance of (delay [s], friction [N]).
 
     The tissue is marginalised. A deviation of 0: the quantity is what it is said to be.
 
     Parameters
     ----------
     mean : tuple of float
-        What `displacement.compliance` and `displacement.delay` leave, and the friction.
+        What `displacement.delay` leaves, and the friction.
     covariance : tuple of tuple of float
     contacts : int
         Contacts that have taught it.
@@ -48,20 +54,20 @@ class RigKnowledge:
     def stated(cls, config: EstimatorConfig) -> RigKnowledge:
         """Return what is stated before any contact."""
         variances = np.square(config.uncertainty.rig_sd)
-        return cls((0.0, 0.0, config.friction), _rows(np.diag(variances)))
+        return cls((0.0, config.friction), _rows(np.diag(variances)))
 
     @property
     def values(self) -> dict[str, RigValue]:
-        """Compliance [m/N], delay [s] and friction [N], each with its standard deviation."""
+        """Delay [s] and friction [N], each with its standard deviation."""
         deviations = np.sqrt(np.diag(np.array(self.covariance))).tolist()
-        names = ("compliance", "delay", "friction")
+        names = ("delay", "friction")
         return {
             name: RigValue(mean, sd)
             for name, mean, sd in zip(names, self.mean, deviations, strict=True)
         }
 
     def scaled(self, uncertainty: Uncertainty) -> tuple[Array, Array]:
-        """Return mean (3,) and covariance (3, 3) in the stated deviations; 0 where that is 0."""
+        """Return mean (2,) and covariance (2, 2) in the stated deviations; 0 where that is 0."""
         per = _inverse(uncertainty)
         return np.array(self.mean) * per, np.array(self.covariance) * np.outer(per, per)
 
@@ -70,7 +76,7 @@ class RigKnowledge:
 
         Parameters
         ----------
-        mean, covariance : ndarray, shape (3,), (3, 3)
+        mean, covariance : ndarray, shape (2,), (2, 2)
             The contact's posterior, started from this knowledge, in the stated deviations.
         config : EstimatorConfig
         """
