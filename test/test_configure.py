@@ -82,7 +82,7 @@ def run(*arguments: Any) -> int:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    rig = whole_rig()
+    rig = whole_rig(force_rate=100.0, displacement_rate=100.0)
     return RigBag(rig.streams).write(tmp_path_factory.mktemp("rig") / "bag")
 
 

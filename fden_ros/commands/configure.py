@@ -30,6 +30,7 @@ examples:
   fden configure palpation.mcap -o probe.yaml --flat-punch 3.14e-4 --thickness 0.02
   fden configure plate.mcap tissue.mcap --rigid plate.mcap -o probe.yaml --plot evidence.png
   fden configure robot.csv --columns @500,5,3*1e-3        500 Hz, force and depth by number
+  fden configure --live --robot ur -o probe.yaml          what to do, step by step
   fden configure press.csv --json | jq '.findings[] | select(.claim == false)'
 
 A recording that tells everything: 2 s in the air; the tool turned through three orientations; a
@@ -60,6 +61,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the evidence")
     parser.add_argument(
+        "--live",
+        action="store_true",
+        help="listen to the robot instead, say what to do next, step by step, and wait for it",
+    )
+    parser.add_argument(
+        "--patience",
+        type=float,
+        default=120.0,
+        metavar="S",
+        help="live: go on without a step after this time [s] (default: %(default)g)",
+    )
+    parser.add_argument(
         "--robot",
         metavar="NAME",
         help="topics and conventions of a known robot: crtk, franka, kuka_iiwa, ros2_control, ur, "
@@ -89,15 +102,20 @@ def run(args: argparse.Namespace) -> int:
 
     stated, geometry = _indenter(args)
     robot = robot_named(args.robot) if args.robot else None
-    if not args.recordings:
+    if args.live and args.recordings:
+        args.parser.error("--live listens to topics: name no recording")
+    if not args.recordings and not args.live:
         if robot is not None:
             return _from_conventions(args.output, robot)
         args.parser.error("name a recording, or a robot with --robot")
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     if unknown:
         args.parser.error(f"--rigid {unknown[0]} is none of the recordings")
-    readings = _read(args, robot)
-    found = _survey(readings, stated, geometry, [str(path) for path in args.rigid])
+    if args.live:
+        readings, found = _listen(args, robot, stated, geometry)
+    else:
+        readings = _read(args, robot)
+        found = _survey(readings, stated, geometry, [str(path) for path in args.rigid])
     notes = robot_notes(robot, found) if robot is not None else []
     if args.output is not None:
         text = parameter_file(found, readings, notes)
@@ -110,14 +128,17 @@ def run(args: argparse.Namespace) -> int:
         json.dump(result_object(found, readings), sys.stdout, allow_nan=False)
         print()
         return 0
-    _show(found, readings)
+    _show(found, readings, briefly=args.output is not None)
     for note in notes:
         print(f"note: {note}")
     for problem in replay_problems(found, readings):
         print(f"ATTENTION: {problem}")
     if args.plot is not None:
         print(f"wrote {args.plot}")
-    if args.output is not None:
+    if args.output is not None and args.live:
+        print(f"wrote {args.output}")
+        print(f"Next: ros2 launch fden_ros identifier.launch.py parameters:={args.output}")
+    elif args.output is not None:
         print(f"wrote {args.output}")
         print(f"Next: {replay_command(str(args.output), readings[-1])}")
     else:
@@ -189,11 +210,14 @@ def _from_conventions(output: Path | None, robot: Robot) -> int:
 def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
     from fden_ros.configure.reading import read
     from fden_ros.configure.robots import robot_selection
+    from fden_ros.recording.reader import BagReader
 
     given = selection_of(args)
     readings = []
     for path in args.recordings:
-        selection = given if robot is None else robot_selection(robot, path, given)
+        selection = given
+        if robot is not None:
+            selection = robot_selection(robot, str(path), BagReader(path).topics, given)
         with _bar(f"reading {path.name}") as show:
             readings.append(read(path, selection, show))
     first = readings[0].streams
@@ -208,6 +232,24 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
                 "rig have the same types"
             )
     return readings
+
+
+def _listen(
+    args: argparse.Namespace,
+    robot: Robot | None,
+    stated: dict[str, float | str] | None,
+    geometry: Any,
+) -> tuple[list[Reading], Survey]:
+    from fden_ros.nodes.guide import listen
+
+    reading, found = listen(
+        selection_of(args),
+        robot,
+        lambda reading: _survey([reading], stated, geometry, []),
+        lambda line: print(line, file=sys.stderr, flush=True),
+        args.patience,
+    )
+    return [reading], found
 
 
 def _survey(
@@ -245,7 +287,8 @@ def _save(path: Path, save: Any) -> None:
         raise InputError(f"{path} cannot be written: {reason}") from None
 
 
-def _show(found: Survey, readings: Sequence[Reading]) -> None:
+def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
+    """Print what was found; `briefly` where a file says the rest."""
     from rich import box
     from rich.console import Console
     from rich.markup import escape
@@ -254,8 +297,6 @@ def _show(found: Survey, readings: Sequence[Reading]) -> None:
     from fden_ros.configure.writer import value_text
 
     console = Console()
-    if not console.is_terminal:
-        console.width = 120
     for reading in readings:
         console.print(
             f"{reading.path}: force from {reading.inputs['force']}, displacement from "
@@ -265,22 +306,36 @@ def _show(found: Survey, readings: Sequence[Reading]) -> None:
         )
         for warning in reading.warnings:
             console.print(f"[yellow]warning:[/yellow] {escape(warning)}", soft_wrap=True)
-    for claim, title in ((True, "Found"), (False, "Cannot tell")):
-        table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("")
-        if claim:
-            table.add_column("", no_wrap=True)
-        table.add_column("by" if claim else "because")
-        if not claim:
-            table.add_column("do")
-        for finding in found.findings:
-            if finding.claim != claim:
-                continue
-            cells = [finding.subject, escape(finding.evidence)]
-            if claim:
-                cells.insert(1, escape(value_text(finding)))
-            else:
-                cells.append(escape(finding.motion))
-            table.add_row(*cells)
-        if table.row_count:
-            console.print(table)
+    if briefly:
+        for line in _brief_lines(found):
+            console.print(escape(line), highlight=False)
+        return
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in ("found", "", "by"):
+        table.add_column(heading, no_wrap=heading == "found")
+    for finding in found.findings:
+        if finding.claim:
+            table.add_row(finding.subject, escape(value_text(finding)), escape(finding.evidence))
+    console.print(table)
+    missing = [finding for finding in found.findings if not finding.claim]
+    for motion in dict.fromkeys(finding.motion for finding in missing):
+        same = [finding for finding in missing if finding.motion == motion]
+        names = ", ".join(finding.subject for finding in same)
+        because = "; ".join(dict.fromkeys(finding.evidence for finding in same))
+        console.print(f"cannot tell {names} ({escape(because)}): {motion}", highlight=False)
+
+
+def _brief_lines(found: Survey) -> list[str]:
+    """Return what is stated, a line a quantity, and what is not."""
+    from fden_ros.configure.writer import value_text
+
+    stated: dict[str, list[str]] = {}
+    for finding in found.findings:
+        if finding.claim and finding.value is not None:
+            quantity, _, what = finding.subject.partition(" ")
+            stated.setdefault(quantity, []).append(f"{what} {value_text(finding)}".strip())
+    lines = [f"{quantity}: {', '.join(values)}" for quantity, values in stated.items()]
+    missing = [finding.subject for finding in found.findings if not finding.claim]
+    if missing:
+        lines.append(f"cannot tell: {', '.join(missing)}; the file says what would")
+    return lines

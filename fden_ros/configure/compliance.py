@@ -12,8 +12,8 @@ from fden_ros.configure.rigid import Press
 
 #: A compliance is stated as such up to this relative deviation: 10 % are then 2.5 deviations.
 _LARGEST_SHARE = 0.04
-#: Least deviation, relative, that is stated: a tool bends differently at other places.
-_LEAST_SHARE = 0.002
+#: Least deviation, relative, in the file: a tool bends differently at other places.
+_LEAST_SHARE = 0.02
 _MOTION = (
     "press a rigid plate twice, slowly, to the largest force of your presses, and in the same "
     "recording press tissue (or say that the recording is of a rigid plate: --rigid)"
@@ -32,7 +32,6 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
     sd = math.sqrt(1.0 / float(weights.sum()))
     chi = float(np.sum(((values - value) / sds) ** 2)) / max(len(presses) - 1, 1)
     sd *= math.sqrt(max(chi, 1.0))
-    sd = math.hypot(sd, _LEAST_SHARE * value)
     seconds = tuple(press.session.seconds((press.contact,))[0] for press in presses)
     count = f"{len(presses)} presses in which the displacement is a line of the force"
     if sd > _LARGEST_SHARE * abs(value):
@@ -64,6 +63,6 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
         count,
         parameters={
             "displacement.compliance": float(f"{value:.5g}"),
-            "displacement.compliance_sd": float(f"{max(sd, 0.02 * value):.3g}"),
+            "displacement.compliance_sd": float(f"{max(sd, _LEAST_SHARE * value):.3g}"),
         },
     )

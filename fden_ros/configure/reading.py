@@ -159,8 +159,17 @@ def _read_table(path: Path, selection: Selection) -> Reading:
 
 
 @dataclass
-class _Column:
-    """What one topic carries, collected message by message."""
+class Column:
+    """What one topic carries, collected message by message.
+
+    Parameters
+    ----------
+    topic : Topic
+    field : str or None
+        Field of its messages; None: the type's own vector or joints.
+    what : str
+        ``force`` or ``displacement``.
+    """
 
     topic: Topic
     field: str | None
@@ -178,6 +187,7 @@ class _Column:
         self._path = FieldPath(self.field) if self.field else None
 
     def add(self, data: bytes, log_time_ns: int) -> None:
+        """Take one message as CDR bytes."""
         try:
             message = self._decode(data)
         except Exception:
@@ -230,8 +240,8 @@ class _Column:
 
 def _read_bag(path: Path, selection: Selection, show: Callable[[int, int], object]) -> Reading:
     source = BagSource(path, check({}), selection)
-    force = _Column(source.force, selection.force_field, "force")
-    displacement = _Column(source.displacement, selection.displacement_field, "displacement")
+    force = Column(source.force, selection.force_field, "force")
+    displacement = Column(source.displacement, selection.displacement_field, "displacement")
     columns = {"force": force, "displacement": displacement}
     names = {column.topic.name for column in columns.values()}
     for done, message in enumerate(source.reader.messages(names), start=1):
@@ -240,6 +250,25 @@ def _read_bag(path: Path, selection: Selection, show: Callable[[int, int], objec
                 column.add(message.data, message.log_time_ns)
         if done % 2000 == 0:
             show(done, source.total)
+    return reading_of(path, force, displacement, selection, source.inputs, source.reader.warnings)
+
+
+def reading_of(
+    path: Path,
+    force: Column,
+    displacement: Column,
+    selection: Selection,
+    inputs: dict[str, str],
+    warnings: tuple[str, ...] = (),
+) -> Reading:
+    """Return what two topics have carried so far.
+
+    Raises
+    ------
+    InputError
+        If one of them has too few samples.
+    """
+    columns = {"force": force, "displacement": displacement}
     for what, column in columns.items():
         if len(column.stamps) < _LEAST_SAMPLES:
             raise InputError(
@@ -248,26 +277,24 @@ def _read_bag(path: Path, selection: Selection, show: Callable[[int, int], objec
             )
     streams = _streams(str(path), force, displacement)
     streams, joints = _picked(streams, force.joints, displacement.joints)
-    warnings = [*source.reader.warnings]
-    for column in columns.values():
-        if column.damaged:
-            warnings.append(
-                f"{column.topic.name}: {column.damaged} messages without stamp or value are left "
-                "out"
-            )
+    left_out = tuple(
+        f"{column.topic.name}: {column.damaged} messages without stamp or value are left out"
+        for column in columns.values()
+        if column.damaged
+    )
     return Reading(
         path,
         streams,
         selection,
-        source.inputs,
+        inputs,
         {what: column.topic.type_name for what, column in columns.items()},
         joints,
         {what: column.frame for what, column in columns.items()},
-        tuple(warnings),
+        (*warnings, *left_out),
     )
 
 
-def _streams(name: str, force: _Column, displacement: _Column) -> Streams:
+def _streams(name: str, force: Column, displacement: Column) -> Streams:
     force_stamps = np.array(force.stamps, dtype=np.int64)
     motion_stamps = np.array(displacement.stamps, dtype=np.int64)
     first = int(min(force_stamps.min(), motion_stamps.min()))

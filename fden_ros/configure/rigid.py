@@ -7,19 +7,22 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from fden_ros.configure.axes import Axes, Axis
 from fden_ros.configure.sampling import step_of
-from fden_ros.configure.session import Contact, Session
-from fden_ros.configure.statistics import Fit, fit
+from fden_ros.configure.session import Contact, Mask, Session
+from fden_ros.configure.statistics import Fit, fit, inflation
 from fden_ros.configure.streams import Array
 
 #: Delays that are searched [s].
 _EARLIEST, _LATEST = -0.03, 0.08
 #: The part of a press that counts: above this share of its largest force.
 _LEAST_PUSH = 0.1
+#: The force is averaged over this time [s], and at least over 5 of its steps.
+_SMOOTH, _SMOOTH_STEPS = 0.06, 5.0
+#: Fewer samples of a press make no line.
+_LEAST_SAMPLES = 15
 #: What a line may leave: 1.5 deviations of the noise, or 2 % of the stroke.
 _MOST_NOISE, _MOST_SHARE = 1.5, 0.02
 #: The probe comes and leaves within this time [s], by more than 10 deviations of the noise, and
@@ -116,45 +119,43 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
     way = streams.position[inside] @ axes.displacement.direction
     if stamps.size < 20 or push.size < 20:
         return None
+    force = _Smooth(times, push)
     least = _LEAST_PUSH * float(push.max())
     thin = max(stamps.size // 3000, 1)
 
-    def line(delay: float, some: int = 1) -> tuple[Fit, NDArray[np.intp]] | None:
-        at = np.interp(stamps[::some] - delay, times, push)
-        chosen = at > least
-        if chosen.sum() < 15:
-            return None
-        design = np.stack([np.ones(int(chosen.sum())), at[chosen]], axis=1)
-        return fit(design, way[::some][chosen]), np.flatnonzero(chosen)
+    def chosen_at(delay: float) -> Mask:
+        return np.asarray(force.at(stamps - delay) > least)
 
-    def misfit(delay: float) -> float:
-        found = line(delay, thin)
-        return math.inf if found is None else found[0].sd
+    def line(delay: float, chosen: Mask) -> Fit:
+        at = force.at(stamps[chosen] - delay)
+        return fit(np.stack([np.ones(at.size), at], axis=1), way[chosen])
+
+    def misfit(delay: float, chosen: Mask) -> float:
+        some = chosen.copy()
+        some[np.arange(some.size) % thin > 0] = False
+        return line(delay, some).sd if some.sum() >= _LEAST_SAMPLES else math.inf
 
     grid = np.linspace(_EARLIEST, _LATEST, 12)
-    misfits = [misfit(float(delay)) for delay in grid]
+    misfits = [misfit(float(one), chosen_at(float(one))) for one in grid]
     if not np.isfinite(misfits).any():
         return None
-    best = int(np.nanargmin(misfits))
-    delay = float(
-        minimize_scalar(
-            misfit,
-            bounds=(float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])),
-            method="bounded",
-            options={"xatol": 2e-5},
-        ).x
-    )
-    found = line(delay)
-    if found is None:
-        return None
-    straight, chosen = found
+    delay, reach = float(grid[int(np.argmin(misfits))]), float(grid[1] - grid[0])
+    for _ in range(2):
+        # With the same samples throughout: which ones are in would change the misfit as well.
+        chosen = chosen_at(delay)
+        if chosen.sum() < _LEAST_SAMPLES:
+            return None
+        bounds = (delay - reach, delay + reach)
+        found = minimize_scalar(
+            misfit, bounds=bounds, args=(chosen,), method="bounded", options={"xatol": 1e-5}
+        )
+        delay = float(found.x)
+    straight = line(delay, chosen)
     slope = float(straight.solution[1])
-    rate = _rate(times, push, stamps[chosen] - delay)
-    design = np.stack([np.ones(chosen.size), np.interp(stamps[chosen] - delay, times, push)], 1)
-    beside = fit(design, slope * rate).residual
-    spread = float(straight.covariance[1, 1]) / max(
-        straight.sd**2 * float(np.linalg.pinv(design.T @ design)[1, 1]), 1e-300
-    )
+    at = stamps[chosen] - delay
+    design = np.stack([np.ones(at.size), force.at(at)], axis=1)
+    beside = fit(design, slope * force.rate(at)).residual
+    spread = inflation(straight.residual)
     delay_sd = straight.sd * math.sqrt(spread / max(float(beside @ beside), 1e-300))
     noise = float(np.linalg.norm(session.motion_noise * axes.displacement.direction))
     steps = [step_of(column) or 0.0 for column in streams.position.T]
@@ -183,8 +184,33 @@ def _is_whole(session: Session, contact: Contact, axis: Axis, noise: float) -> b
     return bool(min(np.ptp(along[before]), np.ptp(along[after])) > _CLEAR * noise)
 
 
-def _rate(times: Array, push: Array, at: Array) -> Array:
-    """Return how fast the force changes [N/s], over 60 ms, at `at`."""
-    half = 0.03
-    ahead, behind = (np.interp(at + shift, times, push) for shift in (half, -half))
-    return np.asarray((ahead - behind) / (2.0 * half))
+class _Smooth:
+    """A force averaged over a short time, so that reading it between samples adds no ripple.
+
+    Parameters
+    ----------
+    times, push : Array
+        Samples [s], [N], shape (n,).
+    """
+
+    def __init__(self, times: Array, push: Array) -> None:
+        step = float(np.median(np.diff(times)))
+        self._times, self._push = times, push
+        self._width = max(_SMOOTH, _SMOOTH_STEPS * step)
+        self._grid = np.arange(times[0], times[-1], min(step, 1e-3))
+        fine = np.interp(self._grid, times, push)
+        steps = 0.5 * (fine[1:] + fine[:-1]) * np.diff(self._grid)
+        self._integral = np.concatenate([[0.0], np.cumsum(steps)])
+
+    def at(self, instants: Array) -> Array:
+        """Return the mean force about `instants` [N]."""
+        return self._difference(instants, self._grid, self._integral)
+
+    def rate(self, instants: Array) -> Array:
+        """Return how fast it changes [N/s]."""
+        return self._difference(instants, self._times, self._push)
+
+    def _difference(self, instants: Array, times: Array, values: Array) -> Array:
+        half = 0.5 * self._width
+        ahead, behind = (np.interp(instants + shift, times, values) for shift in (half, -half))
+        return np.asarray((ahead - behind) / self._width)

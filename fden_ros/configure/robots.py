@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,7 +16,7 @@ import yaml
 from fden_ros.configure.survey import Survey
 from fden_ros.configure.writer import MESSAGES
 from fden_ros.errors import InputError
-from fden_ros.recording.reader import BagReader
+from fden_ros.recording.reader import Topic
 from fden_ros.recording.source import Selection
 
 #: A found axis agrees with the convention within this cosine, or is its opposite.
@@ -86,19 +86,28 @@ def robot_named(name: str) -> Robot:
     raise InputError(f"no robot {name} is known: {', '.join(robot_names()) or 'no files found'}")
 
 
-def robot_selection(robot: Robot, path: Path, selection: Selection) -> Selection:
-    """Return where in a bag the robot has force and displacement; what is given stays.
+def robot_selection(
+    robot: Robot, where: str, topics: Sequence[Topic], selection: Selection
+) -> Selection:
+    """Return which topics have the robot's force and displacement; what is given stays.
+
+    Parameters
+    ----------
+    robot : Robot
+    where : str
+        What has the topics, for the line that says what is wrong.
+    topics : sequence of Topic
+    selection : Selection
 
     Raises
     ------
     InputError
-        If the bag has no such topic, or several arms.
+        If none of the topics is the robot's, or those of several arms.
     """
-    reader = BagReader(path)
     chosen: dict[str, Any] = {}
     for what, quantity in (("force", robot.force), ("displacement", robot.displacement)):
         given = getattr(selection, f"{what}_topic")
-        chosen[f"{what}_topic"] = given or _topic(robot, what, quantity, reader)
+        chosen[f"{what}_topic"] = given or _topic(robot, what, quantity, where, topics)
         field = getattr(selection, f"{what}_field")
         chosen[f"{what}_field"] = field or (quantity.field or None if not given else None)
     return Selection(**chosen)
@@ -199,21 +208,23 @@ def _vector(values: Any) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def _topic(robot: Robot, what: str, quantity: Quantity, reader: BagReader) -> str:
+def _topic(
+    robot: Robot, what: str, quantity: Quantity, where: str, all_topics: Sequence[Topic]
+) -> str:
     types = (quantity.type_name, quantity.older_type)
-    topics = [t for t in reader.topics if t.type_name in types and t.message_count]
+    topics = [t for t in all_topics if t.type_name in types and t.message_count]
     for pattern in quantity.topics:
         names = [topic.name for topic in topics if fnmatchcase(topic.name, pattern)]
         if len(names) > 1:
             raise InputError(
-                f"{reader.path}: several topics of {robot.says} carry the {what}: "
+                f"{where}: several topics of {robot.says} carry the {what}: "
                 f"{', '.join(names)}; name it with --{what}-topic"
             )
         if names:
             return names[0]
-    present = ", ".join(f"{t.name} ({t.type_name})" for t in reader.topics) or "none"
+    present = ", ".join(f"{t.name} ({t.type_name})" for t in all_topics) or "none"
     raise InputError(
-        f"{reader.path}: no topic {' or '.join(quantity.topics)} of {quantity.type_name}, where "
+        f"{where}: no topic {' or '.join(quantity.topics)} of {quantity.type_name}, where "
         f"{robot.says} has its {what}: it has {present}; name it with --{what}-topic"
     )
 

@@ -117,6 +117,8 @@ def value_text(finding: Finding) -> str:
         if isinstance(value, float):
             return "grows" if value > 0.0 else "falls"
         return "[" + ", ".join(f"{part:.4f}" for part in value) + "]"
+    if finding.subject == "prior" and isinstance(value, tuple):
+        return "G {:.3g} Pa s^alpha, Gn {:.3g}, alpha {:.2g}".format(*value)
     scale, unit = _SCALES.get(finding.unit, (1.0, finding.unit))
     if isinstance(value, tuple):
         text = "[" + ", ".join(f"{scale * part:.4g}" for part in value) + "]"

@@ -65,7 +65,7 @@ def find_topic(
     candidates = [
         t for t in reader.topics if t.type_name in usable and t.message_count and t != other
     ]
-    chosen = _sensible(candidates, what)
+    chosen = sensible_topics(candidates, what)
     if len(chosen) == 1:
         return chosen[0]
     listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or reader.topics) or "none"
@@ -85,7 +85,8 @@ def named_topic(reader: BagReader, name: str) -> Topic:
     return topics.get(name) or topics.get(f"/{name}") or reader.topic(name)
 
 
-def _sensible(candidates: list[Topic], what: str) -> list[Topic]:
+def sensible_topics(candidates: list[Topic], what: str) -> list[Topic]:
+    """Return those of the topics that most likely carry `what`; see :func:`find_topic`."""
     joints = "sensor_msgs/msg/JointState"
     named = [t for t in candidates if t.name.rsplit("/", 1)[-1] == what]
     if len(named) == 1:

@@ -1,0 +1,201 @@
+"""Listening to a robot of which nothing is known, saying what to do next, and waiting for it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from fden_ros.configure.reading import Column, Reading, reading_of
+from fden_ros.configure.robots import Robot, robot_selection
+from fden_ros.configure.steps import steps_for
+from fden_ros.configure.survey import Survey
+from fden_ros.errors import InputError
+from fden_ros.recording.definitions import message_class
+from fden_ros.recording.reader import Topic
+from fden_ros.recording.source import Selection
+from fden_ros.recording.topics import USABLE_TYPES, sensible_topics
+
+#: Best effort hears every publisher; the queue holds what comes while a survey is made.
+_QOS = QoSProfile(depth=20000, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: How long topics are waited for, and between two looks at what has come [s].
+_TOPICS_WITHIN = 20.0
+_LOOK_EVERY = 2.0
+#: Surveys take no more than this share of the time.
+_BUSY_SHARE = 0.5
+
+Look = Callable[[Reading], Survey]
+
+
+def listen(
+    selection: Selection,
+    robot: Robot | None,
+    look: Look,
+    say: Callable[[str], object],
+    patience: float,
+) -> tuple[Reading, Survey]:
+    """Go through the steps with whoever moves the robot; return what has come and is found.
+
+    Parameters
+    ----------
+    selection : Selection
+        Topics and fields, where they are named.
+    robot : Robot, optional
+        Whose topics they are.
+    look : callable
+        Makes the survey.
+    say : callable
+        Called with what to do next, and with what is done.
+    patience : float
+        A step is given up after this time [s]; Ctrl-C ends all of them.
+
+    Raises
+    ------
+    InputError
+        If there are no topics, or nothing usable comes.
+    """
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("fden_configure", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        return _Guide(node, executor, selection, robot, look, say, patience).run()
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+class _Guide:
+    def __init__(
+        self,
+        node: Node,
+        executor: SingleThreadedExecutor,
+        selection: Selection,
+        robot: Robot | None,
+        look: Look,
+        say: Callable[[str], object],
+        patience: float,
+    ) -> None:
+        self._node, self._executor = node, executor
+        self._selection, self._robot = selection, robot
+        self._look, self._say, self._patience = look, say, patience
+        self._columns: dict[str, Column] = {}
+
+    def run(self) -> tuple[Reading, Survey]:
+        topics = self._find_topics()
+        for what, topic in topics.items():
+            field = getattr(self._selection, f"{what}_field")
+            self._columns[what] = Column(topic, field, what)
+            self._say(f"{what} from {topic.name} ({topic.type_name.replace('/msg/', '/')})")
+        for topic in {topic.name: topic for topic in topics.values()}.values():
+            self._subscribe(topic)
+        try:
+            return self._go_through()
+        except KeyboardInterrupt:
+            reading = self._reading()
+            return reading, self._look(reading)
+
+    def _subscribe(self, topic: Topic) -> None:
+        columns = [column for column in self._columns.values() if column.topic.name == topic.name]
+
+        def take(data: Any) -> None:
+            now = time.time_ns()
+            for column in columns:
+                column.add(data, now)
+
+        kind = message_class(topic.type_name)
+        self._node.create_subscription(kind, topic.name, take, _QOS, raw=True)
+
+    def _go_through(self) -> tuple[Reading, Survey]:
+        reading, found = self._first_look()
+        for step in steps_for(reading.streams.orientation is not None):
+            if step.is_done(found):
+                continue
+            self._say(f"NOW: {step.says}")
+            end = time.monotonic() + self._patience
+            while not step.is_done(found) and time.monotonic() < end:
+                began = time.monotonic()
+                reading = self._reading()
+                found = self._look(reading)
+                took = time.monotonic() - began
+                self._spin(max(_LOOK_EVERY, took * (1.0 / _BUSY_SHARE - 1.0)))
+            answer = "done" if step.is_done(found) else "given up"
+            self._say(f"{answer}: {step.name}")
+        reading = self._reading()
+        return reading, self._look(reading)
+
+    def _first_look(self) -> tuple[Reading, Survey]:
+        end = time.monotonic() + self._patience
+        while True:
+            self._spin(_LOOK_EVERY)
+            try:
+                reading = self._reading()
+                return reading, self._look(reading)
+            except InputError:
+                if time.monotonic() > end:
+                    raise
+
+    def _reading(self) -> Reading:
+        inputs = {what: column.topic.name for what, column in self._columns.items()}
+        force, displacement = self._columns["force"], self._columns["displacement"]
+        return reading_of(Path("live"), force, displacement, self._selection, inputs)
+
+    def _spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    # Topics
+
+    def _find_topics(self) -> dict[str, Topic]:
+        self._say("waiting for topics")
+        end = time.monotonic() + _TOPICS_WITHIN
+        while True:
+            self._spin(0.2)
+            try:
+                return self._chosen(self._present())
+            except InputError:
+                if time.monotonic() > end:
+                    raise
+
+    def _present(self) -> list[Topic]:
+        return [
+            Topic(name, types[0], self._node.count_publishers(name))
+            for name, types in self._node.get_topic_names_and_types()
+            if len(types) == 1
+        ]
+
+    def _chosen(self, present: list[Topic]) -> dict[str, Topic]:
+        selection = self._selection
+        if self._robot is not None:
+            selection = robot_selection(self._robot, "the robot", present, selection)
+            self._selection = selection
+        chosen: dict[str, Topic] = {}
+        for what in ("force", "displacement"):
+            name = getattr(selection, f"{what}_topic")
+            named = [topic for topic in present if topic.name in (name, f"/{name}")]
+            candidates = [
+                topic
+                for topic in present
+                if topic.type_name in USABLE_TYPES[what]
+                and topic.message_count
+                and topic not in chosen.values()
+            ]
+            found = named if name else sensible_topics(candidates, what)
+            if len(found) != 1:
+                listed = ", ".join(f"{t.name} ({t.type_name})" for t in found or present)
+                raise InputError(
+                    f"which topic is the {what}? There are {listed or 'none'}; name it with "
+                    f"--{what}-topic"
+                )
+            chosen[what] = found[0]
+        return chosen
