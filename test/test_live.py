@@ -20,7 +20,7 @@ from rich.console import Console
 from ros_helpers import Bench, identifier, wait_for
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64, String
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from fden_ros.control.live_tissue import Refusal
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
@@ -138,6 +138,21 @@ def test_a_contact_without_position_or_estimate_is_not_on_the_map() -> None:
     assert not stiffness_map.add(replace(summary(1), position=None))
     assert not stiffness_map.add(replace(summary(1), estimate=None))
     assert stiffness_map.cloud().width == 0
+
+
+def test_a_contact_that_is_withdrawn_takes_its_site_off_the_map() -> None:
+    from dataclasses import replace
+
+    stiffness_map = StiffnessMap()
+    stiffness_map.add(summary(1))
+    stiffness_map.add(summary(2))
+    withdrawn = replace(summary(1), estimate=None, converged=False)
+    assert stiffness_map.add(withdrawn)
+    assert withdrawn in stiffness_map
+    assert points(stiffness_map.cloud("base"))["x"] == pytest.approx([0.02])
+    markers = stiffness_map.markers("base").markers
+    assert [m.id for m in markers if m.action == Marker.DELETE] == [1, 1]
+    assert {m.id for m in markers if m.action == Marker.ADD} == {2}
 
 
 def shown(view: MonitorView) -> str:

@@ -350,6 +350,23 @@ def test_a_friction_that_could_not_count_is_refused():
         pipeline_config(check({"force.friction": 0.01, "force.friction_sd": 0.0}))
 
 
+@pytest.mark.parametrize(
+    ("geometry", "distance"),
+    [
+        ({"geometry.area": math.pi * 0.007**2}, 0.0014),
+        ({"geometry.kind": "sphere", "geometry.radius": 0.006}, 0.0012),
+        ({"geometry.kind": "sphere", "geometry.radius": 0.001}, 0.0005),
+        ({"geometry.area": math.pi * 0.03**2}, 0.002),
+        ({"geometry.kind": "pass_through"}, 0.0005),
+    ],
+)
+def test_distance_between_sites_follows_the_probe_s_radius(geometry, distance):
+    config = pipeline_config(check(geometry))
+    assert config.contact.site_distance == pytest.approx(distance)
+    given = pipeline_config(check(geometry | {"site.distance": 0.004}))
+    assert given.contact.site_distance == 0.004
+
+
 def test_library_is_read_from_its_path(tmp_path):
     path = tmp_path / "mine.yaml"
     built_in = resources.files("fden_ros.tissues") / "tissues.yaml"

@@ -203,6 +203,8 @@ class Pipeline:
             return "no force has been measured in the air yet: wait for samples, then tare"
         self._tare_offset += mean
         self._detector.reset()
+        # The air from now on has another bias than that before the last contact.
+        self._ended = None
         return None
 
     def reset(self) -> str | None:
@@ -424,7 +426,7 @@ class Pipeline:
             return
         deviations = ended.aftermath.deviations()
         was_proved, self._is_air_proved = self._is_air_proved, True
-        if abs(deviations) <= _CONTRADICTION:
+        if abs(deviations) <= _CONTRADICTION or not ended.site.is_usable:
             return
         if deviations < 0.0 and not was_proved:
             # What was taken for the first air was a contact: there is no origin, nor a history.

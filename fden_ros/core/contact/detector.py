@@ -55,7 +55,7 @@ class ContactConfig:
     force_noise: float = 0.0
     noise_floor: float = 1e-5
     lookback: float = 5.0
-    site_distance: float = 0.001
+    site_distance: float = 0.2 * math.sqrt(1e-4 / math.pi)  # of the usual punch
     site_timeout: float = 2.0
     approach_axis: Position = (0.0, 0.0, 1.0)
     series_compliance: float = 0.0
@@ -157,6 +157,14 @@ class _Approach(NamedTuple):
         return way > max(
             _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
         )
+
+    def began_in_air(self, threshold: float, rest: float) -> bool:
+        """Whether no force was there [N] when the data began, or none for `rest` [s] since."""
+        if self.force[0] < threshold:
+            return True
+        first = min(self.surface.first, self.time.size - 1)
+        pressed = np.flatnonzero(self.force[:first] >= threshold)
+        return bool(pressed.size) and float(self.time[first] - self.time[pressed[-1]]) > rest
 
     def is_established(self) -> bool:
         """Whether the present rise can be no swing of a force that is shaken by the motion.
@@ -362,7 +370,7 @@ class ContactDetector:
         onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         self._baseline.forget_since(onset_ns)
         level = self._baseline.level(bias, noise, onset_ns)
-        air_seen = float(approach.force[0]) < threshold
+        air_seen = approach.began_in_air(threshold, self._config.site_timeout)
         # A probe that rested there until the force rose may have pressed already: its bias would
         # hide the preload.
         came = not self._config.measure_bias or approach.came_through_air()
