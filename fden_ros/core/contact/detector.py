@@ -223,11 +223,13 @@ class ContactDetector:
         if rise > max(threshold, _RETRY * self._doubted_rise):
             onset = self._begin(bias, threshold, chunk.end_ns)
             if onset is not None:
+                # What was in doubt was a contact, seen too early to tell.
+                self._doubted_rise = 0.0
                 return onset
-            # A force that rises in a straight line, whatever the probe does, is a drift.
-            self.drifts += self._doubted_rise == 0.0
             self._doubted_rise = rise
         elif rise < threshold:
+            # A force that rises in a straight line, whatever the probe does, is a drift.
+            self.drifts += self._doubted_rise > 0.0
             self._doubted_rise = 0.0
         baseline.keep(chunk)
         baseline.is_suspected = self._doubted_rise == 0.0 and baseline.is_rising(bias, noise)
