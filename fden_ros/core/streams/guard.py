@@ -26,7 +26,7 @@ _SPIKE_CHANGES = 12.0
 _MOST_GROWTH = 4.0
 #: Mean step and mean change are used for tests once they rest on 32 samples.
 _USUAL_SAMPLES = 32
-#: Stamps closer than this [ns] are of a single sample: the integral's shortest step.
+#: A force that repeats one value is stuck, and dropped until it changes, after 5 samples in
 #: a row and 5 times longer than its longest run before.
 _STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
