@@ -96,9 +96,17 @@ def script(name: str) -> ModuleType:
 def test_the_parameter_file_holds_every_parameter_at_its_default() -> None:
     path = ROOT / "config" / "identifier.yaml"
     assert path.read_text(encoding="utf-8") == parameter_file(), (
-        "make it anew: fden parameters > config/identifier.yaml"
+        "make it anew: scripts/ros_env scripts/tables"
     )
     assert read_parameter_file(path) == Parameters()
+
+
+def test_each_constant_was_measured_at_the_value_that_it_has() -> None:
+    tables = script("tables")
+    rows = tables.measured().items()
+    measured = {name: row["value"] for name, row in rows if not name.startswith("set ")}
+    values = {name: value for name, (value, _) in tables.constants().items()}
+    assert measured == values, "run scripts/ros_env scripts/constants, then scripts/tables"
 
 
 def test_the_tables_of_parameters_modules_and_constants_follow_the_code() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from sensor_msgs.msg import JointState
+from test_parameter_effects import EFFECTS
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import Uncertainty
@@ -232,109 +233,20 @@ def test_library_that_is_not_there_is_told(tmp_path):
         pipeline_config(check({"classifier.library": str(tmp_path / "none.yaml")}))
 
 
-# What each parameter does: where it arrives, given what else has to be set
+# What each parameter does to what comes out is in test_parameter_effects.py; here, where those
+# arrive whose effect is shown of the part that takes them (test_core_decision.py).
 
-GIVEN = {"origin.source": "given"}
-TOOL = {"tool.mass": 0.1}
-SPHERE = {"geometry.kind": "sphere", "geometry.radius": 0.005}
-RELATIVE = {"classification.mode": "relative"}
 ARRIVES = {
-    "force.threshold": (0.2, {}, lambda c: c.contact.force_threshold, 0.2),
-    "force.noise": (0.01, {}, lambda c: c.contact.force_noise, 0.01),
-    "force.noise_floor": (1e-3, {}, lambda c: c.contact.noise_floor, 1e-3),
-    "force.measure_bias": (False, {}, lambda c: c.contact.measure_bias, False),
-    "force.drift_sd": (0.01, {}, lambda c: c.estimator.uncertainty.force_drift_sd, 0.01),
     "force.friction": (0.01, {}, lambda c: c.estimator.friction, 0.01),
-    "force.friction_sd": (0.0, {}, lambda c: c.estimator.uncertainty.friction_sd, 0.0),
-    "force.limit": (10.0, {}, lambda c: c.synchronize.force_limit, 10.0),
-    "displacement.delay": (0.02, {}, lambda c: c.synchronize.displacement_delay, 0.02),
-    "displacement.limit": (1.0, {}, lambda c: c.synchronize.displacement_limit, 1.0),
-    "displacement.compliance": (1e-4, {}, lambda c: c.contact.series_compliance, 1e-4),
-    "displacement.compliance_sd": (
-        1e-3,
-        {},
-        lambda c: c.estimator.uncertainty.compliance_sd,
-        1e-3,
-    ),
-    "displacement.delay_sd": (0.01, {}, lambda c: c.estimator.uncertainty.delay_sd, 0.01),
     "rig.learn": (True, {}, lambda c: c.learns_rig, True),
-    "surface.motion_sd": (1e-3, {}, lambda c: c.estimator.uncertainty.surface_motion_sd, 1e-3),
-    "model_error.sd": (
-        0.4,
-        {},
-        lambda c: (c.estimator.uncertainty.characteristic_sd, c.estimator.uncertainty.kernel_sd),
-        (0.4, 0.1),
-    ),
-    "synchronize.max_gap": (0.1, {}, lambda c: c.synchronize.max_gap, 0.1),
-    "synchronize.window": (2.0, {}, lambda c: c.synchronize.pairing_window, 2.0),
-    "geometry.kind": ("pass_through", {}, lambda c: c.geometry, PassThrough()),
-    "geometry.area": (2e-4, PUNCH, lambda c: c.geometry, FlatPunch(2e-4, 0.02)),
-    "geometry.thickness": (0.03, PUNCH, lambda c: c.geometry, FlatPunch(1e-4, 0.03)),
-    "geometry.radius": (0.01, SPHERE, lambda c: c.geometry, Sphere(0.01)),
-    "geometry.hayes": (True, PUNCH, lambda c: c.geometry, FlatPunch(1e-4, 0.02, 0.5)),
-    "geometry.poisson_ratio": (
-        0.45,
-        {**PUNCH, "geometry.hayes": True},
-        lambda c: c.geometry,
-        FlatPunch(1e-4, 0.02, 0.45),
-    ),
-    "geometry.thickness_sd": (0.1, {}, lambda c: c.estimator.uncertainty.thickness_sd, 0.1),
     "plausible.force": (50.0, {}, lambda c: c.plausibility.most_force, 50.0),
     "plausible.strain_rate": (0.0, {}, lambda c: c.plausibility.least_strain_rate, 0.0),
-    "origin.source": ("given", {}, lambda c: c.strain_origin, 0.0),
-    "origin.displacement": (-0.1, GIVEN, lambda c: c.strain_origin, -0.1),
-    "contact.lookback": (2.0, {}, lambda c: c.contact.lookback, 2.0),
-    "site.distance": (0.01, {}, lambda c: c.contact.site_distance, 0.01),
-    "site.timeout": (9.0, {}, lambda c: c.contact.site_timeout, 9.0),
-    "alpha.learn": (False, {}, lambda c: c.estimator.fractional_order_given, True),
-    "estimator.observation": (
-        "fractional_stress",
-        {},
-        lambda c: c.estimator.observation.value,
-        "fractional_stress",
-    ),
-    "prior.linear_stiffness": (900.0, {}, lambda c: c.estimator.prior.linear_stiffness, 900.0),
-    "prior.linear_stiffness_log_sd": (
-        0.5,
-        {},
-        lambda c: c.estimator.prior.linear_stiffness_log_sd,
-        0.5,
-    ),
-    "prior.nonlinear_stiffness": (5.0, {}, lambda c: c.estimator.prior.nonlinear_stiffness, 5.0),
-    "prior.nonlinear_stiffness_log_sd": (
-        0.5,
-        {},
-        lambda c: c.estimator.prior.nonlinear_stiffness_log_sd,
-        0.5,
-    ),
-    "prior.alpha": (0.3, {}, lambda c: c.estimator.prior.fractional_order, 0.3),
-    "prior.alpha_sd": (0.1, {}, lambda c: c.estimator.prior.fractional_order_sd, 0.1),
-    "converged.log_sd": (0.05, {}, lambda c: c.estimator.converged_log_sd, 0.05),
-    "converged.linear_log_sd": (
-        0.2,
-        {},
-        lambda c: c.estimator.converged_linear_log_sd,
-        0.2,
-    ),
+    "converged.linear_log_sd": (0.2, {}, lambda c: c.estimator.converged_linear_log_sd, 0.2),
     "converged.alpha_sd": (0.02, {}, lambda c: c.estimator.converged_order_sd, 0.02),
-    "converged.probability": (0.9, {}, lambda c: c.estimator.converged_probability, 0.9),
-    "estimate.period": (0.02, {}, lambda c: c.block_duration, 0.02),
-    "estimate.time_scale": (1.0, {}, lambda c: c.apparent_stiffness_time_scale, 1.0),
-    "dither.frequencies": ([5.0, 0.0, 2.0], {}, lambda c: c.dither_frequencies, (2.0, 5.0)),
-    "dither.periods": (8, {}, lambda c: c.dither_periods, 8),
-    "classification.mode": (
-        "relative",
-        {},
-        lambda c: c.relative and (c.relative.ratio, c.relative.strain, c.relative.time_scale),
-        (1.5, 0.1, 0.1),
-    ),
     "classification.probability": (0.9, {}, lambda c: c.decision.probability, 0.9),
     "classification.release": (0.6, {}, lambda c: c.decision.release, 0.6),
     "classification.dwell": (1.0, {}, lambda c: c.decision.dwell, 1.0),
     "classification.significance": (0.01, {}, lambda c: c.decision.significance, 0.01),
-    "classification.ratio": (2.0, RELATIVE, lambda c: c.relative.ratio, 2.0),
-    "classification.strain": (0.2, RELATIVE, lambda c: c.relative.strain, 0.2),
-    "classification.distance": (0.1, RELATIVE, lambda c: c.relative.distance, 0.1),
 }
 
 
@@ -448,7 +360,7 @@ TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
 
 
 def test_no_parameter_is_without_a_test():
-    shown = {*ARRIVES, *READ, *LIVE, *TOOLS, "classifier.library"}
+    shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, "classifier.library"}
     assert shown == {parameter.name for parameter in PARAMETERS}
     live = "".join(
         (Path(__file__).parent / name).read_text(encoding="utf-8")

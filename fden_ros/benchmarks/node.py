@@ -50,7 +50,7 @@ examples:
 The figures hold for a machine that does nothing else: the load is printed beside them.
 """
 
-_SECONDS, _QUICK_SECONDS = 600.0, 15.0
+_SECONDS, _QUICK_SECONDS = 600.0, 12.0
 _ROUNDS = 5
 _SATURATION_SECONDS, _QUICK_SATURATION_SECONDS = 20.0, 3.0
 _RATES = (2000.0, 4000.0)

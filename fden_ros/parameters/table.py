@@ -529,7 +529,7 @@ class DitherParameters:
     periods: int = whole_number(
         4,
         "1",
-        "One complex modulus per so many periods of the lowest frequency.",
+        "One complex modulus per this number of periods of the lowest frequency.",
         1,
         1000,
     )
@@ -558,14 +558,14 @@ class ClassificationParameters:
     probability: float = number(
         0.7,
         "1",
-        "A class is named when it is at least so probable.",
+        "A class is named when its probability is at least this.",
         0.34,
         1.0,
     )
     release: float = number(
         0.5,
         "1",
-        "It stays named while it is at least so probable.",
+        "It stays named while its probability is at least this.",
         0.0,
         1.0,
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fden_ros.core.classification.classifier import UNKNOWN, ClassProbabilities
+from fden_ros.core.streams.samples import NANOSECONDS
 
-_NANOSECONDS = 1_000_000_000
 #: An unknown place becomes known when its typicality exceeds the significance by this factor.
 _TEST_HYSTERESIS = 2.0
 
@@ -81,7 +81,7 @@ class Decider:
         return self.label
 
     def _has_stood(self, stamp_ns: int) -> bool:
-        return stamp_ns - self._since_ns >= self._config.dwell * _NANOSECONDS
+        return stamp_ns - self._since_ns >= self._config.dwell * NANOSECONDS
 
     def _answer(self, classes: ClassProbabilities) -> str:
         config = self._config

@@ -32,7 +32,10 @@ LEAST_SURROUNDINGS = 4
 _FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
 #: Tissue that varies less is not believed.
 _LEAST_SD = 0.02
+#: Standard deviation of a normal variable over the median of its magnitude [1].
 _MEDIAN_TO_SD = 1.4826
+#: Turns of the fixed point for mean, spread and share [1]: after half as many nothing moves by
+#: more than 5 %.
 _ITERATIONS = 30
 #: The interval of the logarithm of a ratio ends here, so that its exponential does not overflow.
 _LARGEST_LOG = 100.0

@@ -22,6 +22,8 @@ class Surface(NamedTuple):
     evidence: float  #: chi-squared by which a contact explains the force better than a drift does
 
 
+#: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
+#: onset, then 40 about the best: the work is bounded, however many samples a window holds.
 _MAX_BINS = 96
 _CANDIDATES = 40
 #: The first window is this long [s] and holds at least this many samples; it doubles until the

@@ -33,9 +33,10 @@ _ORIGIN = StateIndex.STRAIN_ORIGIN
 #: their own they run away.)
 _LONGEST_STEP = (1.0, 0.3, 0.05, 0.02)
 #: Prior deviations [1] within which the origin and the linear parameters stay: in the golden bags
-#: no node of ln Gn, however unlikely, asks for more than 25.
+#: no node of ln Gn, however unlikely, asks for more than 25. Half or twice gives the same bits.
 _REACH_DEVIATIONS = 100.0
-#: Steps of a solution at most [1]: of one state, and of the nodes.
+#: Steps of a solution at most [1]: of one state, and of the nodes; what has not converged by then
+#: goes on at the next solution.
 _MOST_STEPS, _MOST_NODE_STEPS = 10, 3
 #: Times [1] that the nodes are given these steps while they have not converged.
 _MOST_ROUNDS = 4
@@ -47,7 +48,8 @@ _CLOSE = 0.01
 _FAR = 1.0
 #: Weight [1] below which a node does not count.
 _LEAST_WEIGHT = 1e-6
-#: Eigenvalues of a scaled Hessian [1] below this are rounding.
+#: Eigenvalues of a scaled Hessian [1] below this are rounding: its elements are 1, and known to
+#: 2e-16 times their number and the growth of the sums.
 _SINGULAR = 1e-11
 #: Distance from the prior [1] at which ln G stops: a factor of 160,000 either way is no tissue.
 LOG_REACH = 12.0

@@ -79,7 +79,9 @@ _TINY_DEVIATION = 1e-12
 #: Standard deviation of a change of ln G [1]: a lesion is up to several times stiffer than what is
 #: around it.
 _CHANGE_OF_LOG_G = 1.0
-#: Deviation of the pulse of phi at a change [1], as a share of the fractional stress.
+#: Deviation of the pulse of phi at a change [1], as a share of the fractional stress: what
+#: was pressed before the change is unknown, up to twice what the law makes of it. Half or twice
+#: finds the same changes.
 _PULSE_SHARE = 2.0
 
 

@@ -62,12 +62,11 @@ _GRID_DEVIATIONS, _WIDEST_GRID = 4.0, 2.0
 #: Distance of the outer nodes of the strain origin from 0: in its standard deviations [1], and at
 #: least [1]: nodes too close would make the parabola through them ill-conditioned.
 _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
-#: Least time [s] between a change and the block that proves it.
-_SHORTEST_PULSE = 0.002
 #: Scales of the model's error in the bank, as multiples of what `Uncertainty` states [1].
 _SCALES = (0.0, 1.0)
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
+#: Blocks [1] after which a scale of less weight than that is solved for all the same.
 _RARELY = 40
 #: Share of the prior's deviation of ln G [1] below which the data have said something, and
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
@@ -329,7 +328,7 @@ class StressEstimator:
         if change.state is not None:
             self._best.state = change.state
         late = block.memory_time + 0.5 * block.duration - change.time
-        self._basis.freeze(*self._best.law_weights(), max(late, _SHORTEST_PULSE))
+        self._basis.freeze(*self._best.law_weights(), late)
         for posterior in self._bank:
             if posterior is not self._best:
                 posterior.state = self._best.state.copy()

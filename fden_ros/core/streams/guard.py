@@ -29,8 +29,8 @@ _SPIKE_CHANGES = 12.0
 _MOST_GROWTH = 4.0
 #: Mean step and mean change are used for tests once they rest on 32 samples.
 _USUAL_SAMPLES = 32
-#: A force that is not constant by nature is stuck when it repeats a value at least 5 times in
-#: a row and 5 times longer than its longest run before ...
+#: A force that repeats one value is stuck, and dropped until it changes, after 5 samples in a row
+#: and 5 times longer than its longest run before ...
 _STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
 #: ... unless it comes in steps that its usual change is no 4 of: such a force stands still between

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
+#: In a second.
 NANOSECONDS = 1_000_000_000
 
 
