@@ -64,6 +64,8 @@ _GRID_DEVIATIONS, _WIDEST_GRID = 4.0, 2.0
 _ORIGIN_REACH, _LEAST_ORIGIN_REACH = 2.0, 0.003
 #: Scales of the model's error in the bank, as multiples of what `Uncertainty` states [1].
 _SCALES = (0.0, 1.0)
+#: Least duration of a block for which the tissue yields to a bending tool [s]: that of one sample.
+_SHORTEST_BLOCK = 0.002
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
 #: Blocks [1] after which a scale of less weight than that is solved for all the same.
@@ -310,7 +312,7 @@ class StressEstimator:
 
     def _bend(self, block: Block, state: Array, slope: float) -> None:
         """Let the response to the compliance go on at the present state, by a block's force."""
-        duration = max(block.duration, _SHORTEST_PULSE)
+        duration = max(block.duration, _SHORTEST_BLOCK)
         stiffness = slope * apparent_stiffness_factor(float(state[_ORDER]), duration)
         in_origin, _ = self._in_origin(float(state[_ORIGIN]))
         force = self._rig.bend(block.compression, stiffness)
