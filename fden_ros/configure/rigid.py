@@ -150,10 +150,11 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
             misfit, bounds=bounds, args=(chosen,), method="bounded", options={"xatol": 1e-5}
         )
         delay = float(found.x)
-    straight = line(delay, chosen)
-    slope = float(straight.solution[1])
+    # An average flattens bends, so the slope is that over the force as it is.
     at = stamps[chosen] - delay
-    design = np.stack([np.ones(at.size), force.at(at)], axis=1)
+    design = np.stack([np.ones(at.size), np.interp(at, times, push)], axis=1)
+    straight = fit(design, way[chosen])
+    slope = float(straight.solution[1])
     beside = fit(design, slope * force.rate(at)).residual
     spread = inflation(straight.residual)
     delay_sd = straight.sd * math.sqrt(spread / max(float(beside @ beside), 1e-300))
