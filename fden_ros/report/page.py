@@ -16,6 +16,7 @@ from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
+from fden_ros.report.law_picture import law_picture
 from fden_ros.report.table import DASH, plus_minus, status_words
 
 #: Stamps before this are no dates, but times since something else began.
@@ -197,6 +198,9 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         drawings.append(plots.convergence(contact, session.truth.get(summary.site_id)))
     if any(state.innovation is not None for state in states):
         drawings.append(plots.innovations(contact))
+    law = law_picture(session, contact, summary)
+    if law is not None:
+        drawings.append(law)
     place = ""
     if summary.position is not None:
         place = (
