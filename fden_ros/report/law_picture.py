@@ -78,7 +78,9 @@ def deviation_of(
         return None
     config = pipeline_config(session.parameters).estimator
     start = np.append(estimate.mean, 0.0)
-    fit = LawFit(record, 0.0, geometry, config.prior, config.uncertainty, start, 0.0)
+    variances = [s.innovation.variance for s in contact.states.items if s.innovation is not None]
+    noise_sd = math.sqrt(float(np.median(variances))) if variances else 0.0
+    fit = LawFit(record, noise_sd, geometry, config.prior, config.uncertainty, start, 0.0)
     try:
         for _ in fit.steps():
             pass
