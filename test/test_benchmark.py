@@ -13,7 +13,7 @@ from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, bounds, contact_bounds, slope
 from fden_ros.benchmarks.simulated import STRESS, Outcome, Trial, run_trial
 from fden_ros.cli import main
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimate import ParameterSet, Prior
 from fden_ros.simulation.closed_form import FdenModel, LinearMove
 
 # The framework
@@ -264,7 +264,9 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     tests = [
         real.Test(f"{n} a", "beef_x", times, 1.0 + depth, depth, thickness=0.02) for n in "12"
     ]
-    estimate = Estimate(0.0, 2.0, 0.2, np.diag([0.01, 0.01, 1e-4]), 0, 0, 1, True, 100)
+    everything = ParameterSet.ALL
+    covariance = np.diag([0.01, 0.01, 1e-4])
+    estimate = Estimate(0.0, 2.0, 0.2, covariance, 0, 0, 1, everything, everything, 100)
     made = [
         real.Outcome(
             np.ones(2),

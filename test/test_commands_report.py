@@ -16,6 +16,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from fden_ros.cli import main
+from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.law.geometry import FlatPunch, Sphere
 from fden_ros.offline.session import (
     Contact,
@@ -228,7 +229,7 @@ def astray(session: Session, log_stiffness: float) -> Session:
         wild = estimate._replace(
             log_linear_stiffness=log_stiffness,
             covariance=estimate.covariance + np.diag([900.0, 900.0, 0.0]),
-            converged=False,
+            known=ParameterSet.NONE,
         )
         return replace(item, estimate=wild)
 

@@ -124,8 +124,8 @@ def test_without_a_library_nothing_is_classified():
 
 
 def test_classification_carries_the_mismatch_of_its_contact():
-    # The force is ten times as noisy as it is said to be.
-    outputs = pressed(BUILT_IN, HOLD, noise=5.0, force__noise=0.5e-3 * math.pi * 0.1)
+    # The force is three times as noisy as it is said to be.
+    outputs = pressed(BUILT_IN, HOLD, noise=5.0, force__noise=1.67e-3 * math.pi * 0.1)
     (summary,) = summaries_of(outputs)
     assert summary.flags & Flag.MODEL_MISMATCH
     assert answers(outputs)[-1].flags & Flag.MODEL_MISMATCH

@@ -237,14 +237,14 @@ def test_depth_in_mm_shows_as_the_readme_says() -> None:
     result = identified({}, "time_s,force_N,depth_mm")
     assert not any(converged(result))
     assert all(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
-    assert "a strain of 297" in result.warnings[0] and "factor 0.001" in result.warnings[0]
+    assert "a strain of 295" in result.warnings[0] and "factor 0.001" in result.warnings[0]
 
 
 def test_a_geometry_that_is_not_stated_shows_as_the_readme_says() -> None:
     result = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
     assert not any(converged(result))
     assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in result.summaries)
-    assert stiffness(result) == pytest.approx([1249.0, 2001.0], rel=0.01)
+    assert stiffness(result) == pytest.approx([1443.0, 2156.0], rel=0.01)
     area = {"geometry.area": 1e-4}
     # Where nothing is left open, the prior counts nothing beside the data.
     for wrong, right in zip(
@@ -260,8 +260,8 @@ def test_a_shallow_press_shows_as_the_readme_says(tmp_path: Path) -> None:
     assert summary.estimate is not None
     assert summary.estimate.valid == summary.estimate.known == ParameterSet.LINEAR_STIFFNESS
     g_n = math.exp(summary.estimate.log_nonlinear_stiffness)
-    assert g_n == pytest.approx(5.67, abs=0.01)
-    assert g_n * math.sqrt(summary.estimate.covariance[1, 1]) == pytest.approx(4.36, abs=0.02)
+    assert g_n == pytest.approx(5.57, abs=0.01)
+    assert g_n * math.sqrt(summary.estimate.covariance[1, 1]) == pytest.approx(4.22, abs=0.02)
 
 
 #: Four deviations either way hold Gn from 13.5 to 67.
@@ -289,8 +289,11 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
     assert all(converged(result))
     assert all(abs(error) < 4.0 for contact in errors(result) for error in contact)
     for estimate, truth in zip(estimates(result), TRUTH, strict=True):
-        assert math.exp(estimate[0]) == pytest.approx(truth[0], rel=0.28)
-        assert math.exp(estimate[1]) == pytest.approx(truth[1], rel=0.19)
+        assert math.exp(estimate[0]) == pytest.approx(truth[0], rel=0.235)
+        assert math.exp(estimate[1]) == pytest.approx(truth[1], rel=0.20)
+    orders = [estimate.fractional_order for estimate in estimates(result)]
+    late = delay < 0.0  # later than is stated
+    assert orders == pytest.approx([0.318, 0.259] if late else [0.131, 0.131], abs=0.012)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary in exact.summaries:
         assert not summary.converged
@@ -299,14 +302,44 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
         assert math.sqrt(summary.estimate.covariance[0, 0]) > 0.33
 
 
-def test_a_delay_of_20_ms_gives_no_wrong_number_under_a_good_status() -> None:
-    result = identified({"displacement.delay": -0.02})
+LATE = pytest.mark.xfail(
+    strict=True,
+    reason="late displacement is taken for slow tissue: alpha off by 7 to 29 deviations, Gn by up"
+    " to 5, converged: docs/limits.md",
+)
+
+
+@pytest.mark.parametrize(
+    "delay",
+    [pytest.param(-0.02, marks=LATE), pytest.param(-0.01, marks=LATE), -0.0025, 0.01, 0.02],
+)
+def test_a_delay_gives_no_wrong_number_under_a_good_status(delay: float) -> None:
+    result = identified({"displacement.delay": delay})
     for estimate, (g, g_n) in zip(estimates(result), TRUTH, strict=True):
         error = estimate.mean - [math.log(g), math.log(g_n), 0.131]
         for index in range(3):
             assert (
                 not estimate.knows(index) or abs(error[index]) < 5.0 * estimate.deviations[index]
             )
+
+
+def test_late_displacement_is_as_wrong_as_the_page_on_limits_says() -> None:
+    table = rows(text_of("docs/limits.md"))
+    assert len(table) == 4
+    for late, contacts in (("10 ms", table[:2]), ("20 ms", table[2:])):
+        result = identified({"displacement.delay": -1e-3 * float(late.removesuffix(" ms"))})
+        assert all(converged(result))
+        assert result.summaries[0].flags == Flag.NONE
+        for estimate, row in zip(estimates(result), contacts, strict=True):
+            assert row[0] == late
+            values = [math.exp(estimate.mean[0]), math.exp(estimate.mean[1]), estimate.mean[2]]
+            scales = [values[0], values[1], 1.0]
+            deviations = [
+                float(scale * sd) for scale, sd in zip(scales, estimate.deviations, strict=True)
+            ]
+            shown = [[float(number) for number in cell.split(" ± ")] for cell in row[1:]]
+            assert values == pytest.approx([value for value, _ in shown], rel=0.02)
+            assert deviations == pytest.approx([sd for _, sd in shown], rel=0.05)
 
 
 def test_no_state_converges_where_the_prior_excludes_the_tissue() -> None:
@@ -596,7 +629,8 @@ def test_tissue_is_identified_from_arrays_in_ten_lines_where_there_is_no_ros() -
         check=True,
     )
     shown = next(b for b in code_blocks(text_of("docs/python.md")) if b.startswith("[4"))
-    assert_alike(done.stdout, shown)
+    # A last digit of 0 is printed as a blank.
+    assert_alike(*(re.sub(r"\s+\]", "]", text) for text in (done.stdout, shown)))
     found = [float(number) for number in re.findall(r"[\d.]+\d", done.stdout)]
     result = identified({})
     replayed = [math.exp(value) for estimate in estimates(result) for value in estimate[:2]]

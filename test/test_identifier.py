@@ -299,9 +299,12 @@ def test_a_bad_parameter_at_start_ends_the_node_with_a_line_that_names_it(
 def test_a_geometry_that_is_not_stated_is_said_in_estimates_diagnostics_and_log() -> None:
     with Bench() as bench, identifier({"autostart": True, "geometry.area": 0.0, **LOSSLESS}) as n:
         bench.wait_until_heard()
+        stale = TissueEstimate.STATUS_STALE
+        bench.wait_for(lambda: bench.estimates, "an estimate before the first sample")
+        assert {e.status for e in bench.estimates} == {stale}
         for index in range(20):
             bench.publish(START_NS + index * STEP_NS, 0.0, 0.0)
-        bench.wait_for(lambda: bench.estimates, "an estimate")
+        bench.wait_for(lambda: any(e.status != stale for e in bench.estimates), "an estimate")
         flags = TissueEstimate.FLAG_GEOMETRY_UNSTATED
         assert all(e.flags & flags for e in bench.estimates)
         bench.wait_for(
@@ -309,6 +312,11 @@ def test_a_geometry_that_is_not_stated_is_said_in_estimates_diagnostics_and_log(
             "the words in the diagnostics",
         )
         assert bench.diagnostic_level() == DiagnosticStatus.WARN
+        # Every look says it once; the log does so at the start alone.
+        looks = len(bench.diagnostics) + 3
+        bench.wait_for(lambda: len(bench.diagnostics) >= looks, "more looks")
+        for array in bench.diagnostics:
+            assert array.status[0].message.count("the geometry is not stated") == 1
     assert n.output.count("geometry: {kind: flat_punch,") == 1
 
 

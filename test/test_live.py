@@ -149,8 +149,8 @@ def test_a_contact_that_is_withdrawn_takes_its_site_off_the_map() -> None:
     withdrawn = replace(summary(1), estimate=None, converged=False)
     assert stiffness_map.add(withdrawn)
     assert withdrawn in stiffness_map
-    assert points(stiffness_map.cloud("base"))["x"] == pytest.approx([0.02])
-    markers = stiffness_map.markers("base").markers
+    assert points(stiffness_map.cloud())["x"] == pytest.approx([0.02])
+    markers = stiffness_map.markers().markers
     assert [m.id for m in markers if m.action == Marker.DELETE] == [1, 1]
     assert {m.id for m in markers if m.action == Marker.ADD} == {2}
 

@@ -187,7 +187,8 @@ def test_a_strain_that_cannot_be_determines_nothing() -> None:
 
 
 def test_an_alpha_that_is_not_the_prior_s_is_not_called_prior_knowledge() -> None:
-    estimate = ESTIMATE._replace(fractional_order=0.01)
+    unlearned = ParameterSet.STIFFNESS
+    estimate = ESTIMATE._replace(fractional_order=0.01, valid=unlearned, known=unlearned)
     contact = summary(estimate=estimate, order_source=OrderSource.PRIOR)
     (text,) = remarks(contact, 0.131)
     assert "0.010 ± 0.010" in text and "prior 0.131" in text
@@ -283,7 +284,7 @@ def test_what_is_decided_is_said_once() -> None:
     text = "\n".join(said)
     for words in (
         *("unknown -> no contact", "contact 1 begins, at site 1", "converging -> converged; G "),
-        *("determined by the data: linear_stiffness, nonlinear_stiffness", "contact 1: class"),
+        *("known: linear_stiffness, nonlinear_stiffness", "contact 1: class"),
         *("contact 2 ends: converged, released, ", "strain up to 0."),
     ):
         assert words in text, text

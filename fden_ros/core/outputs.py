@@ -183,16 +183,16 @@ class Failure:
 Output = TissueState | Classification | ContactSummary | DynamicModulus
 
 
-def stale(state: TissueState | None) -> TissueState:
+def stale(state: TissueState | None, flags: Flag = Flag.NONE) -> TissueState:
     """Return `state` as no longer current, with nothing in it to act on.
 
-    None: there was none yet; the stamp then is 0.
+    None: there was none yet; the stamp then is 0, and the flags are `flags`.
     """
     if state is None:
         return TissueState(
             stamp_ns=0,
             status=Status.STALE,
-            flags=Flag.NONE,
+            flags=flags,
             site_id=0,
             contact_id=0,
             phase=Phase.NONE,

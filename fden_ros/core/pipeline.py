@@ -95,6 +95,10 @@ class Pipeline:
         How many there were.
     rig : RigKnowledge
         What is known of the rig.
+    problems : tuple of str
+        What stands against every estimate from the start, a sentence each.
+    standing_flags : Flag
+        The flags of that.
     """
 
     def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
@@ -123,12 +127,11 @@ class Pipeline:
             config.plausibility, config.geometry, config.estimator.prior
         )
         words = stands_against(config.geometry)
-        #: What stands against every estimate, a sentence each, and its flags.
         self.problems = (words,) if words else ()
-        self._standing = Flag.NONE
+        self.standing_flags = Flag.NONE
         if words:
             is_stated = config.geometry.is_stated
-            self._standing = Flag.IMPLAUSIBLE if is_stated else Flag.GEOMETRY_UNSTATED
+            self.standing_flags = Flag.IMPLAUSIBLE if is_stated else Flag.GEOMETRY_UNSTATED
         self._forget(_Forget.STREAMS)
         self.forget_rig()
         prepare(config)
@@ -330,7 +333,7 @@ class Pipeline:
         site = self._site
         if site is None or site.is_elsewhere(first):
             self.site_count += 1
-            site = Site(self.site_count, onset, self.config, self.rig, self._standing)
+            site = Site(self.site_count, onset, self.config, self.rig, self.standing_flags)
             self._site = site
         self.contact_count += 1
         site.check_history(onset)
@@ -479,7 +482,7 @@ class Pipeline:
         self, stamp_ns: int, press: Press, site: Site, *, is_over: bool = False
     ) -> None:
         """Withhold the estimate of a contact that cannot be what its units say."""
-        if self._standing or press.has_ended:
+        if self.standing_flags or press.has_ended:
             return
         if self._plausibility.is_implausible(
             stamp_ns, press.max_strain, press.max_force, press.max_stress, is_over=is_over
@@ -502,7 +505,7 @@ class Pipeline:
                 stamp_ns=pair.stamp_ns,
                 # After a jump of the clock the probe may press on a tissue without a site.
                 status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
-                flags=self._input_flags() | self._standing | edge_flag(estimate),
+                flags=self._input_flags() | self.standing_flags | edge_flag(estimate),
                 site_id=site.site_id if site is not None else 0,
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,

@@ -373,7 +373,7 @@ class Identifier(LifecycleNode):
             return
         # Again and again, so that who comes late is told too.
         self._told_stale = now
-        self._last_state = stale(self._last_state)
+        self._last_state = stale(self._last_state, pipeline.standing_flags)
         self._publish_messages(self._last_state)
 
     # Services

@@ -27,6 +27,8 @@ _POLICIES = (
 )
 #: Other topics that are named where nothing publishes the one that is listened to, at most.
 _MOST_NAMED = 3
+#: The middleware's name of a node whose publisher was discovered before itself.
+_UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 
 
 @dataclass(frozen=True)
@@ -149,4 +151,6 @@ def _list(names: list[str]) -> str:
 
 
 def _full_name(publisher: Any) -> str:
+    if publisher.node_name == _UNKNOWN_NAME:
+        return "a node of unknown name"
     return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"

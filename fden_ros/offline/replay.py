@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Sink
@@ -182,6 +183,7 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "apparent_stiffness": None,
         "apparent_stiffness_sd": None,
         "apparent_stiffness_time_scale": None,
+        **dict.fromkeys(LawError.names()),
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
         "valid_parameters": [],
@@ -216,6 +218,8 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
             "converged_parameters": list(estimate.known.names),
             "edge_parameters": list(estimate.at_edge.names),
         }
+        if estimate.law_error is not None:
+            contact |= zip(LawError.names(), estimate.law_error, strict=True)
     stiffness = summary.apparent_stiffness
     if stiffness is not None:
         contact |= {

@@ -132,6 +132,7 @@ def _present(view: MonitorView) -> Table:
     table.add_row("contact", _contact(state))
     for name, interval in _parameters(state):
         table.add_row(name, interval)
+    table.add_row("law", _law(state))
     table.add_row("tissue", _tissue(view))
     usable = view.refusal is None
     words = "may be relied on" if usable or view.refusal is None else view.refusal.value
@@ -139,6 +140,17 @@ def _present(view: MonitorView) -> Table:
     if view.gains:
         table.add_row("gains", view.gains)
     return table
+
+
+def _law(state: TissueState) -> str:
+    """Return how far the tissue is from the law."""
+    error = state.estimate.law_error if state.estimate is not None else None
+    if error is None:
+        return DASH
+    return (
+        f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
+        f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
+    )
 
 
 def _status(view: MonitorView) -> Text:

@@ -167,17 +167,12 @@ def _fill_parameters(
     message.model_error = estimate.model_error
     message.loading_age = estimate.loading_age
     if estimate.law_error is not None:
-        for name, value in estimate.law_error._asdict().items():
-            setattr(message, _law_error_field(name), value)
+        for name, value in zip(LawError.names(), estimate.law_error, strict=True):
+            setattr(message, name, value)
     message.alpha_source = int(source)
     message.valid_parameters = int(estimate.valid)
     message.converged_parameters = int(estimate.known)
     message.edge_parameters = int(estimate.at_edge)
-
-
-def _law_error_field(name: str) -> str:
-    """Return the message's field: kernel_error for kernel, kernel_error_sd for kernel_sd."""
-    return f"{name.removesuffix('_sd')}_error{'_sd' if name.endswith('_sd') else ''}"
 
 
 def _fill_apparent_stiffness(
@@ -290,9 +285,7 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         strain_origin_sd=message.strain_origin_sd,
         model_error=message.model_error,
         loading_age=message.loading_age,
-        law_error=LawError(
-            **{name: getattr(message, _law_error_field(name)) for name in LawError._fields}
-        )
+        law_error=LawError(*(getattr(message, name) for name in LawError.names()))
         if message.kernel_error_sd
         else None,
         probability_beyond_boundary=math.nan,

@@ -41,6 +41,8 @@ def diagnostic_status(
 class PipelineProblems:
     """What went wrong in a pipeline since the last look at it, in words.
 
+    Not its `problems`, which stand from the start and are in every status.
+
     Parameters
     ----------
     pipeline : Pipeline
@@ -58,6 +60,8 @@ class PipelineProblems:
         pipeline = self._pipeline
         pairs, rejected = pipeline.pair_count, pipeline.unusual_rejections
         counts = Counter(pipeline.warnings)
+        for words in pipeline.problems:
+            del counts[words]
         for words in counts - self._warned_before:
             self._warned[words] = _WARNED_FOR
         news = PipelineNews(

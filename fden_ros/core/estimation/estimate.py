@@ -243,6 +243,14 @@ class LawError(NamedTuple):
     loaded: float
     loaded_sd: float
 
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Return the names under which outputs state them, kernel_error and kernel_error_sd."""
+        return tuple(
+            f"{field.removesuffix('_sd')}_error{'_sd' if field.endswith('_sd') else ''}"
+            for field in LawError._fields
+        )
+
 
 class Estimate(NamedTuple):
     """The parameters and how well they are known."""
