@@ -1,3 +1,17 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The live system over DDS: controller, example, monitor, markers, and a clean end."""
 
 from __future__ import annotations
@@ -288,6 +302,9 @@ def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> No
                 assert cloud["G"] == pytest.approx([341.8], rel=0.1)
                 assert cloud["x"] == pytest.approx([0.0], abs=1e-4)
                 assert maps[-1].header.frame_id == "base"
+                # And measured again, where the release found the force off its zero.
+                released = len(estimates)
+                ears.wait_for(lambda: len(estimates) > released + 100, "1 s of air")
                 target.publish(Float64(data=0.1))
                 ears.wait_for(lambda: gains[-1].data == "live", "live gains again")
                 gains.clear()
