@@ -318,7 +318,8 @@ def touch(press: Any, feed: TissueFeed) -> None:
     """Touch anew and wait until there is an estimate to rely on."""
     press(-0.004)
     wait_for(lambda: feed.refusal() is Refusal.NO_CONTACT, "the air")
-    end = time.monotonic() + 2.5
+    # Data that began in contact want the air for `site.timeout`, 2 s, and the probe has to leave.
+    end = time.monotonic() + 4.0
     wait_for(lambda: time.monotonic() > end, "the air's noise to be known")
     press(0.006)
     wait_for(lambda: feed.reading(), "an estimate to rely on")
