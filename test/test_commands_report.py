@@ -37,7 +37,6 @@ from fden_ros.offline.session import (
     Envelope,
     Session,
     Thinned,
-    compression_of,
     fractional_derivative,
     gather,
 )
@@ -349,4 +348,4 @@ def test_the_fractional_derivative_of_a_ramp_is_exact() -> None:
 @pytest.mark.parametrize("geometry", [FlatPunch(1e-4, 0.02), Sphere(0.005)])
 def test_compression_is_found_from_strain(geometry: FlatPunch | Sphere) -> None:
     for compression in (0.01, 0.3, 0.9):
-        assert compression_of(geometry, geometry.strain(compression)) == pytest.approx(compression)
+        assert geometry.compression(geometry.strain(compression)) == pytest.approx(compression)

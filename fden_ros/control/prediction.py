@@ -176,13 +176,16 @@ class Predictor:
             start = phi(np.array([self.memory.strain]), *np.exp(logs))
             return strain_of_phi(start + np.cumsum(steps), *np.exp(logs))
 
-        def ways(logs: Array, order: float, shift: float) -> Array:
-            reached = strains(logs, order, shift)
+        def way_to(reached: Array) -> Array:
             compressions = np.array([self.geometry.compression(float(x)) for x in reached])
             return (compressions - self.memory.compression) * self.geometry.length
 
-        way = ways(*self._parameters, 0.0)
-        left_out = self._left_out_variance(grid, strains(*self._parameters, 0.0), stress)
+        def ways(logs: Array, order: float, shift: float) -> Array:
+            return way_to(strains(logs, order, shift))
+
+        reached = strains(*self._parameters, 0.0)
+        way = way_to(reached)
+        left_out = self._left_out_variance(grid, reached, stress)
         small = _DERIVATIVE_STEP * (float(np.max(np.abs(stress))) or 1.0)
         by_stress = (ways(*self._parameters, small) - way) / small
         variance = self._variance(ways, way) + left_out * by_stress**2

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import LogStiffnessGrid
@@ -78,10 +77,7 @@ class TissueMemory:
         """Whether the tissue would have to pull at the probe `step` seconds from the present."""
         in_order, _ = self._in_order(estimate.fractional_order)
         free = float(in_order @ self._integral.ahead(step))
-        response = elastic_response(
-            strain, estimate.linear_stiffness, estimate.nonlinear_stiffness
-        )
-        return response.value <= free
+        return estimate.is_above_surface(strain, free)
 
     def rest(self, step: float) -> None:
         """Take `step` seconds in the air."""

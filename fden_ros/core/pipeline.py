@@ -256,7 +256,7 @@ class Pipeline:
 
     @property
     def unusual_rejections(self) -> int:
-        """Rejected samples, less the first two without a partner: so many are usual."""
+        """Rejected samples, less the first two without a partner, which are usual."""
         unpaired = self.rejected[f"force.{Reason.UNPAIRED}"]
         return self.rejected.total() - min(unpaired, _USUAL_UNPAIRED)
 

@@ -38,7 +38,6 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
 )
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.stress_estimator import StressEstimator
-from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
 from fden_ros.core.outputs import WITHHELD, Flag
@@ -251,12 +250,8 @@ class Site:
             return False
         weights, _ = self._interpolation(estimate.fractional_order)
         free = float(weights @ self._integral.ahead(step)[_NODES:])
-        response = elastic_response(
-            self._config.geometry.strain(compression - estimate.strain_origin),
-            estimate.linear_stiffness,
-            estimate.nonlinear_stiffness,
-        )
-        return response.value <= free
+        strain = self._config.geometry.strain(compression - estimate.strain_origin)
+        return estimate.is_above_surface(strain, free)
 
     # Blocks
 

@@ -371,22 +371,6 @@ def predicted_stress(contact: Contact) -> tuple[Array, Array, Array]:
     return time, measured, measured - fractional_derivative(time, innovations, order)
 
 
-def compression_of(geometry: Geometry, strain: float) -> float:
-    """Return the compression that has this strain, by bisection; strain grows with compression."""
-    low, high = -1.0, 1.0
-    while geometry.strain(high) < strain and high < 1e6:
-        high *= 2.0
-    while geometry.strain(low) > strain and low > -1e6:
-        low *= 2.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if geometry.strain(middle) < strain:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
 def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
     """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
     estimate = summary.estimate

@@ -35,7 +35,6 @@ from fden_ros.offline.session import (
     Contact,
     Envelope,
     Session,
-    compression_of,
     normalized_innovation,
     predicted_stress,
 )
@@ -271,7 +270,7 @@ def signals(session: Session, contact: Contact) -> str:
     def plot(figure: Figure) -> None:
         lower, upper = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
         depth = [
-            1e3 * geometry.length * compression_of(geometry, s.signals.strain)
+            1e3 * geometry.length * geometry.compression(s.signals.strain)
             for s in states
             if s.signals is not None
         ]

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.law.characteristic import elastic_response
 
 if TYPE_CHECKING:
     from fden_ros.core.estimation.rig_knowledge import RigKnowledge
@@ -317,6 +318,14 @@ class Estimate(NamedTuple):
     def is_at_edge(self, index: int) -> bool:
         """Whether the parameter at `index` is at an end of what can be represented."""
         return bool(self.at_edge & _EACH[index])
+
+    def is_above_surface(self, strain: float, free_response: float) -> bool:
+        """Whether the tissue would have to pull at a probe to follow it to a strain [1].
+
+        `free_response` is phi of the tissue left alone, D^-alpha of its stress [Pa s^alpha].
+        """
+        response = elastic_response(strain, self.linear_stiffness, self.nonlinear_stiffness)
+        return response.value <= free_response
 
     @property
     def linear_stiffness(self) -> float:

@@ -67,7 +67,7 @@ Array = NDArray[np.float64]
 KERNEL_MISMATCH, LOADED_MISMATCH = 0.10, 0.0238
 _ONE_SIDED_95 = 1.645
 #: The characteristic counts as loaded from this share of the largest strain on [1], with the
-#: square of the stress as weight, on so many points.
+#: square of the stress as weight, on 30 points.
 _LOADED_SHARE, _LOADED_POINTS = 0.5, 30
 
 #: Hat functions of each deviation [1].

@@ -48,8 +48,8 @@ _MOVING_DEVIATIONS, _LEAST_SPEED = 4.0, 2e-4
 #: A motion goes on above this share of that [1].
 _STILL_SHARE = 0.5
 #: Where the direction changes, friction acts on an unknown part of this block and of the one
-#: before: both are so many of its deviations less certain [1]. Else a friction of any size would
-#: be found to be small.
+#: before: both are less certain by this many of its deviations [1]. Else a friction of any size
+#: would be found to be small.
 _TURN_DEVIATIONS = 2.0
 #: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
 _DELAY_TIME = 0.1

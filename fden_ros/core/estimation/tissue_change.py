@@ -134,9 +134,6 @@ class TissueChange:
             self._before.append(innovation.normalized_squared)
         if self._surprises >= _SURPRISES:
             return self._begin_anew(block, Change(self._first_surprise, None))
-        if not known.is_exact:
-            self._monitor = InnovationMonitor()
-            self._recent_states.clear()
         if not (is_settled and known.is_fresh and known.is_exact):
             # Two innovations by one state are not independent.
             return None
