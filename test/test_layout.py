@@ -38,6 +38,9 @@ ROOMS = (
     "core.block",
     "core.site",
     "core.press",
+    "core.in_contact",
+    "core.hindsight",
+    "core.input_warnings",
     "core.pipeline",
     "core",  # its public names
     "simulation",

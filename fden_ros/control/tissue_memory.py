@@ -22,6 +22,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fden_ros.core.arrays import own_copy
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import Geometry
@@ -65,7 +66,9 @@ class TissueMemory:
 
     def copy(self) -> TissueMemory:
         """Return the memory as it is now."""
-        return copy.deepcopy(self)
+        own = copy.copy(self)
+        own._basis, own._integral = own_copy(self._basis), own_copy(self._integral)
+        return own
 
     def press(self, step: float, strain: float, stress: float) -> None:
         """Take a sample in contact, `step` seconds after the last: strain [1] and stress [Pa]."""

@@ -22,19 +22,16 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 from __future__ import annotations
 
 import enum
-import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, NamedTuple
 
-from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig, labeller_of
-from fden_ros.core.contact.aftermath import Aftermath
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
-from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
-from fden_ros.core.estimation.estimate import Observation
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.hindsight import Hindsight
+from fden_ros.core.in_contact import InContact
+from fden_ros.core.input_warnings import input_warnings, unusual
 from fden_ros.core.outputs import (
     ContactSummary,
     Failure,
@@ -47,26 +44,15 @@ from fden_ros.core.outputs import (
     failure_of,
     order_source,
 )
-from fden_ros.core.plausibility import Plausibility, of_stream, stands_against
+from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.press import Press
 from fden_ros.core.site import Site, prepare
 from fden_ros.core.streams.guard import GapGuard
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 from fden_ros.core.streams.synchronize import Synchronizer
 
-#: Samples from before the detection of a touch are made up for within about this time [s].
-_CATCH_UP_TIME = 0.03
-#: Samples that are usually without a partner when two streams begin.
-_USUAL_UNPAIRED = 2
-#: The air after a contact is judged 1 s after its release [ns]: a slow contact that begins before
-#: is known by then.
-_JUDGED_AFTER_NS = NANOSECONDS
-#: The air after a contact contradicts that before it beyond this many stated deviations [1].
-_CONTRADICTION = 5.0
 #: Failures are kept up to this number, the newest.
 _FAILURES_KEPT = 20
-#: Of the summary of a contact that is withdrawn.
-_NO_LABEL: dict[str, Any] = {"classes": None, "decided": None, "comparison": None}
 
 
 class _Forget(enum.IntEnum):
@@ -75,14 +61,6 @@ class _Forget(enum.IntEnum):
     SITE = 1  #: the present site: a faint touch may have been noise
     SITES = 2  #: all sites and the contact: the clock jumped; the streams go on in their new epoch
     STREAMS = 3  #: waiting samples and the air's force too: asked for, or the pipeline is new
-
-
-class _Ended(NamedTuple):
-    """A contact that the air after it may still contradict."""
-
-    summary: ContactSummary
-    site: Site
-    aftermath: Aftermath
 
 
 class Pipeline:
@@ -127,25 +105,19 @@ class Pipeline:
         self._clock_jumps = 0
         self._tare_offset = 0.0
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
-        self._observes_stress = config.estimator.observation is Observation.STRESS
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
-        self._meter = (
-            ComplexModulusMeter(config.dither_frequencies, config.dither_periods)
-            if config.dither_frequencies
-            else None
-        )
-        self._sums = BlockSums(config.block_duration, config.block_compression)
-        self._phase = PhaseMeter()
         self._labeller = labeller_of(config)
         self._plausibility = Plausibility(
             config.plausibility, config.geometry, config.estimator.prior
         )
-        words = stands_against(config.geometry)
+        words = self._plausibility.standing
         self.problems = (words,) if words else ()
         self.standing_flags = Flag.NONE
         if words:
             is_stated = config.geometry.is_stated
             self.standing_flags = Flag.IMPLAUSIBLE if is_stated else Flag.GEOMETRY_UNSTATED
+        self._hindsight = Hindsight(config)
+        self._in_contact = InContact(config, self._plausibility)
         self._forget(_Forget.STREAMS)
         self.forget_rig()
         prepare(config)
@@ -160,17 +132,11 @@ class Pipeline:
         self._press: Press | None = None
         if scope >= _Forget.SITES:
             self._onset: Onset | None = None
-            self._ended: _Ended | None = None
-            self._is_air_proved = False
-            if self._labeller.surroundings is not None:
-                self._labeller.surroundings.forget()
+            self._hindsight.forget()
+            self._labeller.forget()
             self._gaps = GapGuard()
-            self._behind: deque[Pair] = deque()  # samples of the contact that are not taken yet
-            self._pace = 1
-            self._sums.restart(0)
-            self._phase.clear()
+            self._in_contact.forget()
             self._rejected_reported = self.rejected.total()
-            self._blocks = 0
             if scope is _Forget.STREAMS or not self._detector.in_contact:
                 self._detector.reset()
         if scope is _Forget.STREAMS:
@@ -221,7 +187,7 @@ class Pipeline:
         self._tare_offset += mean
         self._detector.reset()
         # The air from now on has another bias than that before the last contact.
-        self._ended = None
+        self._hindsight.acquit()
         return None
 
     def reset(self) -> str | None:
@@ -242,7 +208,7 @@ class Pipeline:
         """No more samples come: report the contact that is still open."""
         try:
             self._end_contact(self._gaps.newest_ns, complete=False)
-            self._judge_ended(self.newest_ns)
+            self._say_again(self._hindsight.judge(self.newest_ns))
         except Exception as error:
             self._fail(self.newest_ns, error)
 
@@ -257,30 +223,20 @@ class Pipeline:
     @property
     def unusual_rejections(self) -> int:
         """Rejected samples, less the first two without a partner, which are usual."""
-        unpaired = self.rejected[f"force.{Reason.UNPAIRED}"]
-        return self.rejected.total() - min(unpaired, _USUAL_UNPAIRED)
+        return unusual(self.rejected)
 
     @property
     def warnings(self) -> dict[str, int]:
         """What was odd about the input, in words, and how often."""
-        detector = self._detector
-        synchronizer, config = self._synchronizer, self.config.synchronize
-        counts = {
-            **dict.fromkeys(self.problems, 1),
-            **self._plausibility.found,
-            of_stream("force", synchronizer.force_guard, config.force_limit): 1,
-            of_stream(
-                "displacement", synchronizer.displacement_guard, config.displacement_limit
-            ): 1,
-            "the clock jumped back: everything learned was reset": self._clock_jumps,
-            "the force fell below its value in the air: does it have the wrong sign (force.axis, "
-            "force.inverted), or did the data begin in contact?": detector.below_baseline,
-            "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
-            "the force repeated one value: is the sensor dead, or at its end?": self.rejected[
-                f"force.{Reason.STUCK}"
-            ],
-        }
-        return {words: count for words, count in counts.items() if words and count}
+        odd = input_warnings(
+            self.config.synchronize,
+            self._synchronizer,
+            self._detector,
+            self.rejected,
+            self._clock_jumps,
+        )
+        found = {words: count for words, count in self._plausibility.found.items() if count}
+        return {**dict.fromkeys(self.problems, 1), **found, **odd}
 
     # Pairs
 
@@ -304,8 +260,7 @@ class Pipeline:
         elif self._press.flags & Flag.ESTIMATION_FAILED:
             self._pass(pair, self._press)
         else:
-            self._behind.append(pair)
-            self._catch_up(self._pace)
+            self._emit_all(self._in_contact.add(pair, self._press, self._site))
         if isinstance(event, Release):
             self._end_contact(event.stamp_ns, complete=True)
 
@@ -331,8 +286,7 @@ class Pipeline:
         press.see_missing(self.rejected)
         press.flags |= Flag.GAP
         site.flags |= Flag.GAP
-        if self._meter is not None:
-            self._meter.reset()
+        self._in_contact.interrupt()
         if gap_ns > self._max_gap_ns:
             # The memory of this site is lost; the present contact says nothing more.
             self._end_contact(previous_ns, complete=False)
@@ -342,7 +296,7 @@ class Pipeline:
 
     def _touch(self, onset: Onset) -> None:
         first = onset.samples[0]
-        self._judge_ended(self.newest_ns, before_ns=first.stamp_ns)
+        self._say_again(self._hindsight.judge(self.newest_ns, before_ns=first.stamp_ns))
         self._onset = onset
         site = self._site
         if site is None or site.is_elsewhere(first):
@@ -360,59 +314,21 @@ class Pipeline:
             self._labeller,
             self.config,
         )
-        self._plausibility.begin(onset)
         if not site.has_failed:
             site.begin_contact(onset, self._synchronizer.motion_noise())
             press.begin(site.change_count)
-        self._sums.restart(first.stamp_ns)
-        if site.has_failed:
-            return
-        self._phase.clear()
-        if self._meter is not None:
-            self._meter.reset()
-        self._behind.extend(onset.samples)
-        # As many samples at a time that a touch delays no later sample for long.
-        lasted = (onset.samples[-1].stamp_ns - first.stamp_ns) / NANOSECONDS
-        self._pace = 1 + math.ceil(lasted / _CATCH_UP_TIME)
-        self._catch_up(self._pace)
-
-    def _catch_up(self, count: int) -> None:
-        """Take samples that wait since the touch; only of the newest an output is made.
-
-        States of the time before the detection would contradict those put out then, in the air.
-        """
-        press, site, behind = self._press, self._site, self._behind
-        for _ in range(min(count, len(behind))):
-            assert press is not None and site is not None
-            pair = behind.popleft()
-            self._add(pair, press, site, is_silent=bool(behind))
-
-    def _add(self, pair: Pair, press: Press, site: Site, *, is_silent: bool) -> None:
-        force = press.net_force(pair)
-        stress = force * self.config.geometry.stress_per_force
-        compression = site.compression(self._detector.compliance_free(pair, force))
-        step = site.seconds_to(pair.stamp_ns)
-        is_free = press.leaves_tissue(step, force, compression)
-        learns = not press.has_ended
-        if learns and self._sums.is_empty and not is_silent:
-            # Only now: whoever waits for the last block's estimate has it already.
-            site.relinearise()
-        site.add(pair.stamp_ns, compression, stress, is_free=is_free, learns=learns)
-        if self._meter is not None:
-            for output in press.moduli(self._meter, pair.stamp_ns, compression, stress, is_free):
-                self._emit(output, is_silent=is_silent)
-        press.count(force)
-        if self._sums.add(pair.stamp_ns, step, compression, stress, force, is_free):
-            self._close_block(pair.stamp_ns, press, site, is_silent=is_silent)
+        self._emit_all(self._in_contact.begin(onset, press, site))
 
     def _end_contact(self, end_ns: int | None, *, complete: bool) -> None:
-        self._catch_up(len(self._behind))
         press, site = self._press, self._site
-        if press is None or site is None or end_ns is None:
+        if press is None or site is None:
+            return
+        self._emit_all(self._in_contact.take_all(press, site))
+        if end_ns is None:
             return
         if not press.has_ended:
             site.end_contact()
-            self._judge_units(end_ns, press, site, is_over=True)
+            self._in_contact.judge_units(end_ns, press, site, is_over=True)
             if not complete:
                 press.see_missing(self.rejected)
             summary = press.summary(end_ns, self.rejected, complete=complete)
@@ -420,97 +336,28 @@ class Pipeline:
                 self.rig = site.rig() or self.rig
             summary = replace(summary, rig=self.rig)
             self._emit(summary)
-            if complete and self._onset is not None and self.config.contact.measure_bias:
-                drift_sd = self.config.estimator.uncertainty.force_drift_sd
-                self._ended = _Ended(summary, site, Aftermath(self._onset, drift_sd))
+            if complete and self._onset is not None:
+                self._hindsight.begin(summary, site, self._onset)
         # An incomplete contact may go on: the probe has not left.
         if complete:
             self._press = None
-            self._sums.clear()
+            self._in_contact.end()
             if press.is_faint and not site.has_failed:
                 # What comes next must not inherit its origin.
                 self._forget(_Forget.SITE)
 
-    def _judge_ended(self, stamp_ns: int, *, before_ns: int | None = None) -> None:
-        """Say so if the air after the last contact contradicts that before it.
-
-        `before_ns`: when the next contact began.
-        """
-        ended, self._ended = self._ended, None
-        if ended is None or not ended.aftermath.is_complete:
+    def _say_again(self, summary: ContactSummary | None) -> None:
+        """Put out the second summary of a contact, if there is one."""
+        if summary is None:
             return
-        if before_ns is not None and ended.aftermath.end_ns > before_ns:
-            return
-        deviations = ended.aftermath.deviations()
-        was_proved, self._is_air_proved = self._is_air_proved, True
-        if abs(deviations) <= _CONTRADICTION or not ended.site.is_usable:
-            return
-        if deviations < 0.0 and not was_proved:
-            # What was taken for the first air was a contact: there is no origin, nor a history.
-            ended.site.withdraw()
-            if self._labeller.surroundings is not None:
-                self._labeller.surroundings.forget(ended.site.site_id)
-        else:
-            ended.site.doubt(Flag.FORCE_DRIFTED, 1.0 + deviations**2)
-        estimate = ended.site.usable_estimate
-        self._emit(
-            replace(
-                ended.summary,
-                stamp_ns=stamp_ns,
-                flags=ended.summary.flags | ended.site.flags,
-                estimate=estimate,
-                converged=estimate is not None and estimate.converged,
-                order_source=order_source(estimate, self.config.estimator),
-                **({} if estimate is not None else _NO_LABEL),
-            )
-        )
-
-    # Blocks
-
-    def _close_block(self, stamp_ns: int, press: Press, site: Site, *, is_silent: bool) -> None:
-        means = self._sums.close(stamp_ns)
-        block = site.block_of(means)
-        fractional_stress = site.fractional_stress(block)
-        self._blocks += 1
-        innovation = None
-        if site.is_learning and not press.has_ended:
-            # Without contact the law does not hold.
-            if press.is_informative(means, by_stress=self._observes_stress):
-                innovation = site.update(block)
-                press.judge()
-            else:
-                site.skip()
-            if not is_silent:
-                site.refresh()
-        phase = self._phase.add(stamp_ns, block.compression)
-        signals = press.signals(block, fractional_stress)
-        self._judge_units(stamp_ns, press, site)
-        if is_silent:
-            return
-        flags = self._input_flags()
-        self._emit(press.state(stamp_ns, signals, block.compression, phase, innovation, flags))
-        for answer in press.label(stamp_ns, self._blocks):
-            self._emit(press.classification(stamp_ns, answer))
-
-    def _judge_units(
-        self, stamp_ns: int, press: Press, site: Site, *, is_over: bool = False
-    ) -> None:
-        """Withhold the estimate of a contact that cannot be what its units say."""
-        if self.standing_flags or press.has_ended:
-            return
-        if self._plausibility.is_implausible(
-            stamp_ns, press.max_strain, press.max_force, press.max_stress, is_over=is_over
-        ):
-            press.flags |= Flag.IMPLAUSIBLE
-            site.withhold(Flag.IMPLAUSIBLE)
+        if summary.estimate is None:
+            self._labeller.forget(summary.site_id)
+        self._emit(summary)
 
     def _hover(self, pair: Pair) -> None:
         """Put out a state in the air, one per duration of a block."""
-        if self._ended is not None:
-            self._ended.aftermath.add(pair)
-            if pair.stamp_ns - self._ended.summary.end_ns > _JUDGED_AFTER_NS:
-                self._judge_ended(pair.stamp_ns)
-        if not self._sums.passes(pair.stamp_ns):
+        self._say_again(self._hindsight.add(pair))
+        if not self._in_contact.passes(pair.stamp_ns):
             return
         site = self._site
         estimate = site.usable_estimate if site is not None else None
@@ -519,7 +366,7 @@ class Pipeline:
                 stamp_ns=pair.stamp_ns,
                 # After a jump of the clock the probe may press on a tissue without a site.
                 status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
-                flags=self._input_flags() | self.standing_flags | edge_flag(estimate),
+                flags=self.standing_flags | edge_flag(estimate),
                 site_id=site.site_id if site is not None else 0,
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,
@@ -531,23 +378,20 @@ class Pipeline:
     def _pass(self, pair: Pair, press: Press) -> None:
         """Let a sample of a contact go by in which the estimation failed."""
         press.count(press.net_force(pair, drifts=False))
-        if not self._sums.passes(pair.stamp_ns):
-            return
-        self._emit(press.failed_state(pair.stamp_ns, self._input_flags()))
+        if self._in_contact.passes(pair.stamp_ns):
+            self._emit(press.failed_state(pair.stamp_ns))
 
     # Outputs
 
-    def _input_flags(self) -> Flag:
-        """Return whether samples were rejected since the last state."""
-        total = self.rejected.total()
-        if total == self._rejected_reported:
-            return Flag.NONE
-        self._rejected_reported = total
-        return Flag.INPUT_REJECTED
+    def _emit_all(self, outputs: Iterable[Output]) -> None:
+        for output in outputs:
+            self._emit(output)
 
-    def _emit(self, output: Output, *, is_silent: bool = False) -> None:
-        if is_silent:
-            return
+    def _emit(self, output: Output) -> None:
+        if isinstance(output, TissueState) and self.rejected.total() != self._rejected_reported:
+            # Samples were rejected since the last state.
+            self._rejected_reported = self.rejected.total()
+            output = replace(output, flags=output.flags | Flag.INPUT_REJECTED)
         try:
             self._emit_output(output)
         except Exception as error:
@@ -566,15 +410,11 @@ class Pipeline:
         site_id = site.site_id if site is not None else 0
         contact_id = press.contact_id if press is not None else 0
         self.failures.append(failure_of(error, stamp_ns, site_id, contact_id))
-        self._behind.clear()
-        self._sums.clear()
-        if self._meter is not None:
-            self._meter.reset()
+        self._in_contact.drop()
         if site is None:
             return
         site.fail()
-        if self._labeller.surroundings is not None:
-            self._labeller.surroundings.forget(site.site_id)
+        self._labeller.forget(site.site_id)
         if press is None:
             return
         press.flags |= Flag.ESTIMATION_FAILED

@@ -119,10 +119,13 @@ class Plausibility:
     ----------
     counts : Counter
         Contacts that were found implausible, by the kind of reason.
+    standing : str
+        Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
     """
 
     def __init__(self, config: PlausibilityConfig, geometry: Geometry, prior: Prior) -> None:
         self._config, self._geometry, self._prior = config, geometry, prior
+        self.standing = stands_against(geometry)
         self._low, self._high = _stiffness_range(geometry, prior)
         self._words: dict[str, str] = {}
         self.counts: Counter[str] = Counter()
@@ -153,6 +156,8 @@ class Plausibility:
 
         Once it is implausible it is judged again only when it `is_over`, for better words.
         """
+        if self.standing:
+            return False
         if self._kind and not is_over:
             return True
         elapsed = (stamp_ns - self._start_ns) / NANOSECONDS

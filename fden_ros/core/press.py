@@ -192,7 +192,6 @@ class Press:
         compression: float,
         phase: Phase,
         innovation: Innovation | None,
-        input_flags: Flag,
     ) -> TissueState:
         """Return the state after a block."""
         config, estimate = self._config, self._estimate
@@ -205,7 +204,7 @@ class Press:
                 if estimate is not None and estimate.converged
                 else Status.CONVERGING
             ),
-            flags=self.flags | input_flags | edge_flag(estimate),
+            flags=self.flags | edge_flag(estimate),
             site_id=self._site.site_id,
             contact_id=self.contact_id,
             phase=phase,
@@ -229,12 +228,12 @@ class Press:
             self._config.apparent_stiffness_time_scale,
         )
 
-    def failed_state(self, stamp_ns: int, input_flags: Flag) -> TissueState:
+    def failed_state(self, stamp_ns: int) -> TissueState:
         """Return the state of a contact in which the estimation failed."""
         return TissueState(
             stamp_ns=stamp_ns,
             status=Status.UNKNOWN,
-            flags=self.flags | input_flags,
+            flags=self.flags,
             site_id=self._site.site_id,
             contact_id=self.contact_id,
             phase=Phase.NONE,

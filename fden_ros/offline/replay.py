@@ -25,7 +25,7 @@ from typing import Any
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import Sink
+from fden_ros.core.streams.samples import Position, Sink
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection, open_source
@@ -61,7 +61,7 @@ def replay(
     progress: bool = False,
     on_output: Callable[[Output, str], None] | None = None,
     on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
-    tap: Callable[[Sink], Sink] | None = None,
+    listener: Sink | None = None,
 ) -> Replay:
     """Run a recording through the pipeline.
 
@@ -80,8 +80,8 @@ def replay(
     on_input : callable, optional
         Called before each message or row with its time of recording (ns), the message or None,
         and the pipeline.
-    tap : callable, optional
-        Given the pipeline, returns what the samples are fed to instead; it must hand them on.
+    listener : Sink, optional
+        Given every sample too, before the pipeline.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def replay(
             on_input(log_time_ns, message, pipeline)
 
     pipeline = Pipeline(pipeline_config(parameters), keep)
-    sink: Sink = pipeline if tap is None else tap(pipeline)
+    sink: Sink = pipeline if listener is None else _Both(listener, pipeline)
     with _progress_bar(progress, source.total) as show:
         for done in source.feed(sink, before):
             if done % _PROGRESS_STEP == 0:
@@ -122,6 +122,31 @@ def replay(
         inputs=source.inputs,
         failures=tuple(pipeline.failures),
     )
+
+
+class _Both:
+    """Gives samples to two, one after the other."""
+
+    def __init__(self, first: Sink, second: Sink) -> None:
+        self._sinks = first, second
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        for sink in self._sinks:
+            sink.add_force(stamp_ns, force)
+
+    def add_displacement(
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
+    ) -> None:
+        for sink in self._sinks:
+            sink.add_displacement(stamp_ns, displacement, position, load)
+
+    def reject(self, stream: str, reason: str) -> None:
+        for sink in self._sinks:
+            sink.reject(stream, reason)
 
 
 class _progress_bar:  # noqa: N801 - used as a function

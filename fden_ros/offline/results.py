@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import Position, Sink
+from fden_ros.core.streams.samples import Position
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters
@@ -89,7 +89,7 @@ def replay_to_bag(
             progress=progress,
             on_output=recorder.take,
             on_input=recorder.tick,
-            tap=rows.tap if rows is not None else None,
+            listener=rows,
         )
 
 
@@ -116,7 +116,7 @@ class _Copy:
 
 
 class _RowCopy:
-    """Writes the samples of a table as joint states, and hands them on."""
+    """Writes the samples of a table as joint states."""
 
     def __init__(self, writer: BagWriter, parameters: Parameters) -> None:
         self._writer = writer
@@ -128,15 +128,9 @@ class _RowCopy:
         for topic in (_FORCE_TOPIC, _DISPLACEMENT_TOPIC):
             writer.add_topic(topic, type_name(JointState), Qos())
 
-    def tap(self, sink: Sink) -> Sink:
-        """Take the samples in place of `sink`, which gets them from here."""
-        self._sink = sink
-        return self
-
     def add_force(self, stamp_ns: int, force: float) -> None:
         self._force.effort = [self._force_sign * force]
         self._write(_FORCE_TOPIC, self._force, stamp_ns)
-        self._sink.add_force(stamp_ns, force)
 
     def add_displacement(
         self,
@@ -147,10 +141,9 @@ class _RowCopy:
     ) -> None:
         self._displacement.position = [self._displacement_sign * displacement]
         self._write(_DISPLACEMENT_TOPIC, self._displacement, stamp_ns)
-        self._sink.add_displacement(stamp_ns, displacement, position, load)
 
     def reject(self, stream: str, reason: str) -> None:
-        self._sink.reject(stream, reason)
+        pass
 
     def _write(self, topic: str, message: JointState, stamp_ns: int) -> None:
         message.header.stamp = to_stamp(stamp_ns)

@@ -36,7 +36,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
-from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
+from fden_ros.core.streams.samples import NANOSECONDS, Position
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
 from fden_ros.recording.reader import BagReader
@@ -239,7 +239,7 @@ def gather(
         selection,
         progress=progress,
         on_output=gatherer.take,
-        tap=gatherer.tap,
+        listener=gatherer,
     )
     return Session(
         path=Path(bag),
@@ -263,7 +263,7 @@ def _truth(bag: str | Path, selection: Selection | None) -> dict[int, dict[str, 
 
 
 class _Gatherer:
-    """Listens before and after the pipeline."""
+    """Listens before and after the pipeline: a sink of samples, and what takes the outputs."""
 
     def __init__(self) -> None:
         self.contacts: list[Contact] = []
@@ -285,25 +285,9 @@ class _Gatherer:
             self.contacts.append(Contact(contact_id))
         return self.contacts[-1]
 
-    def tap(self, sink: Sink) -> Sink:
-        return _Tap(self, sink)
-
-    def see(self, stamp_ns: int) -> None:
-        if self.start_ns is None:
-            self.start_ns = stamp_ns
-        self.end_ns = max(self.end_ns, stamp_ns)
-
-
-class _Tap:
-    """Hands samples on and keeps their envelope."""
-
-    def __init__(self, gatherer: _Gatherer, sink: Sink) -> None:
-        self._gatherer, self._sink = gatherer, sink
-
     def add_force(self, stamp_ns: int, force: float) -> None:
-        self._gatherer.see(stamp_ns)
-        self._gatherer.force.add(stamp_ns, force)
-        self._sink.add_force(stamp_ns, force)
+        self._see(stamp_ns)
+        self.force.add(stamp_ns, force)
 
     def add_displacement(
         self,
@@ -312,12 +296,16 @@ class _Tap:
         position: Position | None = None,
         load: float = 0.0,
     ) -> None:
-        self._gatherer.see(stamp_ns)
-        self._gatherer.displacement.add(stamp_ns, displacement)
-        self._sink.add_displacement(stamp_ns, displacement, position, load)
+        self._see(stamp_ns)
+        self.displacement.add(stamp_ns, displacement)
 
     def reject(self, stream: str, reason: str) -> None:
-        self._sink.reject(stream, reason)
+        pass
+
+    def _see(self, stamp_ns: int) -> None:
+        if self.start_ns is None:
+            self.start_ns = stamp_ns
+        self.end_ns = max(self.end_ns, stamp_ns)
 
 
 def normalized_innovation(innovation: Innovation) -> float:

@@ -158,6 +158,11 @@ class Labeller:
             return ""
         return self.library.name
 
+    def forget(self, site_id: int | None = None) -> None:
+        """Compare with a site no more; None: with none of those so far."""
+        if self.surroundings is not None:
+            self.surroundings.forget(site_id)
+
     def classes(
         self, site_id: int, position: Position | None, estimate: Estimate
     ) -> tuple[ClassProbabilities | None, Comparison | None]:

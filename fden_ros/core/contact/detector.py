@@ -74,6 +74,10 @@ class ContactConfig:
     approach_axis: Position = (0.0, 0.0, 1.0)
     series_compliance: float = 0.0
 
+    def compliance_free(self, pair: Pair, force: float) -> float:
+        """Return the displacement of the tissue's surface [m], without the tool's own give."""
+        return pair.displacement - self.series_compliance * force
+
 
 class Onset(NamedTuple):
     """The beginning of a contact."""
@@ -242,10 +246,6 @@ class ContactDetector:
         self._surface = self._deepest = 0.0
         self._behind_chunks = 0
         self._highest: _Highest | None = None
-
-    def compliance_free(self, pair: Pair, force: float) -> float:
-        """Return the displacement of the tissue's surface [m], without the tool's own give."""
-        return pair.displacement - self._config.series_compliance * force
 
     def mean_air_force(self) -> float | None:
         """Return the mean force of the last chunks in the air [N]; None in contact or before 5."""

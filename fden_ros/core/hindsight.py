@@ -1,0 +1,118 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The judging of a contact after its release: the air after it may contradict that before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.aftermath import Aftermath
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.outputs import ContactSummary, Flag, order_source
+from fden_ros.core.site import Site
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+
+#: The air after a contact is judged 1 s after its release [ns]: a slow contact that begins before
+#: is known by then.
+_JUDGED_AFTER_NS = NANOSECONDS
+#: The air after a contact contradicts that before it beyond this many stated deviations [1].
+_CONTRADICTION = 5.0
+#: Of the summary of a contact that is withdrawn.
+_NO_LABEL: dict[str, Any] = {"classes": None, "decided": None, "comparison": None}
+
+
+class _Ended(NamedTuple):
+    """A contact that the air after it may still contradict."""
+
+    summary: ContactSummary
+    site: Site
+    aftermath: Aftermath
+
+
+class Hindsight:
+    """Judges each contact by the air after it, once.
+
+    A contact that is contradicted gets a second summary. Its site is doubted: the covariance is
+    widened by as much as the air contradicts; or, where the first contact was taken for air,
+    withdrawn.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+    """
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the last contact, and that the air was the air."""
+        self._ended: _Ended | None = None
+        self._is_air_proved = False
+
+    def acquit(self) -> None:
+        """Let the last contact stand: what comes now cannot be compared with the air before."""
+        self._ended = None
+
+    def begin(self, summary: ContactSummary, site: Site, onset: Onset) -> None:
+        """Begin with a contact that has ended with its release."""
+        if self._config.contact.measure_bias:
+            drift_sd = self._config.estimator.uncertainty.force_drift_sd
+            self._ended = _Ended(summary, site, Aftermath(onset, drift_sd))
+
+    def add(self, pair: Pair) -> ContactSummary | None:
+        """Take a pair in the air; return the second summary if the contact is contradicted."""
+        if self._ended is None:
+            return None
+        self._ended.aftermath.add(pair)
+        if pair.stamp_ns - self._ended.summary.end_ns <= _JUDGED_AFTER_NS:
+            return None
+        return self.judge(pair.stamp_ns)
+
+    def judge(self, stamp_ns: int, *, before_ns: int | None = None) -> ContactSummary | None:
+        """Judge the last contact now; return its second summary, or None where it stands.
+
+        `before_ns`: when the next contact began.
+        """
+        ended, self._ended = self._ended, None
+        if ended is None or not ended.aftermath.is_complete:
+            return None
+        if before_ns is not None and ended.aftermath.end_ns > before_ns:
+            return None
+        deviations = ended.aftermath.deviations()
+        was_proved, self._is_air_proved = self._is_air_proved, True
+        if abs(deviations) <= _CONTRADICTION or not ended.site.is_usable:
+            return None
+        if deviations < 0.0 and not was_proved:
+            # What was taken for the first air was a contact: there is no origin, nor a history.
+            ended.site.withdraw()
+        else:
+            ended.site.doubt(Flag.FORCE_DRIFTED, 1.0 + deviations**2)
+        return self._summary_of(ended, stamp_ns)
+
+    def _summary_of(self, ended: _Ended, stamp_ns: int) -> ContactSummary:
+        """Return the summary of a contact with what its site says now."""
+        estimate = ended.site.usable_estimate
+        return replace(
+            ended.summary,
+            stamp_ns=stamp_ns,
+            flags=ended.summary.flags | ended.site.flags,
+            estimate=estimate,
+            converged=estimate is not None and estimate.converged,
+            order_source=order_source(estimate, self._config.estimator),
+            **({} if estimate is not None else _NO_LABEL),
+        )

@@ -1,0 +1,67 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is odd about the input, in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+
+from fden_ros.core.contact.detector import ContactDetector
+from fden_ros.core.plausibility import of_stream
+from fden_ros.core.streams.samples import Reason
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+
+#: Samples that are usually without a partner when two streams begin.
+_USUAL_UNPAIRED = 2
+
+
+def input_warnings(
+    config: SynchronizeConfig,
+    synchronizer: Synchronizer,
+    detector: ContactDetector,
+    rejected: Mapping[str, int],
+    clock_jumps: int,
+) -> dict[str, int]:
+    """Return what was odd about the samples, in words, and how often.
+
+    Parameters
+    ----------
+    config : SynchronizeConfig
+    synchronizer, detector
+        What saw the samples.
+    rejected : mapping
+        Counts of rejected samples, keyed ``"<stream>.<reason>"``.
+    clock_jumps : int
+        How often the clock jumped.
+    """
+    counts = {
+        of_stream("force", synchronizer.force_guard, config.force_limit): 1,
+        of_stream("displacement", synchronizer.displacement_guard, config.displacement_limit): 1,
+        "the clock jumped back: everything learned was reset": clock_jumps,
+        "the force fell below its value in the air: does it have the wrong sign (force.axis, "
+        "force.inverted), or did the data begin in contact?": detector.below_baseline,
+        "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
+        "the force repeated one value: is the sensor dead, or at its end?": rejected.get(
+            f"force.{Reason.STUCK}", 0
+        ),
+    }
+    return {words: count for words, count in counts.items() if words and count}
+
+
+def unusual(rejected: Counter[str]) -> int:
+    """Return the count of rejected samples, less the first two without a partner."""
+    unpaired = rejected[f"force.{Reason.UNPAIRED}"]
+    return rejected.total() - min(unpaired, _USUAL_UNPAIRED)
