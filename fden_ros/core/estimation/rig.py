@@ -37,7 +37,7 @@ from collections import deque
 import numpy as np
 
 from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
-from fden_ros.core.law.apparent_stiffness import apparent_stiffness_factor
+from fden_ros.core.law.characteristic import apparent_stiffness_factor
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
 

@@ -20,8 +20,7 @@ apparent modulus is
 .. math:: E = \varphi'(x)\,\frac{\tau^{-\alpha}}{\Gamma(1-\alpha)}, \qquad
    \ln E = \ln G + \max(G_n |x| - 1, 0) - \alpha \ln\tau - \ln\Gamma(1 - \alpha),
 
-and the stiffness dF/dd follows from the geometry. The logarithm stands for any parameters, however
-far from tissue; the value is that of a filter's estimate.
+and the stiffness dF/dd follows from the geometry.
 """
 
 from __future__ import annotations
@@ -33,8 +32,10 @@ import numpy as np
 from scipy.special import digamma, gammaln
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_response
 from fden_ros.core.law.geometry import Geometry
+
+#: ln E beyond this [1] is of no tissue: the value stays there, so that it can be published.
+_LARGEST_LOG = 200.0
 
 
 class Stiffness(NamedTuple):
@@ -67,20 +68,10 @@ def apparent_stiffness(
     time_scale : float
         tau [s].
     """
-    log_g, log_gn, order = (float(value) for value in mean)
-    strain = geometry.strain(compression)
-    nonlinear_stiffness = math.exp(log_gn)
-    response = elastic_response(strain, math.exp(log_g), nonlinear_stiffness)
-    value = (
-        response.by_strain
-        * geometry.strain_slope(compression)
-        * apparent_stiffness_factor(order, time_scale)
-        / (geometry.stress_per_force * geometry.length)
-    )
-    reach = np.array(nonlinear_stiffness * abs(strain))
-    gradient = _log_gradient(reach, np.array(order), time_scale)
-    variance = float(gradient @ covariance @ gradient)
-    return Stiffness(value, value * math.sqrt(max(variance, 0.0)))
+    log = log_stiffness(mean, covariance, geometry.strain(compression), time_scale)
+    per_strain = geometry.strain_slope(compression) / (geometry.stress_per_force * geometry.length)
+    value = math.exp(min(float(log.value), _LARGEST_LOG)) * per_strain
+    return Stiffness(value, value * math.sqrt(log.variance))
 
 
 def log_stiffness(
@@ -102,18 +93,9 @@ def log_stiffness(
     reach = np.exp(mean[..., 1]) * abs(strain)
     beyond = np.maximum(reach - 1.0, 0.0)
     value = mean[..., 0] + beyond - order * math.log(time_scale) - gammaln(1.0 - order)
-    gradient = _log_gradient(reach, order, time_scale)
+    gradient = np.empty_like(mean)
+    gradient[..., 0] = 1.0
+    gradient[..., 1] = np.where(reach > 1.0, reach, 0.0)
+    gradient[..., 2] = digamma(1.0 - order) - math.log(time_scale)
     variance = np.einsum("...i,...ij,...j->...", gradient, covariance, gradient)
     return LogStiffness(value, np.maximum(variance, 0.0))
-
-
-def _log_gradient(reach: Array, order: Array, time_scale: float) -> Array:
-    """Return the derivatives of ln E by (ln G, ln Gn, alpha), shape (..., 3), at Gn |x| (...)."""
-    return np.stack(
-        [
-            np.ones_like(order),
-            np.where(reach > 1.0, reach, 0.0),
-            digamma(1.0 - order) - math.log(time_scale),
-        ],
-        axis=-1,
-    )
