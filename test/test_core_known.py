@@ -32,9 +32,17 @@ from fden_ros.benchmarks.real import identify as identify_measured
 from fden_ros.benchmarks.real import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
 from fden_ros.core.estimation.edge import weights_pile_up
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet, Prior
+from fden_ros.core.estimation.estimate import (
+    KEYS,
+    PUBLISHED,
+    Estimate,
+    LawError,
+    ParameterSet,
+    Prior,
+)
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import contact_object
+from fden_ros.offline.rows import contact_row
 from fden_ros.offline.session import remarks
 from fden_ros.report.table import contact_table, plus_minus, status_words
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
@@ -124,6 +132,24 @@ def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable(
         )
     )
     assert f"({gn})" in shown and f" {g}" in shown and "in brackets" in shown
+
+
+def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_the_table() -> None:
+    states = states_of(pressed(LINEAR, 20.0))
+    summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
+    estimate = estimate._replace(law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+    assert set(estimate.numbers) == set(PUBLISHED)
+    summary = replace(summary, estimate=estimate)
+    sent = (
+        estimate_message(replace(states[-1], estimate=estimate), "probe"),
+        summary_message(summary, "probe"),
+    )
+    for name, value in estimate.numbers.items():
+        assert [getattr(message, name) for message in sent] == [value, value]
+    for key, name in KEYS.items():
+        assert contact_object(summary)[key] == contact_row(summary, None)[key]
+        assert contact_object(summary)[key] == estimate.numbers[name]
+    assert summary_of(sent[1]).estimate.numbers == pytest.approx(estimate.numbers, rel=1e-12)
 
 
 def test_a_consumer_that_needs_g_alone_has_it_of_near_linear_material() -> None:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.estimate import KEYS
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Position, Sink
@@ -213,16 +213,10 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "end_ns": summary.end_ns,
         "position": summary.position,
         "frame": summary.position_frame,
-        "g": None,
-        "g_n": None,
-        "alpha": None,
-        "g_sd": None,
-        "g_n_sd": None,
-        "alpha_sd": None,
+        **dict.fromkeys(KEYS),
         "apparent_stiffness": None,
         "apparent_stiffness_sd": None,
         "apparent_stiffness_time_scale": None,
-        **dict.fromkeys(LawError.names()),
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
         "valid_parameters": [],
@@ -246,19 +240,13 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
     }
     estimate = summary.estimate
     if estimate is not None:
+        numbers = estimate.numbers
         contact |= {
-            "g": estimate.linear_stiffness,
-            "g_n": estimate.nonlinear_stiffness,
-            "alpha": estimate.fractional_order,
-            "g_sd": estimate.linear_stiffness_sd,
-            "g_n_sd": estimate.nonlinear_stiffness_sd,
-            "alpha_sd": estimate.fractional_order_sd,
+            **{key: numbers.get(name) for key, name in KEYS.items()},
             "valid_parameters": list(estimate.valid.names),
             "converged_parameters": list(estimate.known.names),
             "edge_parameters": list(estimate.at_edge.names),
         }
-        if estimate.law_error is not None:
-            contact |= zip(LawError.names(), estimate.law_error, strict=True)
     stiffness = summary.apparent_stiffness
     if stiffness is not None:
         contact |= {

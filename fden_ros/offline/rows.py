@@ -20,7 +20,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fden_ros.core.law.characteristic import exponential_scale
+from fden_ros.core.estimation.estimate import KEYS
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.session import Session
@@ -28,7 +28,7 @@ from fden_ros.offline.session import Session
 #: The columns, in their order. x, y, z: place of the touch [m] in `frame`; mean_nis: mean of the
 #: normalised innovation squared, 1 where model and noise are right. apparent_stiffness [N/m]: for
 #: a motion of its time scale [s] at the deepest point. Correlations: of ln G, ln Gn and alpha.
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "frame", "g", "g_sd", "g_n",
     "g_n_sd", "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale",
     "converged", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
@@ -38,6 +38,7 @@ COLUMNS = (
     "g_alpha_correlation", "g_n_alpha_correlation", "valid_parameters", "converged_parameters",
     "edge_parameters",
 )  # fmt: skip
+COLUMNS += tuple(key for key in KEYS if key not in COLUMNS)
 
 #: Columns of several words.
 LISTS = ("flags", "valid_parameters", "converged_parameters", "edge_parameters")
@@ -58,13 +59,11 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
     row["x"], row["y"], row["z"] = row.pop("position") or (None, None, None)
     row["rejected"] = summary.rejected_count
     row["probability"] = max(probabilities.values(), default=None)
-    row["boundary_strain"] = row["exponential_scale"] = None
-    if row["g"] is not None:
-        row["boundary_strain"] = 1.0 / row["g_n"]
-        row["exponential_scale"] = exponential_scale(row["g"], row["g_n"])
     row["mean_nis"] = mean_nis
-    row |= dict.fromkeys(CORRELATIONS)
+    row |= dict.fromkeys(("boundary_strain", "exponential_scale", *CORRELATIONS))
     if summary.estimate is not None:
+        row["boundary_strain"] = summary.estimate.boundary_strain
+        row["exponential_scale"] = summary.estimate.exponential_scale
         covariance = summary.estimate.covariance
         for name, (i, j) in CORRELATIONS.items():
             scale = math.sqrt(covariance[i, i] * covariance[j, j])

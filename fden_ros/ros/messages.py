@@ -23,9 +23,14 @@ from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import Estimate, Innovation, LawError, ParameterSet
+from fden_ros.core.estimation.estimate import (
+    PUBLISHED,
+    Estimate,
+    Innovation,
+    LawError,
+    ParameterSet,
+)
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import (
     ApparentStiffness,
     Classification,
@@ -165,24 +170,9 @@ def _fill_rig(message: PalpationSummary, rig: RigKnowledge | None) -> None:
 def _fill_parameters(
     message: TissueEstimate | PalpationSummary, estimate: Estimate, source: OrderSource
 ) -> None:
-    linear_stiffness = estimate.linear_stiffness
-    nonlinear_stiffness = estimate.nonlinear_stiffness
-    message.linear_stiffness = linear_stiffness
-    message.nonlinear_stiffness = nonlinear_stiffness
-    message.exponential_scale = exponential_scale(linear_stiffness, nonlinear_stiffness)
-    message.boundary_strain = 1.0 / nonlinear_stiffness
-    message.fractional_order = estimate.fractional_order
-    message.linear_stiffness_sd = estimate.linear_stiffness_sd
-    message.nonlinear_stiffness_sd = estimate.nonlinear_stiffness_sd
-    message.fractional_order_sd = estimate.fractional_order_sd
+    for name, value in estimate.numbers.items():
+        setattr(message, name, value)
     message.covariance = estimate.covariance.ravel()
-    message.strain_origin = estimate.strain_origin
-    message.strain_origin_sd = estimate.strain_origin_sd
-    message.model_error = estimate.model_error
-    message.loading_age = estimate.loading_age
-    if estimate.law_error is not None:
-        for name, value in zip(LawError.names(), estimate.law_error, strict=True):
-            setattr(message, name, value)
     message.alpha_source = int(source)
     message.valid_parameters = int(estimate.valid)
     message.converged_parameters = int(estimate.known)
@@ -293,12 +283,8 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
     return Estimate(
         log_linear_stiffness=math.log(message.linear_stiffness),
         log_nonlinear_stiffness=math.log(message.nonlinear_stiffness),
-        fractional_order=message.fractional_order,
         covariance=np.array(message.covariance).reshape(3, 3),
-        strain_origin=message.strain_origin,
-        strain_origin_sd=message.strain_origin_sd,
-        model_error=message.model_error,
-        loading_age=message.loading_age,
+        **{name: getattr(message, name) for name in PUBLISHED if name in Estimate._fields},
         law_error=LawError(*(getattr(message, name) for name in LawError.names()))
         if message.kernel_error_sd
         else None,

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.characteristic import elastic_response, exponential_scale
 
 if TYPE_CHECKING:
     from fden_ros.core.estimation.rig_knowledge import RigKnowledge
@@ -352,8 +352,49 @@ class Estimate(NamedTuple):
         """Standard deviation of alpha [1]."""
         return self._deviation(StateIndex.FRACTIONAL_ORDER)
 
+    @property
+    def exponential_scale(self) -> float:
+        """Gi at the medians [Pa s^alpha]."""
+        return exponential_scale(self.linear_stiffness, self.nonlinear_stiffness)
+
+    @property
+    def boundary_strain(self) -> float:
+        """1/Gn at its median [1]."""
+        return 1.0 / self.nonlinear_stiffness
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What outputs state, by the names of :data:`PUBLISHED`; without those not known."""
+        found = {name: getattr(self, name) for name in _ITS_OWN}
+        if self.law_error is not None:
+            found |= zip(LawError.names(), self.law_error, strict=True)
+        return found
+
     def _deviation(self, index: StateIndex) -> float:
         return math.sqrt(max(float(self.covariance[index, index]), 0.0))
+
+
+#: Numbers of an estimate that leave the core, by their names, which are those of the fields of the
+#: messages; and their keys in the JSON of a contact and columns of a table; empty: in neither. To
+#: put out another, add it here, to both messages, and to what docs/interface.md says of `valid`.
+PUBLISHED = {
+    "linear_stiffness": "g",
+    "nonlinear_stiffness": "g_n",
+    "fractional_order": "alpha",
+    "linear_stiffness_sd": "g_sd",
+    "nonlinear_stiffness_sd": "g_n_sd",
+    "fractional_order_sd": "alpha_sd",
+    "exponential_scale": "",
+    "boundary_strain": "",
+    "strain_origin": "",
+    "strain_origin_sd": "",
+    "model_error": "",
+    "loading_age": "",
+    **{name: name for name in LawError.names()},
+}
+#: Those that have a key, by their keys.
+KEYS = {key: name for name, key in PUBLISHED.items() if key}
+_ITS_OWN = tuple(name for name in PUBLISHED if name not in LawError.names())
 
 
 def determined(
