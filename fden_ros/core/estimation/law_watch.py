@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""When the deviation from the law is fitted: a step with every block, and the rest at the end."""
+"""When the deviation from the law is fitted: a step per block, and the rest at the end."""
 
 from __future__ import annotations
 
@@ -74,6 +74,9 @@ class LawWatch:
         self._next_fit = _FIRST_FIT
         self._fit: LawFit | None = None
         self._steps: Iterator[None] = iter(())
+        self._begin_at: Array | None = None  # state from which the next fit begins
+        self._is_ahead = False  # the step that the next block asks for is done
+        self._result: LawDeviation | None = None  # of that step, if it was the last
 
     def begin_contact(self) -> None:
         """Start a contact."""
@@ -84,27 +87,54 @@ class LawWatch:
     def stop(self) -> None:
         """Record no more: this contact is that of one tissue no longer."""
         self._is_over = True
-        self._fit = None
+        self._drop()
+
+    def _drop(self) -> None:
+        """Give up the fit under way."""
+        self._fit = self._begin_at = self._result = None
+        self._is_ahead = False
 
     def add(self, block: Block, age: float, state: Array) -> None:
         """Take a block where the loading is of `age` [s]; `state`: ln G, ln Gn, alpha, origin."""
         if self._is_over:
             return
+        self.work_ahead()
         self._record.add(block, age)
+        if self._is_ahead:
+            self._is_ahead = False
+            self._publish()
+            return
         duration = self._record.duration
-        is_due = duration >= self._next_fit and age >= _HOLD_SHARE * duration
-        if self._fit is None and is_due:
+        if duration >= self._next_fit and age >= _HOLD_SHARE * duration:
             self._next_fit = _LATER_FIT * duration
-            self._begin(state)
-        self._advance()
+            self._begin_at = state.copy()
+
+    def work_ahead(self) -> None:
+        """Do the step of the fit that the next block asks for, unless it is done.
+
+        The same comes of it whenever between two blocks it is called, or if it is not.
+        """
+        if self._begin_at is not None:
+            self._begin(self._begin_at)
+            self._begin_at = None
+            self._advance()
+        if self._fit is not None and not self._is_ahead:
+            self._advance()
+            self._is_ahead = True
+
+    def _publish(self) -> None:
+        if self._result is not None:
+            self.deviation, self._result = self._result, None
 
     def finish(self, state: Array) -> None:
         """Fit to all that was recorded, at the end of a contact."""
         if self._is_over:
             return
+        self._drop()
         self._begin(state)
         while self._fit is not None:
             self._advance()
+        self._publish()
 
     def _begin(self, state: Array) -> None:
         if not is_enough(self._record):
@@ -127,7 +157,7 @@ class LawWatch:
         try:
             next(self._steps)
         except StopIteration:
-            self.deviation = self._fit.result()
+            self._result = self._fit.result()
             self._fit = None
         except (np.linalg.LinAlgError, ValueError):
             self._fit = None

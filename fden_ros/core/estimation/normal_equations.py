@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -318,13 +318,16 @@ class NormalEquations:
         in_origin, _ = self._in_origin(float(state[_ORIGIN]))
         return first, math.exp(state[_LOG_G]) * np.outer(in_gn, in_origin)
 
-    def law_stress(self, response: BlockResponse, state: Array) -> float:
-        """Return the stress of a block by the law alone, without linear columns [Pa]."""
+    def law_stresses(self, responses: Iterable[BlockResponse], state: Array) -> list[float]:
+        """Return the stress of each block by the law alone, without linear columns [Pa]."""
         first, weights = self.law_weights(state)
         in_order, _ = self._in_order(float(state[_ORDER]))
-        law = response.law[first : first + STENCIL].reshape(*weights.shape, _ORDERS)
-        by_order = np.tensordot(weights, law, 2) + response.columns[:_ORDERS]
-        return float(in_order @ by_order)
+        found = []
+        for response in responses:
+            law = response.law[first : first + STENCIL].reshape(*weights.shape, _ORDERS)
+            by_order = np.tensordot(weights, law, 2) + response.columns[:_ORDERS]
+            found.append(float(in_order @ by_order))
+        return found
 
     # Quadratic forms
 

@@ -306,9 +306,10 @@ class StressPosterior:
         """Return the first node of ln Gn used at the state, and the weights (8, origins)."""
         return self._equations.law_weights(self.state)
 
-    def law_stress(self, response: BlockResponse) -> float:
-        """Return the stress of a block by the law alone, at the state [Pa]."""
-        return self._equations.law_stress(response, self.state)
+    def law_step(self, before: BlockResponse, response: BlockResponse) -> float:
+        """Return by how much the stress changes between blocks by the law alone [Pa]."""
+        first, last = self._equations.law_stresses((before, response), self.state)
+        return last - first
 
     def start_anew(self, predicted_fractional_stress: float) -> None:
         """Learn a new tissue from here on: origin, bias, drift and rig stay."""

@@ -141,6 +141,7 @@ class StressEstimator:
         self._age = LoadingAge()
         self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
         self._last_response: BlockResponse | None = None
+        self._newest: tuple[float, BlockResponse] | None = None  # stress and response, to follow
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -172,6 +173,7 @@ class StressEstimator:
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
+        self._follow()
         self._motion.interrupt()
         self._change.begin_contact()
         self._law.begin_contact()
@@ -206,6 +208,7 @@ class StressEstimator:
         FloatingPointError
             If the block's response is beyond floating-point numbers.
         """
+        self._follow()
         elastic, noise, predictions = self._predict(block)
         best = predictions[self._bank.index(self._best)]
         innovation = Innovation(
@@ -283,7 +286,7 @@ class StressEstimator:
                 posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
-        self._follow(block, predictions[0].response)
+        self._newest = block.stress, predictions[0].response
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
 
@@ -332,11 +335,13 @@ class StressEstimator:
         force = self._rig.bend(block.compression, stiffness)
         self._basis.linearise(math.exp(state[_LOG_GN]), in_origin, force)
 
-    def _follow(self, block: Block, response: BlockResponse) -> None:
-        """Follow the stress of a block, by the steps of the law where it is noisy."""
+    def _follow(self) -> None:
+        """Follow the stress of the newest block, by the steps of the law where it is noisy."""
+        if self._newest is None:
+            return
+        (stress, response), self._newest = self._newest, None
         before = self._last_response or response
-        step = self._best.law_stress(response) - self._best.law_stress(before)
-        self._rig.follow(block.stress, step)
+        self._rig.follow(stress, self._best.law_step(before, response))
         self._last_response = response
 
     def _start_anew(self, change: Change, innovation: Innovation, block: Block) -> None:
@@ -355,7 +360,10 @@ class StressEstimator:
         self._law.stop()
 
     def relinearise(self, *, fully: bool = False) -> None:
-        """Solve for the posteriors anew, with all blocks so far, where that is due."""
+        """Do what nobody waits for; solve anew, with all blocks so far, where that is due."""
+        self._follow()
+        if not fully:
+            self._law.work_ahead()
         if self._change.is_suspected:
             return
         solved = False
@@ -433,6 +441,7 @@ class StressEstimator:
         That is where nothing is open, the loading never reversed, the tissue changed, or a
         solution was not found. The mixture of all scales of the model's error has these moments.
         """
+        self._follow()
         is_open = any(self._config.uncertainty.rig_sd)
         solved = all(posterior.is_solved and posterior.is_unimodal for posterior in self._likely)
         if not (is_open and solved and self._rig.has_reversed) or self._change.count:

@@ -47,9 +47,19 @@ class Lagrange:
         slope[: max(nodes.size - 1, 1)] = chebyshev.chebder(cardinal) / self._half
         self._size = nodes.size
         self._coefficients = np.hstack([cardinal, slope])
+        #: The newest single value and what it gave: one estimate is asked for again and again.
+        self._newest: tuple[float, tuple[Array, Array]] | None = None
 
     def __call__(self, value: float | Array) -> tuple[Array, Array]:
         """Return the weight of each node at `value` and its derivative, shape (..., n)."""
+        if not isinstance(value, float):
+            return self._weights(value)
+        newest = self._newest
+        if newest is None or newest[0] != value:
+            newest = self._newest = value, self._weights(value)
+        return newest[1]
+
+    def _weights(self, value: float | Array) -> tuple[Array, Array]:
         x = (value - self._middle) / self._half
         polynomials = [x**0, x]
         for _ in range(2, self._size):
