@@ -71,6 +71,11 @@ def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
 
 
 @examples(200)
+@example(
+    [(0, 1, 0.0, False)] * 11
+    + [(0, 9990, 0.0, False), (0, 10000, 5e-324, False), (0, 10000, 1.0, False)],
+    {},
+)
 @given(events, modes)
 def test_any_stream_gives_sound_and_repeatable_outputs(
     stream: list[tuple[int, int, float, bool]], parameters: dict[str, object]

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 #: A change is a whole number of steps when it is within this share of a step of it [1].
 _TOLERANCE = 0.01
-#: Smaller changes, relative to the value, are rounding [1].
+#: Smaller changes, relative to the value or to the largest change, are rounding [1].
 _ROUNDING = 1e-9
 #: A signal that changes by the same amount in 4 samples in a row is a ramp without noise.
 _RAMP = 4
@@ -56,5 +56,5 @@ class Resolution:
         size, step = abs(change), self._step or abs(change)
         self._step = min(size, step)
         ratio = max(size, step) / self._step
-        if abs(ratio - round(ratio)) > _TOLERANCE:
+        if ratio > 1.0 / _ROUNDING or abs(ratio - round(ratio)) > _TOLERANCE:
             self._step, self._is_continuous = 0.0, True
