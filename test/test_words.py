@@ -228,16 +228,18 @@ def test_the_table_with_the_truth_and_flags_is_whole_in_80_columns() -> None:
         converged=False,
         flags=Flag.TISSUE_CHANGED | Flag.ORIGIN_UNCERTAIN,
         estimate=ESTIMATE._replace(
-            log_linear_stiffness=math.log(12345.6), known=ParameterSet.LINEAR_STIFFNESS
+            log_linear_stiffness=math.log(12345.6),
+            covariance=np.diag([0.01, 0.00175**2, 0.0001]),
+            known=ParameterSet.LINEAR_STIFFNESS,
         ),
-        apparent_stiffness=ApparentStiffness(1235.4, 12.8, 0.1),
+        apparent_stiffness=ApparentStiffness(12.354, 0.062, 0.1),
         classes=ClassProbabilities("unknown", ("liver", "unknown"), (0.06, 0.94)),
     )
     truth = {12: {"linear_stiffness": 12000.0, "nonlinear_stiffness": 8.0}}
     text = printed(flagged, truth=truth)
     assert "…" not in text
     for words in (
-        *("12346 ± 1235", "true 12000", "8.00 ± 0.16", "true 8.00", "0.130", "1235 ± 13"),
+        *("12346 ± 1235", "true 12000", "8.000 ± 0.014", "true 8.00", "0.130", "12.35 ± 0.06"),
         *("G known", "tissue", "changed", "origin", "uncertain", "unknown 94%"),
     ):
         assert words in text, text

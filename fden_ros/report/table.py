@@ -48,7 +48,7 @@ def contact_table(
         Site number to its true ``linear_stiffness`` and ``nonlinear_stiffness``, shown below the
         estimates.
     """
-    table = Table(title="Contacts", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title="Contacts", box=box.SIMPLE_HEAD, padding=0)
     for name in ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m"):
         table.add_column(Text(name), justify="right", no_wrap=True)
     table.add_column("status", min_width=10)
