@@ -230,6 +230,18 @@ def test_the_monitor_draws_the_force_and_g_with_its_band() -> None:
     assert "stress [Pa]" in shown(MonitorView("/i", trace=replace(trace, stress_per_force=None)))
 
 
+def test_the_axis_of_g_is_that_of_what_is_known_and_its_labels_are_whole() -> None:
+    ages = np.linspace(10.0, 0.0, 501)
+    is_prior = ages > 8.0
+    stiffness = np.where(is_prior, 10330.0, 698.0)
+    spread = np.where(is_prior, 100.0, 1.02)
+    stress = np.full(ages.size, -0.0005922)
+    trace = Trace(ages, stress, stiffness, stiffness / spread, stiffness * spread)
+    text = shown(MonitorView("/identifier", trace=trace))
+    assert "…" not in text and "-0.0006514" in text
+    assert "714.2 " in text and "682.1 " in text
+
+
 def test_a_state_in_the_air_is_a_gap_in_the_curves() -> None:
     state = TissueState(
         stamp_ns=0,

@@ -32,7 +32,7 @@ _BRAILLE = 0x2800
 #: Bits of the dots of a character, by row and column.
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _SHADE = "░"
-_LABEL = 8
+_LABEL = 10
 _LEAST_WIDTH = _LABEL + 12
 
 

@@ -47,6 +47,8 @@ _DEVIATIONS = 2.0
 _LEAST_SPAN = 5.0
 #: Logarithms of an interval's width beyond this are drawn as this.
 _LARGEST_LOG = 600.0
+#: An interval whose ends are within this factor [1] says where the axis of G lies.
+_NARROW = 4.0
 
 
 @dataclass(frozen=True)
@@ -110,11 +112,11 @@ def _charts(trace: Trace) -> Table:
     top = 1.1 * float(finite.max(initial=0.0)) or 1.0
     bottom = 1.1 * float(finite.min(initial=0.0))
     stiffness = trace.linear_stiffness
-    # Of the first half the curve alone counts: the prior's interval would flatten it.
-    is_new = np.arange(stiffness.size) >= stiffness.size // 2
-    limits = interval_limits(
-        stiffness, np.where(is_new, trace.low, stiffness), np.where(is_new, trace.high, stiffness)
-    )
+    # The prior, at the touch, would flatten the rest.
+    is_known = trace.high < _NARROW * trace.low
+    counts = is_known if is_known.any() else np.isfinite(stiffness)
+    low, high = interval_limits(stiffness[counts], trace.low[counts], trace.high[counts])
+    limits = max(low, 0.0), high
     span = min(trace.span, max(_LEAST_SPAN, math.ceil(trace.ages[0])))
     table = Table.grid(padding=(0, 1, 0, 0), expand=True)
     table.add_column(ratio=1)
