@@ -57,3 +57,14 @@ def test_importing_the_core_imports_none_of_what_it_computes_with() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout == "[]\n", result.stderr
+
+
+def test_a_pipeline_of_the_default_estimator_does_not_import_the_papers_filter() -> None:
+    code = """
+import sys
+from fden_ros.core import Pipeline, PipelineConfig
+Pipeline(PipelineConfig(None), print)
+print(sorted({"filterpy", "scipy.stats", "scipy.optimize"} & set(sys.modules)))
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout == "[]\n", result.stderr

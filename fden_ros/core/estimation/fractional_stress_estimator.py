@@ -44,10 +44,9 @@ Determination, 2004, ch. 6).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array
@@ -61,6 +60,9 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
+
+if TYPE_CHECKING:
+    from filterpy.kalman import ExtendedKalmanFilter
 
 #: Places in the state of a member, which has no alpha: not those of StateIndex.
 _LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)
@@ -179,6 +181,9 @@ class _Member:
     """One extended Kalman filter with its weight and its sensitivity to alpha."""
 
     def __init__(self, start: Array, covariance: Array, log_weight: float) -> None:
+        # Importing it takes as long as all the rest of the core, and most never need it.
+        from filterpy.kalman import ExtendedKalmanFilter
+
         self.filter = ExtendedKalmanFilter(dim_x=start.size, dim_z=1)
         self.filter.x = start.copy()
         self.filter.P = covariance.copy()
