@@ -34,6 +34,9 @@ _FIRST_FIT, _LATER_FIT = 2.0, 1.5
 #: While the loading's age is below this share of the contact's duration [1], kernel and curve
 #: cannot be told apart: fits to the ramp alone called 6 of 10 presses of beef a mismatch.
 _HOLD_SHARE = 0.4
+#: Time of the data for which one step of a fit is done [s], so that a slow stream waits no longer
+#: for it; at the end of a contact, steps between two looks whether it is over [1].
+_STEP_TIME, _STEPS_AT_END = 0.01, 10
 
 
 class LawWatch:
@@ -96,7 +99,7 @@ class LawWatch:
         if self._fit is None and is_due:
             self._next_fit = _LATER_FIT * duration
             self._begin(state)
-        self._advance()
+        self._advance(max(1, round(block.duration / _STEP_TIME)))
 
     def finish(self, state: Array) -> None:
         """Fit to all that was recorded, at the end of a contact."""
@@ -104,7 +107,7 @@ class LawWatch:
             return
         self._begin(state)
         while self._fit is not None:
-            self._advance()
+            self._advance(_STEPS_AT_END)
 
     def _begin(self, state: Array) -> None:
         if not is_enough(self._record):
@@ -120,12 +123,13 @@ class LawWatch:
         )
         self._steps = self._fit.steps()
 
-    def _advance(self) -> None:
-        """Do one step of the fit under way; one that fails says nothing."""
+    def _advance(self, steps: int) -> None:
+        """Do some steps of the fit under way; one that fails says nothing."""
         if self._fit is None:
             return
         try:
-            next(self._steps)
+            for _ in range(steps):
+                next(self._steps)
         except StopIteration:
             self.deviation = self._fit.result()
             self._fit = None

@@ -82,8 +82,9 @@ _SCALES = (0.0, 1.0)
 _SHORTEST_BLOCK = 0.002
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
-#: Blocks [1] after which a scale of less weight than that is solved for all the same.
-_RARELY = 40
+#: Blocks [1], and share of all blocks so far [1], after which a scale of less weight than that is
+#: solved for all the same: early on its solution may be the wrong maximum.
+_RARELY, _RARELY_SHARE = 40, 0.5
 #: Share of the prior's deviation of ln G [1] below which the data have said something, and
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
 _KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
@@ -136,6 +137,7 @@ class StressEstimator:
             for scaled in _at_scales(config)
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
+        self._block_count = 0
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
@@ -283,6 +285,7 @@ class StressEstimator:
                 posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
+        self._block_count += 1
         self._follow(block, predictions[0].response)
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
@@ -351,6 +354,7 @@ class StressEstimator:
                 posterior.covariance = self._best.covariance.copy()
             posterior.start_anew(innovation.predicted_fractional_stress)
         self._weights.fill(1.0 / len(self._bank))
+        self._block_count = 0
         self._max_compression = -math.inf
         self._law.stop()
 
@@ -361,7 +365,8 @@ class StressEstimator:
         solved = False
         for posterior, weight in zip(self._bank, self._weights, strict=True):
             waiting = posterior.blocks_since_solved
-            if weight < _LEAST_WEIGHT and not fully and waiting < _RARELY:
+            rarely = min(_RARELY, _RARELY_SHARE * self._block_count)
+            if weight < _LEAST_WEIGHT and not fully and waiting < rarely:
                 continue
             if posterior.is_due() or (fully and waiting):
                 posterior.relinearise()
