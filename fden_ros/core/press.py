@@ -137,7 +137,9 @@ class Press:
         site, clear = self._site, _CLEAR * self._release_force
         if self._is_first and not self._is_pressed:
             self._is_free = False
-        elif step > 0.0 and site.is_known and abs(force) <= (2.0 if self._is_free else 1.0) * clear:
+        elif (
+            step > 0.0 and site.is_known and abs(force) <= (2.0 if self._is_free else 1.0) * clear
+        ):
             # Where noise hides the force, the law says where the surface is; a probe that has left
             # it meets it again only by a force that noise does not make.
             self._is_free = site.is_above_surface(step, compression)

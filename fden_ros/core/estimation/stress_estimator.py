@@ -43,6 +43,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.law_watch import LawWatch
+from fden_ros.core.estimation.motion_jitter import MotionJitter
 from fden_ros.core.estimation.motion_noise import MotionNoise
 from fden_ros.core.estimation.normal_equations import BlockResponse
 from fden_ros.core.estimation.posterior import Prediction, StressPosterior
@@ -121,6 +122,7 @@ class StressEstimator:
         self._geometry = geometry
         self._noise_variance = noise_sd**2
         self._motion = MotionNoise(motion_noise)
+        self._jitter = MotionJitter(motion_noise)
         grid = self._grid = LogStiffnessGrid(
             math.log(prior.nonlinear_stiffness),
             min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
@@ -175,6 +177,7 @@ class StressEstimator:
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
         self._motion.interrupt()
+        self._jitter.interrupt()
         self._change.begin_contact()
         self._law.begin_contact()
         self._age.interrupt()
@@ -188,11 +191,12 @@ class StressEstimator:
     def press(self, step: float, compression: float) -> None:
         """Take the motion of a sample in contact."""
         self._motion.press(step, compression)
-        self._basis.press(step, compression)
+        self._basis.press(step, compression, self._jitter.press(step, compression))
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Take steps in the air."""
         self._motion.interrupt()
+        self._jitter.interrupt()
         self._basis.rest(steps, free_responses)
 
     def skip(self) -> None:
@@ -315,7 +319,7 @@ class StressEstimator:
         """Return the responses of law, old memory and linear parameters but the walk."""
         if self._config.uncertainty.compliance_sd > 0.0:
             self._bend(block, state, slope * math.exp(state[_LOG_G]))
-        law, free, pulse, yielding = self._basis.take_block()
+        law, free, pulse, yielding, jittering = self._basis.take_block()
         if self._contact_start is None:
             self._contact_start = block.memory_time
         in_order, _ = self._in_order(float(state[_ORDER]))
@@ -324,7 +328,13 @@ class StressEstimator:
             StateIndex.DRIFT: block.memory_time - self._contact_start,
             StateIndex.PULSE: float(in_order @ pulse),
         }
-        linear |= self._rig.columns(block, slope, float(state[_ORDER]), float(in_order @ yielding))
+        linear |= self._rig.columns(
+            block,
+            slope,
+            float(state[_ORDER]),
+            float(in_order @ yielding),
+            float(in_order @ jittering),
+        )
         return law, free, linear
 
     def _bend(self, block: Block, state: Array, slope: float) -> None:
