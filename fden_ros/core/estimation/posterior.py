@@ -74,9 +74,8 @@ _SCALED = ("compliance", "delay", "jitter")
 
 #: Deviation of a walk before the sums hold its prior [unit]: so wide that it says nothing.
 _UNKNOWN = 1e6
-#: The noise of a resting displacement is motion to the law, but none to the tissue: its part is
-#: regressed out, with a coefficient of this deviation [1]. (With a walk only the fast signal
-#: counts; without this alpha is a deviation too low.)
+#: The noise of the displacement is motion to the law, but none to the tissue: its part is
+#: regressed out, with a coefficient of this deviation [1].
 _JITTER_SD = 1.0
 #: The unit of the walk in standard deviations of a sample's noise [1].
 _WALK_UNIT = 3.0
@@ -126,6 +125,8 @@ class StressPosterior:
     rig : tuple of ndarray, shape (2,), (2, 2)
         Mean and covariance of delay and friction before the first contact, in their stated
         deviations.
+    regards_jitter : bool
+        The noise of the motion is a parameter also where nothing else is left out.
     """
 
     def __init__(
@@ -136,6 +137,8 @@ class StressPosterior:
         noise_sd: float,
         origin_sd: float,
         rig: tuple[Array, Array],
+        *,
+        regards_jitter: bool,
     ) -> None:
         prior, uncertainty = config.prior, config.uncertainty
         self.uncertainty = uncertainty
@@ -148,6 +151,7 @@ class StressPosterior:
         self._has_walk = uncertainty.walks
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
+        if self._has_walk or regards_jitter:
             deviations[_JITTER] = _JITTER_SD
         deviations[_RIG[0]] = np.sign(uncertainty.compliance_sd)
         self._prior = StatePrior(mean, deviations)

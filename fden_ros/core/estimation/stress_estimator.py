@@ -134,9 +134,12 @@ class StressEstimator:
         self._basis = StressBasis(geometry, grid.nodes, origins)
         self._known_rig = rig or RigKnowledge.stated(config)
         known = self._known_rig.scaled(config.uncertainty)
+        scales = _at_scales(config)
         self._bank = [
-            StressPosterior(scaled, grid, origins, noise_sd, origin_sd, known)
-            for scaled in _at_scales(config)
+            StressPosterior(
+                scaled, grid, origins, noise_sd, origin_sd, known, regards_jitter=len(scales) > 1
+            )
+            for scaled in scales
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
         self._block_count = 0
