@@ -49,7 +49,7 @@ def responses(motion_m):
     found = []
     for k, mean in enumerate(motion_m.reshape(-1, SIZE).mean(axis=1) / GEOMETRY.length):
         block = Block(mean, 0.0, (k + 0.5) * SIZE * STEP, SIZE, SIZE * STEP, np.zeros(0))
-        found.append(rig.columns(block, 5000.0, 0.2, 0.0))
+        found.append(rig.columns(block, 5000.0, 0.2, 0.0, 0.0))
     return rig, found
 
 

@@ -69,6 +69,9 @@ Array = NDArray[np.float64]
 _AT_ONCE = 1e-5
 #: Points of a plan are this close at most, as a share of its length.
 _FINEST_SHARE = 40
+#: Before a hold has shown the relaxation its deviation is this multiple of the stated one [1]: at
+#: the end of a ramp a linear solid of 1 s looks like the law of a wrong alpha.
+_UNSEEN_RELAXATION = 2.0
 _DERIVATIVE_STEP = 1e-4
 _ORDER_STEP = 0.005
 
@@ -211,10 +214,7 @@ class Predictor:
         if estimate.loading_age <= 0.0:
             return np.zeros_like(grid)
         error = estimate.model_error
-        # For relaxation yet to come the evidence so far may widen what is stated, not shrink it.
-        kernel_error = max(stated.kernel_sd, KERNEL_SHARE * error)
-        if estimate.law_error is not None:
-            kernel_error = max(kernel_error, estimate.law_error.kernel)
+        kernel_error = self._kernel_error
         uncertainty = replace(stated, characteristic_sd=error, kernel_sd=kernel_error)
         gn, order = estimate.nonlinear_stiffness, estimate.fractional_order
         relaxed = estimate.linear_stiffness * apparent_stiffness_factor(order, SURFACE_TIME)
@@ -222,13 +222,24 @@ class Predictor:
         elastic = elastic_responses(np.append(self.memory.strain, strains), 1.0, gn)
         age = LoadingAge(estimate.loading_age, float(elastic.value[0]))
         steps = np.diff(grid, prepend=0.0)
-        grown = np.zeros_like(grid)
+        grown, ageing = np.zeros_like(grid), np.zeros_like(grid)
         for k, step in enumerate(steps.tolist()):
             growth = age.grow(step, float(elastic.value[k + 1]))
             grown[k] = model_error_variance(uncertainty, float(stress[k]), growth)
             stiffness = relaxed * float(elastic.by_strain[k + 1])
             grown[k] += rig_error_variance(uncertainty, self.geometry, step, stiffness)
-        return np.cumsum(grown)
+            ageing[k] = math.log(age.age / estimate.loading_age)
+        return np.cumsum(grown) + (kernel_error * ageing * stress) ** 2
+
+    @property
+    def _kernel_error(self) -> float:
+        """Relative deviation of the relaxation yet to come, in each factor e of its age [1].
+
+        The evidence so far may widen what is stated, not shrink it.
+        """
+        stated, found = self.uncertainty.kernel_sd, self.estimate.law_error
+        unseen = _UNSEEN_RELAXATION * stated if found is None else found.kernel
+        return max(stated, KERNEL_SHARE * self.estimate.model_error, unseen)
 
     def _variance(self, function: Callable[[Array, float, float], Array], value: Array) -> Array:
         """Return the variance of a function of the parameters whose value is given."""

@@ -38,6 +38,7 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
 )
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.stress_estimator import StressEstimator
+from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
 from fden_ros.core.outputs import WITHHELD, Flag
@@ -252,6 +253,23 @@ class Site:
         free = float(weights @ self._integral.ahead(step)[_NODES:])
         strain = self._config.geometry.strain(compression - estimate.strain_origin)
         return estimate.is_above_surface(strain, free)
+
+    def change_of_stress(self, before: float, compression: float, elapsed: float) -> float:
+        """Return by how much the stress changes [Pa] when the compression does, in some time [s].
+
+        By the newest estimate; without one 0.
+        """
+        estimate = self.estimate
+        if estimate is None or elapsed <= 0.0:
+            return 0.0
+        strains = np.array([before, compression]) - estimate.strain_origin
+        elastic = elastic_responses(
+            np.array([self._config.geometry.strain(float(u)) for u in strains]),
+            estimate.linear_stiffness,
+            estimate.nonlinear_stiffness,
+        )
+        step = float(elastic.value[1] - elastic.value[0])
+        return step * apparent_stiffness_factor(estimate.fractional_order, elapsed)
 
     # Blocks
 

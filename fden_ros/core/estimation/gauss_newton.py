@@ -33,7 +33,7 @@ from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.estimation.normal_equations import NormalEquations
 from fden_ros.core.estimation.state_prior import StatePrior
-from fden_ros.core.law.interpolation import LogStiffnessGrid
+from fden_ros.core.law.interpolation import LOG_SPACING, LogStiffnessGrid
 from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
@@ -65,6 +65,8 @@ _LEAST_WEIGHT = 1e-6
 #: Eigenvalues of a scaled Hessian [1] below this are rounding: its elements are 1, and known to
 #: 2e-16 times their number and the growth of the sums.
 _SINGULAR = 1e-11
+#: Of the integral over ln Gn as a sum over nodes, beside that of a normal posterior [1].
+_LOG_NODE_WIDTH = math.log(LOG_SPACING / math.sqrt(2.0 * math.pi))
 #: Distance from the prior [1] at which ln G stops: a factor of 160,000 either way is no tissue.
 LOG_REACH = 12.0
 
@@ -75,6 +77,9 @@ class Solution(NamedTuple):
     state: Array  #: shape (n,)
     covariance: Array  #: shape (n, n)
     is_converged: bool
+    #: Logarithm of the evidence by Laplace's approximation [1], but for the determinant of the
+    #: prior and the noise of the blocks; None where no step was solved for.
+    log_evidence: float | None = None
 
 
 class NodeSolution(NamedTuple):
@@ -180,7 +185,9 @@ class GaussNewton:
             if misfit < least:
                 least, remaining = misfit, decrement
                 covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
-                best = Solution(state, covariance, is_converged=False)
+                evidence = -0.5 * (misfit + float(solved.log_determinants[0]))
+                evidence += self._equations.log_normalisation
+                best = Solution(state, covariance, is_converged=False, log_evidence=evidence)
             state = self.bounded(state + solved.steps[0])
             if decrement <= _CLOSE:
                 best = best._replace(state=state)
@@ -202,12 +209,14 @@ class GaussNewton:
         before = weights
         for _ in range(_MOST_ROUNDS):
             states, solved, quadratics = self._approach(states, before, free)
-            weights = self._weights(states, solved, quadratics, free)
+            weights, evidence = self._weights(states, solved, quadratics, free)
             likely = weights > _LEAST_WEIGHT
             remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
             if remaining <= _FAR:
                 own = self._covariances(solved.inverses[likely], quadratics[likely], free)
-                return NodeSolution(states, weights, self._moments(states, weights, own))
+                moments = self._moments(states, weights, own)
+                evidence += self._equations.log_normalisation
+                return NodeSolution(states, weights, moments._replace(log_evidence=evidence))
         return NodeSolution(states, weights, None)
 
     def _moments(self, states: Array, weights: Array, own: Array) -> Solution:
@@ -243,8 +252,13 @@ class GaussNewton:
                 break
         return states, solved, quadratics
 
-    def _weights(self, states: Array, solved: _Steps, quadratics: Array, free: Indices) -> Array:
-        """Return the nodes' weights by their evidence, shape (nodes,); 0 without a solution."""
+    def _weights(
+        self, states: Array, solved: _Steps, quadratics: Array, free: Indices
+    ) -> tuple[Array, float]:
+        """Return the nodes' weights by their evidence (nodes,), and the evidence of all.
+
+        The weight is 0 without a solution.
+        """
         prior = self._prior
         log_evidence = -0.5 * (
             quadratics[:, 0, 0]
@@ -254,10 +268,12 @@ class GaussNewton:
         )
         is_solved = np.isfinite(log_evidence) & np.isfinite(solved.decrements)
         weights: Array = np.zeros_like(log_evidence)
-        if np.any(is_solved):
-            weights[is_solved] = np.exp(log_evidence[is_solved] - log_evidence[is_solved].max())
-            weights /= weights.sum()
-        return weights
+        if not np.any(is_solved):
+            return weights, -math.inf
+        highest = float(log_evidence[is_solved].max())
+        weights[is_solved] = np.exp(log_evidence[is_solved] - highest)
+        total = float(weights.sum())
+        return weights / total, highest + math.log(total) + _LOG_NODE_WIDTH
 
     def _step(self, states: Array, quadratics: Array, free: Indices) -> _Steps:
         """Return Gauss-Newton steps; none where the Hessian is not finite.

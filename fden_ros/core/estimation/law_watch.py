@@ -34,6 +34,9 @@ _FIRST_FIT, _LATER_FIT = 2.0, 1.5
 #: While the loading's age is below this share of the contact's duration [1], kernel and curve
 #: cannot be told apart: fits to the ramp alone called 6 of 10 presses of beef a mismatch.
 _HOLD_SHARE = 0.4
+#: Time of the data for which one step of a fit is done [s], so that a slow stream waits no longer
+#: for it.
+_STEP_TIME = 0.01
 
 
 class LawWatch:
@@ -72,6 +75,8 @@ class LawWatch:
         self._contacts = 0
         self._is_over = False
         self._next_fit = _FIRST_FIT
+        #: Steps of a fit for each block.
+        self._pace = 1
         self._fit: LawFit | None = None
         self._steps: Iterator[None] = iter(())
         self._begin_at: Array | None = None  # state from which the next fit begins
@@ -100,6 +105,7 @@ class LawWatch:
             return
         self.work_ahead()
         self._record.add(block, age)
+        self._pace = max(1, round(block.duration / _STEP_TIME))
         if self._is_ahead:
             self._is_ahead = False
             self._publish()
@@ -151,11 +157,12 @@ class LawWatch:
         self._steps = self._fit.steps()
 
     def _advance(self) -> None:
-        """Do one step of the fit under way; one that fails says nothing."""
+        """Do some steps of the fit under way; one that fails says nothing."""
         if self._fit is None:
             return
         try:
-            next(self._steps)
+            for _ in range(self._pace):
+                next(self._steps)
         except StopIteration:
             self._result = self._fit.result()
             self._fit = None

@@ -112,6 +112,7 @@ class NormalEquations:
         self._pending: list[_Pending] = []
         self._deferred: list[Callable[[], None]] = []
         self._node_products: Array | None = None
+        self._log_normalisation = 0.0
 
     def index(self, name: str) -> int:
         """Return the place in the state of a linear column's parameter."""
@@ -158,6 +159,7 @@ class NormalEquations:
         self._pending.clear()
         self._deferred.clear()
         self._node_products = None
+        self._log_normalisation = 0.0
         for sums in (self._law, self._cross, self._columns):
             sums.fill(0.0)
 
@@ -170,6 +172,16 @@ class NormalEquations:
             self._deferred.append(functools.partial(self._add_blocks, self._pending))
             self._pending = []
         self._deferred.append(operation)
+
+    @property
+    def log_normalisation(self) -> float:
+        """What bound and marginalised parameters add to the logarithm of the evidence [1].
+
+        Half the logarithms of the precisions that were bound, less half of those of the Hessian
+        that were marginalised.
+        """
+        self._add_up()
+        return self._log_normalisation
 
     def _add_up(self) -> None:
         """Bring the sums up to date: what was deferred, then the newest blocks."""
@@ -216,6 +228,7 @@ class NormalEquations:
     def _marginalise(self, column: int, precision: float) -> None:
         own = self._columns[column, column] + precision
         if own > 0.0:
+            self._log_normalisation -= 0.5 * math.log(own)
             by_law = self._cross[:, :, column].copy()
             by_column = self._columns[column].copy()
             for distance in range(STENCIL):
@@ -250,6 +263,7 @@ class NormalEquations:
         self._defer(functools.partial(self._bind, self._column(index), partner, precision))
 
     def _bind(self, column: int, partner: int | None, precision: float) -> None:
+        self._log_normalisation += 0.5 * math.log(precision)
         self._columns[column, column] += precision
         if partner is None:
             return

@@ -50,7 +50,7 @@ from fden_ros.core.estimation.edge import (
     weights_pile_up,
 )
 from fden_ros.core.estimation.estimate import Block, EstimatorConfig, ParameterSet, StateIndex
-from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton
+from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton, Solution
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations
 from fden_ros.core.estimation.random_walk import RandomWalk
@@ -74,9 +74,8 @@ _SCALED = ("compliance", "delay", "jitter")
 
 #: Deviation of a walk before the sums hold its prior [unit]: so wide that it says nothing.
 _UNKNOWN = 1e6
-#: The noise of a resting displacement is motion to the law, but none to the tissue: its part is
-#: regressed out, with a coefficient of this deviation [1]. (With a walk only the fast signal
-#: counts; without this alpha is a deviation too low.)
+#: The noise of the displacement is motion to the law, but none to the tissue: its part is
+#: regressed out, with a coefficient of this deviation [1].
 _JITTER_SD = 1.0
 #: The unit of the walk in standard deviations of a sample's noise [1].
 _WALK_UNIT = 3.0
@@ -126,6 +125,8 @@ class StressPosterior:
     rig : tuple of ndarray, shape (2,), (2, 2)
         Mean and covariance of delay and friction before the first contact, in their stated
         deviations.
+    regards_jitter : bool
+        The noise of the motion is a parameter also where nothing else is left out.
     """
 
     def __init__(
@@ -136,6 +137,8 @@ class StressPosterior:
         noise_sd: float,
         origin_sd: float,
         rig: tuple[Array, Array],
+        *,
+        regards_jitter: bool,
     ) -> None:
         prior, uncertainty = config.prior, config.uncertainty
         self.uncertainty = uncertainty
@@ -148,6 +151,7 @@ class StressPosterior:
         self._has_walk = uncertainty.walks
         if self._has_walk:
             deviations[list(_WALK)] = _UNKNOWN
+        if self._has_walk or regards_jitter:
             deviations[_JITTER] = _JITTER_SD
         deviations[_RIG[0]] = np.sign(uncertainty.compliance_sd)
         self._prior = StatePrior(mean, deviations)
@@ -169,7 +173,9 @@ class StressPosterior:
         self.is_solved = True
         #: Blocks since the last solution.
         self.blocks_since_solved = 0
-        #: Logarithm of the evidence of all blocks, by their innovations, but for a constant.
+        #: Logarithm of the evidence of all blocks, at the last solution and by the innovations
+        #: since, but for what is the same at every scale [1]. (Innovations of a posterior that
+        #: has not found its maximum yet say nothing against its scale.)
         self.log_evidence = 0.0
         deviation = prior.nonlinear_stiffness_log_sd or 1.0
         self._node_weights = np.exp(-0.5 * ((grid.nodes - self.state[_LOG_GN]) / deviation) ** 2)
@@ -263,7 +269,7 @@ class StressPosterior:
             Samples in the block.
         """
         variance = noise + prediction.spread
-        self.log_evidence -= 0.5 * (prediction.residual**2 / variance + math.log(variance))
+        self.log_evidence -= 0.5 * (prediction.residual**2 / variance + math.log(variance / noise))
         self._equations.add(prediction.response, noise, size)
         self.blocks_since_solved += 1
 
@@ -350,7 +356,9 @@ class StressPosterior:
     def _solve(self) -> None:
         """Solve for the maximum of a posterior that is normal."""
         solution = self._solver.solve(self.state, self.covariance)
-        self.state, self.covariance, self.is_solved = solution
+        self.state, self.covariance = solution.state, solution.covariance
+        self.is_solved = solution.is_converged
+        self._take_evidence(solution)
         if not self.is_solved or self.covariance[_LOG_GN, _LOG_GN] > _MULTIMODAL**2:
             self.is_unimodal = False
             self._begin_nodes()
@@ -363,8 +371,13 @@ class StressPosterior:
         self.is_solved = solution.moments is not None
         if solution.moments is not None:
             self._node_weights = solution.weights
-            self.state, self.covariance, _ = solution.moments
+            self.state, self.covariance = solution.moments.state, solution.moments.covariance
+            self._take_evidence(solution.moments)
             self.is_unimodal = bool(self.covariance[_LOG_GN, _LOG_GN] < _UNIMODAL**2)
+
+    def _take_evidence(self, solution: Solution) -> None:
+        if solution.log_evidence is not None:
+            self.log_evidence = solution.log_evidence
 
     def at_edge(self) -> ParameterSet:
         """Return the parameters at an end of what can be represented."""

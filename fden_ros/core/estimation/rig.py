@@ -34,12 +34,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
-import numpy as np
-
 from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
 from fden_ros.core.law.characteristic import apparent_stiffness_factor
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.kernel import SHORTEST_STEP
 
 #: The velocity is taken over this many blocks [1] ...
 _VELOCITY_BLOCKS = 2
@@ -53,8 +50,6 @@ _STILL_SHARE = 0.5
 _TURN_DEVIATIONS = 2.0
 #: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
 _DELAY_TIME = 0.1
-#: The noise of a resting displacement is its distance from the mean of as many blocks before [1].
-_RESTING_BLOCKS = 4
 #: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
 _FOLLOWED_SHARE = 0.1
 
@@ -84,7 +79,6 @@ class RigResponse:
     def begin_contact(self) -> None:
         """Let the next block begin a new motion."""
         self._recent: deque[tuple[float, float]] = deque(maxlen=_VELOCITY_BLOCKS)
-        self._resting: deque[float] = deque(maxlen=_RESTING_BLOCKS)
         self._has_loaded = self._has_unloaded = False
         self._direction = self.turn_variance = 0.0
         self._followed = 0
@@ -96,7 +90,7 @@ class RigResponse:
         return self._has_loaded and self._has_unloaded
 
     def columns(
-        self, block: Block, slope: float, order: float, yielding: float
+        self, block: Block, slope: float, order: float, yielding: float, jittering: float
     ) -> dict[StateIndex, float]:
         """Return the columns for a block [Pa]; those of compliance and delay at G = 1.
 
@@ -109,6 +103,8 @@ class RigResponse:
             alpha [1].
         yielding : float
             D^alpha of dphi/dx times the force, at G = 1 [N].
+        jittering : float
+            D^alpha of dphi/dx times the noise of the motion, at G = 1 [1].
         """
         uncertainty, geometry = self._uncertainty, self._geometry
         rate = self._rate(block)
@@ -121,11 +117,14 @@ class RigResponse:
         )
         self._direction = direction
         self._recent.append((block.compression, block.memory_time))
-        bending = yielding * geometry.strain_slope(block.compression)
+        by_compression = geometry.strain_slope(block.compression)
         relaxed = apparent_stiffness_factor(order, _DELAY_TIME)
         return {
-            StateIndex.JITTER: slope * self._jitter(block, order),
-            StateIndex.COMPLIANCE: -uncertainty.compliance_sd * bending / geometry.length,
+            StateIndex.JITTER: jittering * by_compression,
+            StateIndex.COMPLIANCE: -uncertainty.compliance_sd
+            * yielding
+            * by_compression
+            / geometry.length,
             StateIndex.DELAY: uncertainty.delay_sd * slope * relaxed * rate,
             StateIndex.FRICTION: friction * direction,
         }
@@ -142,16 +141,6 @@ class RigResponse:
         if rate * self._direction > 0.0:
             least *= _STILL_SHARE
         return rate if abs(rate) > least else 0.0
-
-    def _jitter(self, block: Block, order: float) -> float:
-        """Return how a resting displacement's noise enters the stress, over dphi/du [s^-alpha]."""
-        before = np.mean(self._resting) if self._resting else block.compression
-        if self._direction:
-            self._resting.clear()
-            return 0.0
-        self._resting.append(block.compression)
-        fresh = apparent_stiffness_factor(order, max(block.duration, SHORTEST_STEP))
-        return fresh * (block.compression - float(before))
 
     def bend(self, compression: float, stiffness: float) -> float:
         """Return the force that bends the tool at the end of the block to come [N].

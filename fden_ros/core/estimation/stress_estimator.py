@@ -43,6 +43,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.law_watch import LawWatch
+from fden_ros.core.estimation.motion_jitter import MotionJitter
 from fden_ros.core.estimation.motion_noise import MotionNoise
 from fden_ros.core.estimation.normal_equations import BlockResponse
 from fden_ros.core.estimation.posterior import Prediction, StressPosterior
@@ -82,8 +83,9 @@ _SCALES = (0.0, 1.0)
 _SHORTEST_BLOCK = 0.002
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
-#: Blocks [1] after which a scale of less weight than that is solved for all the same.
-_RARELY = 40
+#: Blocks [1], and share of all blocks so far [1], after which a scale of less weight than that is
+#: solved for all the same: early on its solution may be the wrong maximum.
+_RARELY, _RARELY_SHARE = 40, 0.5
 #: Share of the prior's deviation of ln G [1] below which the data have said something, and
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
 _KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
@@ -120,6 +122,7 @@ class StressEstimator:
         self._geometry = geometry
         self._noise_variance = noise_sd**2
         self._motion = MotionNoise(motion_noise)
+        self._jitter = MotionJitter(motion_noise)
         grid = self._grid = LogStiffnessGrid(
             math.log(prior.nonlinear_stiffness),
             min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
@@ -131,11 +134,15 @@ class StressEstimator:
         self._basis = StressBasis(geometry, grid.nodes, origins)
         self._known_rig = rig or RigKnowledge.stated(config)
         known = self._known_rig.scaled(config.uncertainty)
+        scales = _at_scales(config)
         self._bank = [
-            StressPosterior(scaled, grid, origins, noise_sd, origin_sd, known)
-            for scaled in _at_scales(config)
+            StressPosterior(
+                scaled, grid, origins, noise_sd, origin_sd, known, regards_jitter=len(scales) > 1
+            )
+            for scaled in scales
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
+        self._block_count = 0
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
@@ -175,6 +182,7 @@ class StressEstimator:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
         self._follow()
         self._motion.interrupt()
+        self._jitter.interrupt()
         self._change.begin_contact()
         self._law.begin_contact()
         self._age.interrupt()
@@ -188,11 +196,12 @@ class StressEstimator:
     def press(self, step: float, compression: float) -> None:
         """Take the motion of a sample in contact."""
         self._motion.press(step, compression)
-        self._basis.press(step, compression)
+        self._basis.press(step, compression, self._jitter.press(step, compression))
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Take steps in the air."""
         self._motion.interrupt()
+        self._jitter.interrupt()
         self._basis.rest(steps, free_responses)
 
     def skip(self) -> None:
@@ -286,6 +295,7 @@ class StressEstimator:
                 posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
+        self._block_count += 1
         self._newest = block.stress, predictions[0].response
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
@@ -315,7 +325,7 @@ class StressEstimator:
         """Return the responses of law, old memory and linear parameters but the walk."""
         if self._config.uncertainty.compliance_sd > 0.0:
             self._bend(block, state, slope * math.exp(state[_LOG_G]))
-        law, free, pulse, yielding = self._basis.take_block()
+        law, free, pulse, yielding, jittering = self._basis.take_block()
         if self._contact_start is None:
             self._contact_start = block.memory_time
         in_order, _ = self._in_order(float(state[_ORDER]))
@@ -324,7 +334,13 @@ class StressEstimator:
             StateIndex.DRIFT: block.memory_time - self._contact_start,
             StateIndex.PULSE: float(in_order @ pulse),
         }
-        linear |= self._rig.columns(block, slope, float(state[_ORDER]), float(in_order @ yielding))
+        linear |= self._rig.columns(
+            block,
+            slope,
+            float(state[_ORDER]),
+            float(in_order @ yielding),
+            float(in_order @ jittering),
+        )
         return law, free, linear
 
     def _bend(self, block: Block, state: Array, slope: float) -> None:
@@ -356,6 +372,7 @@ class StressEstimator:
                 posterior.covariance = self._best.covariance.copy()
             posterior.start_anew(innovation.predicted_fractional_stress)
         self._weights.fill(1.0 / len(self._bank))
+        self._block_count = 0
         self._max_compression = -math.inf
         self._law.stop()
 
@@ -369,7 +386,8 @@ class StressEstimator:
         solved = False
         for posterior, weight in zip(self._bank, self._weights, strict=True):
             waiting = posterior.blocks_since_solved
-            if weight < _LEAST_WEIGHT and not fully and waiting < _RARELY:
+            rarely = min(_RARELY, _RARELY_SHARE * self._block_count)
+            if weight < _LEAST_WEIGHT and not fully and waiting < rarely:
                 continue
             if posterior.is_due() or (fully and waiting):
                 posterior.relinearise()

@@ -82,19 +82,22 @@ class StressBasis:
         # After the law's signals, one for each order: what phi was while nobody touched; then a
         # pulse of phi in the past.
         self._free = slice(self._signal_count, self._signal_count + self._orders.size)
-        # Last, phi' times the force at the running linearisation, which a compliance multiplies.
+        # Last, at the running linearisation, phi' times the force, which a compliance multiplies,
+        # and phi' times the noise of the motion.
         self._pulse, self._yielding = self._free.stop, self._free.stop + 1
+        self._jittering = self._yielding + 1
+        self._linearised = slice(self._yielding, self._jittering + 1)
         self._running_gn = float(np.exp(np.mean(log_gn_nodes)))
         self._running_origin = np.full(origin_nodes.size, 1.0 / origin_nodes.size)
-        self._force = self._last_force = 0.0
-        columns = self._yielding + 1
+        self._force = self._last_force = self._last_jitter = 0.0
+        columns = self._jittering + 1
         self._memory = np.zeros((self._rates.size, columns))
         self._memory_sum = np.zeros_like(self._memory)
         self._local_sum = np.zeros((self._orders.size, columns))
         self._last = np.zeros(columns)
         self._count = 0
         self._prepared_steps: tuple[tuple[float, ...], ...] = ()
-        self._waiting: list[tuple[float, float, float]] = []
+        self._waiting: list[tuple[float, float, float, float]] = []
         #: None: in the air.
         self._compression: float | None = None
         self._strains = np.zeros(len(self._origins))
@@ -120,14 +123,14 @@ class StressBasis:
         slopes: Array = np.where(strain > 0.0, np.exp(excess), 0.0)
         return slopes
 
-    def press(self, step: float, compression: float) -> None:
-        """Take a sample in contact `step` seconds after the last."""
+    def press(self, step: float, compression: float, jitter: float = 0.0) -> None:
+        """Take a sample in contact `step` seconds after the last, off the motion by `jitter`."""
         before = self._compression
         way = compression - before if before is not None and step > 0.0 else 0.0
         parts = min(max(math.ceil(abs(way) / _LONGEST_PART), 1), _MOST_PARTS)
         for left in range(parts - 1, 0, -1):
-            self._waiting.append((step / parts, compression - way * left / parts, 0.0))
-        self._waiting.append((step / parts, compression, 1.0))
+            self._waiting.append((step / parts, compression - way * left / parts, 0.0, jitter))
+        self._waiting.append((step / parts, compression, 1.0, jitter))
         self._compression = compression
         self._count += 1
         if len(self._waiting) >= MOST_WAITING:
@@ -137,7 +140,7 @@ class StressBasis:
         """Take the samples that wait, all at once: several times faster than one by one."""
         if not self._waiting:
             return
-        steps, compressions, counts = zip(*self._waiting, strict=True)
+        steps, compressions, counts, jitters = zip(*self._waiting, strict=True)
         self._waiting.clear()
         strains = np.array(
             [[self._geometry.strain(u - o) for o in self._origins] for u in compressions]
@@ -145,18 +148,22 @@ class StressBasis:
         before, self._strains = np.vstack([self._strains, strains[:-1]]), strains[-1]
         if steps[0] <= 0.0:
             # The first sample of all: the memory begins here.
-            steps, counts, strains, before = steps[1:], counts[1:], strains[1:], before[1:]
+            steps, counts, jitters = steps[1:], counts[1:], jitters[1:]
+            strains, before = strains[1:], before[1:]
             if not steps:
                 return
         signals = np.zeros((len(steps), self._last.size))
         signals[:, : self._signal_count] = self._law(strains)
         change = np.diff(signals, axis=0, prepend=self._last[None])
         forces = np.linspace(self._last_force, self._force, len(steps) + 1)
-        bent = self._slopes(before) * forces[:-1]
-        change[:, self._yielding] = self._slopes(strains) * forces[1:] - bent
-        kept = self._last[self._yielding] + change[:, self._yielding].sum()
+        moved = np.stack([forces, [self._last_jitter, *jitters]], axis=1)
+        change[:, self._linearised] = (
+            self._slopes(strains)[:, None] * moved[1:] - self._slopes(before)[:, None] * moved[:-1]
+        )
+        kept = self._last[self._linearised] + change[:, self._linearised].sum(axis=0)
         self._last, self._last_force = signals[-1], self._force
-        self._last[self._yielding] = kept
+        self._last_jitter = jitters[-1]
+        self._last[self._linearised] = kept
         if (steps, counts) != self._prepared_steps:
             self._prepare(steps, counts)
             self._prepared_steps = (steps, counts)
@@ -220,7 +227,7 @@ class StressBasis:
         decays = Decays(steps, (1.0,) * len(steps))
         self._memory *= decays.whole[:, None]
         self._memory += (decays.mean * decays.to_end) @ change
-        self._last, self._last_force = signals[-1], 0.0
+        self._last, self._last_force, self._last_jitter = signals[-1], 0.0, 0.0
 
     def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
         """Let all motion so far be remembered as that of a tissue now left behind.
@@ -244,11 +251,11 @@ class StressBasis:
         self._memory[:, self._free] += (self._memory[:, used] @ law.ravel())[:, None]
         self._last[self._free] += self._last[used] @ law.ravel()
         self._memory[:, self._pulse] = np.expm1(-self._rates * pulse_duration)
-        for columns in (slice(0, count), self._yielding):
+        for columns in (slice(0, count), self._linearised):
             self._memory[:, columns] = 0.0
             self._last[columns] = 0.0
 
-    def take_block(self) -> tuple[Array, Array, Array, Array]:
+    def take_block(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return the mean responses since the last call.
 
         Returns
@@ -261,6 +268,8 @@ class StressBasis:
             D^alpha of the pulse.
         yielding : ndarray, shape (orders,)
             D^alpha of dphi/dx times the force, at G = 1 [N].
+        jittering : ndarray, shape (orders,)
+            D^alpha of dphi/dx times the noise of the motion, at G = 1 [1].
         """
         self._catch_up()
         total = self._weights @ self._memory_sum
@@ -271,7 +280,8 @@ class StressBasis:
         self._count = 0
         law = total[:, : self._signal_count].T.reshape(self._shape[0], -1)
         free = np.diagonal(total[:, self._free]).copy()
-        return law, free, total[:, self._pulse].copy(), total[:, self._yielding].copy()
+        yielding, jittering = total[:, self._linearised].T.copy()
+        return law, free, total[:, self._pulse].copy(), yielding, jittering
 
     def held(self, times: Array) -> tuple[Array, Array]:
         """Return the responses while the motion stands still from the last sample on.
