@@ -17,7 +17,7 @@ r"""How what is not known of the rig enters the stress, from block to block.
 Compliance C, delay tau and friction F shift the stress by
 
 .. math::
-    -\frac{C}{L} D^\alpha(\varphi' f), \qquad \tau\,\varphi' E(t_d)\,\dot u, \qquad
+    -\frac{C}{L} D^\alpha(\varphi' f), \qquad \tau\,\frac{d}{dt} D^\alpha\varphi, \qquad
     F\,\mathrm{sgn}(\dot u)
 
 A noisy regressor would say that a parameter is near 0, with a deviation that is far too small
@@ -51,8 +51,6 @@ _STILL_SHARE = 0.5
 #: before: both are less certain by this many of its deviations [1]. Else a friction of any size
 #: would be found to be small.
 _TURN_DEVIATIONS = 2.0
-#: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
-_DELAY_TIME = 0.1
 #: The noise of a resting displacement is its distance from the mean of as many blocks before [1].
 _RESTING_BLOCKS = 4
 #: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
@@ -73,6 +71,8 @@ class RigResponse:
     ----------
     turn_variance : float
         By which the newest block and the one before are less certain [Pa^2].
+    late_delay : float
+        To be added to the delay's column of the block before, at G = 1 [1].
     """
 
     def __init__(self, uncertainty: Uncertainty, geometry: Geometry, motion_noise: float) -> None:
@@ -86,7 +86,8 @@ class RigResponse:
         self._recent: deque[tuple[float, float]] = deque(maxlen=_VELOCITY_BLOCKS)
         self._resting: deque[float] = deque(maxlen=_RESTING_BLOCKS)
         self._has_loaded = self._has_unloaded = False
-        self._direction = self.turn_variance = 0.0
+        self._direction = self.turn_variance = self.late_delay = 0.0
+        self._delayed = 0.0
         self._followed = 0
         self._stress = self._loading = self._relaxing = 0.0
 
@@ -96,7 +97,7 @@ class RigResponse:
         return self._has_loaded and self._has_unloaded
 
     def columns(
-        self, block: Block, slope: float, order: float, yielding: float
+        self, block: Block, slope: float, order: float, yielding: float, step: float
     ) -> dict[StateIndex, float]:
         """Return the columns for a block [Pa]; those of compliance and delay at G = 1.
 
@@ -109,6 +110,8 @@ class RigResponse:
             alpha [1].
         yielding : float
             D^alpha of dphi/dx times the force, at G = 1 [N].
+        step : float
+            Of the law's stress from the last block to this one, at G = 1 [1].
         """
         uncertainty, geometry = self._uncertainty, self._geometry
         rate = self._rate(block)
@@ -120,13 +123,16 @@ class RigResponse:
             (_TURN_DEVIATIONS * friction) ** 2 if direction != self._direction else 0.0
         )
         self._direction = direction
+        delayed = self._delay(step, block.memory_time) if direction else 0.0
+        # A force that is ahead of the motion answers to what comes next: the mean of both steps.
+        self.late_delay = 0.5 * (delayed - self._delayed)
+        self._delayed = delayed
         self._recent.append((block.compression, block.memory_time))
         bending = yielding * geometry.strain_slope(block.compression)
-        relaxed = apparent_stiffness_factor(order, _DELAY_TIME)
         return {
             StateIndex.JITTER: slope * self._jitter(block, order),
             StateIndex.COMPLIANCE: -uncertainty.compliance_sd * bending / geometry.length,
-            StateIndex.DELAY: uncertainty.delay_sd * slope * relaxed * rate,
+            StateIndex.DELAY: delayed,
             StateIndex.FRICTION: friction * direction,
         }
 
@@ -142,6 +148,11 @@ class RigResponse:
         if rate * self._direction > 0.0:
             least *= _STILL_SHARE
         return rate if abs(rate) > least else 0.0
+
+    def _delay(self, step: float, time: float) -> float:
+        """Return the response to one deviation of the delay, by the step up to a block [1]."""
+        elapsed = time - self._recent[-1][1] if self._recent else 0.0
+        return self._uncertainty.delay_sd * step / elapsed if elapsed > 0.0 else 0.0
 
     def _jitter(self, block: Block, order: float) -> float:
         """Return how a resting displacement's noise enters the stress, over dphi/du [s^-alpha]."""

@@ -141,6 +141,8 @@ class StressEstimator:
         self._age = LoadingAge()
         self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
         self._last_response: BlockResponse | None = None
+        self._step = 0.0  # of the law's stress up to the newest block [Pa]
+        self._has_newest = False  # the last block of this contact was taken
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -178,6 +180,7 @@ class StressEstimator:
         self._age.interrupt()
         self._rig.begin_contact()
         self._last_response = None
+        self._has_newest = False
         self._contact_start = None
         for posterior in self._bank:
             posterior.begin_contact(bias_sd, drift_sd)
@@ -218,7 +221,8 @@ class StressEstimator:
         change = self._change.watch(block, innovation, known)
         if change is not None:
             self._start_anew(change, innovation, block)
-        if not self._change.is_blind(block.memory_time):
+        self._has_newest = not self._change.is_blind(block.memory_time)
+        if self._has_newest:
             self._take(block, noise, predictions)
         return innovation
 
@@ -238,13 +242,14 @@ class StressEstimator:
         turn = self._rig.turn_variance
         noise += self._noise_variance / block.size + turn
         before += turn * block.size**2
+        late = self._rig.late_delay if self._has_newest else 0.0
         stiffness = max(slope, 0.0) * relaxed / self._geometry.length
         rig_error = rig_error_variance(
             self._config.uncertainty, self._geometry, block.duration, stiffness
         )
         predictions = []
         for posterior in self._bank:
-            posterior.widen_newest(before)
+            posterior.amend_newest(before, late)
             model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
             predictions.append(posterior.predict(*response, block, model_error + rig_error))
         numbers = [(noise, prediction.residual, prediction.spread) for prediction in predictions]
@@ -283,7 +288,7 @@ class StressEstimator:
                 posterior.update(prediction, noise)
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
-        self._follow(block, predictions[0].response)
+        self._rig.follow(block.stress, self._step)
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
 
@@ -313,6 +318,7 @@ class StressEstimator:
         if self._config.uncertainty.compliance_sd > 0.0:
             self._bend(block, state, slope * math.exp(state[_LOG_G]))
         law, free, pulse, yielding = self._basis.take_block()
+        self._step = self._law_step(BlockResponse(law, free))
         if self._contact_start is None:
             self._contact_start = block.memory_time
         in_order, _ = self._in_order(float(state[_ORDER]))
@@ -321,7 +327,13 @@ class StressEstimator:
             StateIndex.DRIFT: block.memory_time - self._contact_start,
             StateIndex.PULSE: float(in_order @ pulse),
         }
-        linear |= self._rig.columns(block, slope, float(state[_ORDER]), float(in_order @ yielding))
+        linear |= self._rig.columns(
+            block,
+            slope,
+            float(state[_ORDER]),
+            float(in_order @ yielding),
+            self._step / math.exp(state[_LOG_G]),
+        )
         return law, free, linear
 
     def _bend(self, block: Block, state: Array, slope: float) -> None:
@@ -332,12 +344,10 @@ class StressEstimator:
         force = self._rig.bend(block.compression, stiffness)
         self._basis.linearise(math.exp(state[_LOG_GN]), in_origin, force)
 
-    def _follow(self, block: Block, response: BlockResponse) -> None:
-        """Follow the stress of a block, by the steps of the law where it is noisy."""
-        before = self._last_response or response
-        step = self._best.law_stress(response) - self._best.law_stress(before)
-        self._rig.follow(block.stress, step)
-        self._last_response = response
+    def _law_step(self, response: BlockResponse) -> float:
+        """Return the step of the law's stress from the last block to a response [Pa]."""
+        before, self._last_response = self._last_response or response, response
+        return self._best.law_stress(response) - self._best.law_stress(before)
 
     def _start_anew(self, change: Change, innovation: Innovation, block: Block) -> None:
         """Learn a new tissue from here on; the response to the old one is kept as it was."""
