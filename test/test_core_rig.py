@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 from pipeline_helpers import feed, identified, items_of, summaries_of
 
-from fden_ros.benchmarks.disturbed import CASES, PRIOR, scenario_of
+from fden_ros.benchmarks.disturbed import CASES, PRIOR, run_trial, scenario_of
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex, Uncertainty
 from fden_ros.core.estimation.normal_equations import NormalEquations
@@ -34,6 +34,7 @@ from fden_ros.core.estimation.rig import RigResponse
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.law.interpolation import LogStiffnessGrid
+from fden_ros.core.outputs import Flag
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.simulation.simulate import simulate
@@ -143,6 +144,15 @@ def touches():
     parameters = {name: own[name] for name in own if name.startswith("geometry.")}
     parameters.pop("geometry.thickness_sd", None)
     return items_of(recording), {**parameters, **PRIOR, "rig.learn": True}
+
+
+@pytest.mark.parametrize(("delay_s", "contradicts"), [(0.0, False), (0.02, True)])
+def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(delay_s, contradicts):
+    (case,) = [case for case in CASES if case.reference]
+    for number in range(3):
+        (contact,) = run_trial(replace(case, delay_s=delay_s), number, {}).contacts
+        assert bool(contact.flags & Flag.HYSTERESIS) == contradicts
+        assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
 def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset():

@@ -57,6 +57,9 @@ ORIGIN_WIDENING = 3.0
 #: of its deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the tissue
 #: has not recovered of the last contact; after 5 timeouts that is too little to tell.
 _CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
+#: Unloading contradicts loading where the rig is farther from what is stated than this many
+#: deviations [1], three quantities: 2e-4 of contacts do by chance.
+_CONTRADICTION = 4.0
 
 
 class Site:
@@ -374,6 +377,9 @@ class Site:
         if self._estimator is not None and self.is_usable and self.estimate is not None:
             self._estimator.relinearise(fully=True)
             self.refresh()
+            off = self._estimator.rig_deviations / _CONTRADICTION
+            if off > 1.0:
+                self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""

@@ -93,6 +93,8 @@ _TINY_DEVIATION = 1e-12
 #: What is stated of the rig is contradicted beyond this many deviations [1]: 1 % of contacts do by
 #: chance, for each of three quantities.
 _CONTRADICTION = 2.5
+#: Added to a variance that may be 0, before it divides [1].
+_TINY_VARIANCE = 1e-12
 #: The data say nothing of a quantity whose variance they lower by less than this share [1].
 _LEAST_LEARNED = 0.02
 #: Standard deviation of a change of ln G [1]: a lesion is up to several times stiffer than what is
@@ -157,6 +159,8 @@ class StressPosterior:
         deviations[_RIG[0]] = np.sign(uncertainty.compliance_sd)
         self._prior = StatePrior(mean, deviations)
         self._know(*rig)
+        #: Variances that are stated of the rig, shape (3,).
+        self._stated_rig = self._prior.deviations[list(_RIG)] ** 2
         self._solver = GaussNewton(
             self._equations,
             self._prior,
@@ -385,6 +389,21 @@ class StressPosterior:
             (moved[k] / share) ** 2 - variance[k] / share + variance[k]
         )
         return True
+
+    def rig_deviations(self) -> float:
+        """Return how far the rig is from what is stated, in deviations [1]: the farthest of three.
+
+        By what the data alone would say, and the variances of both.
+        """
+        prior, rig = self._prior, np.array(_RIG)
+        variance = prior.deviations[rig] ** 2
+        share = 1.0 - self.covariance[rig, rig] / np.maximum(variance, _TINY_VARIANCE)
+        told = share > _LEAST_LEARNED
+        alone = np.divide(
+            (self.state - prior.mean)[rig], share, out=np.zeros(rig.size), where=told
+        )
+        own = np.divide(variance, share, out=np.ones(rig.size), where=told) - variance
+        return float(np.max(np.abs(alone) / np.sqrt(self._stated_rig + own + _TINY_VARIANCE)))
 
     def _solve(self) -> None:
         """Solve for the maximum of a posterior that is normal."""

@@ -437,6 +437,12 @@ class StressEstimator:
                 found |= posterior.at_edge()
         return found
 
+    @property
+    def rig_deviations(self) -> float:
+        """How far a contact that went in and out says the rig is from what is stated [1]."""
+        told = self._rig.has_reversed and self._best.is_solved
+        return self._best.rig_deviations() if told else 0.0
+
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing.
 
