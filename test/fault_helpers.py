@@ -52,6 +52,7 @@ WARNING_FLAGS = (
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
     | Flag.FORCE_DRIFTED
+    | Flag.HYSTERESIS
     | WITHHELD
     | Flag.ESTIMATE_AT_EDGE
 )

@@ -229,6 +229,23 @@ def test_next_contact_after_such_drift_is_found_with_the_new_bias():
     assert found[1].bias == pytest.approx(0.6, abs=0.01)
 
 
+@pytest.mark.parametrize("ramp_s", [0.2, 0.8])
+def test_a_touch_soon_after_a_contact_longer_than_the_lookback_is_found(ramp_s):
+    rate_hz, found, wrong_signs = 60.0, [], 0
+    corners_s = np.cumsum([0, 2.0, ramp_s, 8.0, ramp_s, 0.05, 0.05, ramp_s, 1.0, ramp_s, 2.0])
+    depths_m = np.array([-10.0, 0.0, 2.0, 2.0, 0.0, -1.0, 0.0, 2.0, 2.0, 0.0, -10.0]) * 1e-3
+    time = np.arange(0.0, corners_s[-1], 1.0 / rate_hz)
+    way = np.interp(time, corners_s, depths_m)
+    for seed in range(20):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(time.size)
+        force = 0.05 + 50.0 * np.maximum(way, 0.0) + noise
+        detector, events = events_of(made(force, way, rate_hz))
+        found.append([type(event) for _, event in events])
+        wrong_signs += detector.below_baseline
+    assert found == [[Onset, Release] * 2] * 20
+    assert wrong_signs == 0
+
+
 def test_contact_present_at_the_start_is_not_seen():
     rng = np.random.default_rng(7)
     force, displacement = press(rng, before=0.0, bias=0.0)

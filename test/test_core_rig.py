@@ -26,12 +26,15 @@ import numpy as np
 import pytest
 from pipeline_helpers import feed, identified, items_of, summaries_of
 
-from fden_ros.benchmarks.disturbed import CASES, PRIOR, scenario_of
+from fden_ros.benchmarks.disturbed import CASES, PRIOR, run_trial, scenario_of
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex, Uncertainty
+from fden_ros.core.estimation.normal_equations import NormalEquations
 from fden_ros.core.estimation.rig import RigResponse
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.law.interpolation import LogStiffnessGrid
+from fden_ros.core.outputs import Flag
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.simulation.simulate import simulate
@@ -49,7 +52,7 @@ def responses(motion_m):
     found = []
     for k, mean in enumerate(motion_m.reshape(-1, SIZE).mean(axis=1) / GEOMETRY.length):
         block = Block(mean, 0.0, (k + 0.5) * SIZE * STEP, SIZE, SIZE * STEP, np.zeros(0))
-        found.append(rig.columns(block, 5000.0, 0.2, 0.0, 0.0))
+        found.append(rig.columns(block, 0.0, 0.0, 50.0))
     return rig, found
 
 
@@ -59,6 +62,44 @@ def test_noise_of_a_resting_probe_says_nothing_of_delay_and_friction():
     for index in (StateIndex.DELAY, StateIndex.FRICTION):
         assert not any(column[index] for column in columns)
     assert not rig.has_reversed
+
+
+def test_a_delay_answers_to_the_mean_of_the_steps_before_and_after_a_block():
+    rig = RigResponse(ARM, GEOMETRY, 0.0)
+    steps = [0.0, 10.0, 30.0, 30.0, -40.0]
+    found = []
+    for k, step in enumerate(steps):
+        block = Block(0.01 * k, 0.0, 0.01 * k, SIZE, 0.01, np.zeros(0))
+        found.append(rig.columns(block, 0.0, 0.0, step)[StateIndex.DELAY])
+        if k:
+            found[k - 1] += rig.late_delay
+    means = [5.0, 20.0, 30.0, -5.0]
+    assert found[:-1] == pytest.approx([ARM.delay_sd * mean / 0.01 for mean in means])
+
+
+@pytest.mark.parametrize("is_in_sums", [False, True])
+def test_a_block_that_is_amended_counts_as_if_it_had_come_so(is_in_sums):
+    rng = np.random.default_rng(3)
+    grid = LogStiffnessGrid(2.0, 0.5)
+
+    def equations():
+        return NormalEquations(grid, np.zeros(1), ("first", "second"))
+
+    law, free = rng.normal(size=(2, grid.nodes.size, 11)), rng.normal(size=(2, 11))
+    state = np.array([0.1, 2.0, 0.2, 0.0, 0.3, -0.4])
+    late, early = equations(), equations()
+    for sums, second in ((late, 1.0), (early, 1.5)):
+        for k in range(2):
+            linear = [2.0, second if k else 3.0]
+            noise = 0.5 + (0.25 if sums is early and k else 0.0)
+            sums.add(sums.respond(law[k], free[k], linear, 1.0), noise, 2)
+    if is_in_sums:
+        late.at_state(state)
+    late.amend_newest(1.0, late.index("second"), 0.5)
+    assert late.at_state(state) == pytest.approx(early.at_state(state), rel=1e-9)
+    assert late.at_nodes(np.tile(state, (grid.nodes.size, 1))) == pytest.approx(
+        early.at_nodes(np.tile(state, (grid.nodes.size, 1))), rel=1e-9
+    )
 
 
 def test_friction_is_against_the_motion_and_uncertain_where_the_probe_turns():
@@ -103,6 +144,15 @@ def touches():
     parameters = {name: own[name] for name in own if name.startswith("geometry.")}
     parameters.pop("geometry.thickness_sd", None)
     return items_of(recording), {**parameters, **PRIOR, "rig.learn": True}
+
+
+@pytest.mark.parametrize(("delay_s", "contradicts"), [(0.0, False), (0.02, True)])
+def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(delay_s, contradicts):
+    (case,) = [case for case in CASES if case.reference]
+    for number in range(3):
+        (contact,) = run_trial(replace(case, delay_s=delay_s), number, {}).contacts
+        assert bool(contact.flags & Flag.HYSTERESIS) == contradicts
+        assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
 def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset():

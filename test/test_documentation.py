@@ -40,7 +40,7 @@ from fden_ros.cli import build_parser, main
 from fden_ros.commands.parameters import parameter_file
 from fden_ros.core import Decision, Flag, OrderSource, Phase, Status, TissueState
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.outputs import Output
+from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.streams.samples import Reason
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameters, read_parameter_file
@@ -307,7 +307,7 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
         assert math.exp(estimate[1]) == pytest.approx(truth[1], rel=0.20)
     orders = [estimate.fractional_order for estimate in estimates(result)]
     late = delay < 0.0  # later than is stated
-    assert orders == pytest.approx([0.318, 0.259] if late else [0.131, 0.131], abs=0.012)
+    assert orders == pytest.approx([0.160, 0.145] if late else [0.171, 0.148], abs=0.012)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary in exact.summaries:
         assert not summary.converged
@@ -316,44 +316,28 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
         assert math.sqrt(summary.estimate.covariance[0, 0]) > 0.33
 
 
-LATE = pytest.mark.xfail(
-    strict=True,
-    reason="late displacement is taken for slow tissue: alpha off by 7 to 29 deviations, Gn by up"
-    " to 5, converged: docs/limits.md",
-)
-
-
-@pytest.mark.parametrize(
-    "delay",
-    [pytest.param(-0.02, marks=LATE), pytest.param(-0.01, marks=LATE), -0.0025, 0.01, 0.02],
-)
+@pytest.mark.parametrize("delay", [-0.02, -0.01, -0.0025, 0.01, 0.02])
 def test_a_delay_gives_no_wrong_number_under_a_good_status(delay: float) -> None:
-    result = identified({"displacement.delay": delay})
-    for estimate, (g, g_n) in zip(estimates(result), TRUTH, strict=True):
+    found: list[Output] = []
+    result = replay(
+        PRESS,
+        read_parameter_file(EXAMPLES / "probe.yaml").changed({"displacement.delay": delay}),
+        Selection(columns=Columns.parse(IN_MM)),
+        on_output=lambda output, _frame: found.append(output),
+    )
+    claims = [
+        (output.site_id, output.estimate)
+        for output in [*found, *result.summaries]
+        if isinstance(output, TissueState | ContactSummary) and output.estimate is not None
+    ]
+    assert len(claims) > 500
+    for site_id, estimate in claims:
+        g, g_n = TRUTH[site_id - 1]
         error = estimate.mean - [math.log(g), math.log(g_n), 0.131]
         for index in range(3):
             assert (
                 not estimate.knows(index) or abs(error[index]) < 5.0 * estimate.deviations[index]
             )
-
-
-def test_late_displacement_is_as_wrong_as_the_page_on_limits_says() -> None:
-    table = rows(text_of("docs/limits.md"))
-    assert len(table) == 4
-    for late, contacts in (("10 ms", table[:2]), ("20 ms", table[2:])):
-        result = identified({"displacement.delay": -1e-3 * float(late.removesuffix(" ms"))})
-        assert all(converged(result))
-        assert result.summaries[0].flags == Flag.NONE
-        for estimate, row in zip(estimates(result), contacts, strict=True):
-            assert row[0] == late
-            values = [math.exp(estimate.mean[0]), math.exp(estimate.mean[1]), estimate.mean[2]]
-            scales = [values[0], values[1], 1.0]
-            deviations = [
-                float(scale * sd) for scale, sd in zip(scales, estimate.deviations, strict=True)
-            ]
-            shown = [[float(number) for number in cell.split(" ± ")] for cell in row[1:]]
-            assert values == pytest.approx([value for value, _ in shown], rel=0.02)
-            assert deviations == pytest.approx([sd for _, sd in shown], rel=0.05)
 
 
 def test_no_state_converges_where_the_prior_excludes_the_tissue() -> None:

@@ -50,6 +50,7 @@ REFUSED_FLAGS = (
     | Flag.ESTIMATION_FAILED
     | Flag.ESTIMATE_AT_EDGE
     | Flag.FORCE_DRIFTED
+    | Flag.HYSTERESIS
     | WITHHELD
 )
 #: The stress between two estimates farther apart than this is not known.

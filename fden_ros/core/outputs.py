@@ -71,6 +71,7 @@ class Flag(enum.IntFlag):
     GEOMETRY_UNSTATED = 256
     IMPLAUSIBLE = 512
     FORCE_DRIFTED = 1024
+    HYSTERESIS = 2048
 
 
 #: With one of these no estimate is converged, whatever the data say.

@@ -299,7 +299,7 @@ class Pipeline:
         self._say_again(self._hindsight.judge(self.newest_ns, before_ns=first.stamp_ns))
         self._onset = onset
         site = self._site
-        if site is None or site.is_elsewhere(first):
+        if site is None or site.is_elsewhere(onset):
             self.site_count += 1
             site = Site(self.site_count, onset, self.config, self.rig, self.standing_flags)
             self._site = site

@@ -191,6 +191,7 @@ class Press:
             self.flags |= Flag.TISSUE_CHANGED
         if self._site.is_mismatch:
             self.flags |= Flag.MODEL_MISMATCH
+        self.flags |= self._site.flags & Flag.HYSTERESIS
 
     def see_missing(self, rejected: Counter[str]) -> None:
         """Flag it if the force's sensor was at its end, or stuck, where samples are missing."""

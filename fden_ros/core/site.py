@@ -54,6 +54,14 @@ _FIRST_REST, _REST_RATIO = 1e-3, 1.04
 #: filter sees those samples again.
 ORIGIN_WIDENING = 3.0
 
+#: Without positions a touch after the timeout is at the same place where the surface, more than 5
+#: of its deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the tissue
+#: has not recovered of the last contact; after 5 timeouts that is too little to tell.
+_CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
+#: Unloading contradicts loading where the rig is farther from what is stated than this many
+#: deviations [1], three quantities: 2e-4 of contacts do by chance.
+_CONTRADICTION = 4.0
+
 
 class Site:
     """One place on the tissue, from the first touch on.
@@ -155,13 +163,33 @@ class Site:
 
     # Touch
 
-    def is_elsewhere(self, pair: Pair) -> bool:
-        """Whether a touch is at another site than this."""
-        contact = self._config.contact
-        if self.position is None or pair.position is None:
-            return pair.stamp_ns - self.last_ns > round(contact.site_timeout * NANOSECONDS)
-        apart = lateral_distance(contact.approach_axis, self.position, pair.position)
+    def is_elsewhere(self, onset: Onset) -> bool:
+        """Whether a touch is at another site than this.
+
+        Without positions that is after the timeout, unless the tissue pressed here would be just
+        where the surface was met: nothing else says that it has not moved.
+        """
+        contact, first = self._config.contact, onset.samples[0]
+        if self.position is None or first.position is None:
+            timeouts = self.seconds_to(first.stamp_ns) / contact.site_timeout
+            if timeouts <= 1.0:
+                return False
+            return timeouts > _MOST_TIMEOUTS or not self._has_recovered_to(onset)
+        apart = lateral_distance(contact.approach_axis, self.position, first.position)
         return apart > contact.site_distance
+
+    def _has_recovered_to(self, onset: Onset) -> bool:
+        """Whether the tissue has come back from the last contact as far as a touch met it."""
+        estimate = self.estimate
+        if estimate is None or not self.is_known:
+            return False
+        length = self._config.geometry.length
+        way = (onset.displacement - self.origin) / length - estimate.strain_origin
+        if way * length <= _CLEARLY_BELOW * onset.displacement_sd:
+            return False
+        step = self.seconds_to(onset.samples[0].stamp_ns)
+        deepest, highest = (way / share + estimate.strain_origin for share in _RECOVERED)
+        return self.is_above_surface(step, highest) and not self.is_above_surface(step, deepest)
 
     def check_history(self, onset: Onset) -> None:
         """Become unusable if the tissue may have been pressed unseen before a touch."""
@@ -367,6 +395,9 @@ class Site:
         if self._estimator is not None and self.is_usable and self.estimate is not None:
             self._estimator.relinearise(fully=True)
             self.refresh()
+            off = self._estimator.rig_deviations / _CONTRADICTION
+            if off > 1.0:
+                self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""

@@ -382,6 +382,11 @@ def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
             "The force in the air after a contact was not that before it, beyond "
             "force.drift_sd: the deviations are widened by as much."
         )
+    if summary.flags & Flag.HYSTERESIS:
+        yield (
+            "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
+            "displacement.compliance_sd: the deviations are widened."
+        )
     if summary.flags & Flag.ESTIMATION_FAILED:
         yield "The computation failed at this site: there is no estimate until the next one."
     if summary.flags & Flag.GEOMETRY_UNSTATED:

@@ -114,6 +114,7 @@ class Baseline:
         self._count = 0
         self._chunk_ns = 0  # time from chunk to chunk
         self._air: Air | None = None
+        self._is_carried = False  # the air before a long contact stands in for that after it
         self._trend = Level(0.0, 0.0, 0.0)
         self._trend_end_ns = 0
 
@@ -183,10 +184,18 @@ class Baseline:
         """
         count = len(self._chunks)
         if not self._is_known():
+            if self._air is not None:
+                # The next touch may come before the air is known anew.
+                self._is_carried = True
+                return self._air
             given = not self._measure_bias and (self._force_noise or is_limit_given)
             return _air_of(tuple(self._chunks)) if given else None
+        if self._is_carried and self._air is not None and self._may_be_touched(self._air):
+            return self._air
         # Not while a slow contact may be on, or the baseline would creep along with it.
-        if self._air is None or (not self.is_suspected and self._count % _AIR_EVERY == 0):
+        is_due = not self.is_suspected and self._count % _AIR_EVERY == 0
+        if self._air is None or self._is_carried or is_due:
+            self._is_carried = False
             newest_ns = chunk.start_ns - _LAG_NS
             old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
             old = max(old, tuple(self._chunks)[: -(-count // 2)], key=len)
@@ -195,6 +204,12 @@ class Baseline:
             self._trend_end_ns = old[-1].end_ns
             self.means_sd = float(np.std(np.diff([c.mean for c in old]))) / math.sqrt(2.0)
         return self._air
+
+    def _may_be_touched(self, air: Air) -> bool:
+        """Whether the force since a long contact may be that of the next, and not its zero."""
+        chunks = self._chunks
+        is_new = chunks[-1].end_ns - chunks[0].start_ns < _LAG_NS
+        return is_new and self.is_rising(self.bias_at(chunks[-1].end_ns), self.noise_of(air))
 
     def bias_at(self, stamp_ns: int) -> float:
         """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""

@@ -256,6 +256,8 @@ class ContactDetector:
         if not self.in_contact:
             self._remember(pair)
             self._baseline.resolution.add(pair.force)
+        else:
+            self._samples.append(pair)
         chunk = self._close_chunk(pair)
         if chunk is None:
             return None
@@ -429,6 +431,7 @@ class ContactDetector:
             return self._release(chunk.start_ns)
         if not is_low:
             self._low_chunks = 0
+            self._samples.clear()
             return None
         if self._low_chunks == 0:
             self._low_start_ns = chunk.start_ns
@@ -442,4 +445,9 @@ class ContactDetector:
         self._has_released = True
         self._low_chunks = 0
         self._highest = None
+        # What is air at the end of a contact is air before the next one.
+        pressing = self.force_bias + self._low_threshold
+        last = max((k for k, p in enumerate(self._samples) if p.force >= pressing), default=-1)
+        for _ in range(last + 1):
+            self._samples.popleft()
         return Release(stamp_ns)

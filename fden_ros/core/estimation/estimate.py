@@ -452,6 +452,10 @@ class Estimator(Protocol):
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
 
+    @property
+    def rig_deviations(self) -> float:
+        """How far a contact that went in and out says the rig is from what is stated [1]."""
+
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
 

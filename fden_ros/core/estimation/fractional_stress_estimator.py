@@ -128,6 +128,7 @@ class FractionalStressEstimator:
     is_mismatch = False
     is_doubtful = False
     change_count = 0
+    rig_deviations = 0.0
 
     def __init__(
         self,

@@ -111,6 +111,8 @@ class NormalEquations:
         self._columns = np.zeros((self._column_count, self._column_count))
         self._pending: list[_Pending] = []
         self._deferred: list[Callable[[], None]] = []
+        #: None: the sums have changed since, or will.
+        self._newest: _Pending | None = None
         self._node_products: Array | None = None
         self._log_normalisation = 0.0
 
@@ -140,24 +142,43 @@ class NormalEquations:
 
     def add(self, response: BlockResponse, noise: float, size: int) -> None:
         """Take a block whose mean stress of `size` samples has the variance `noise` [Pa^2]."""
-        self._pending.append(_Pending(response, 1.0 / noise, size))
+        self._newest = _Pending(response, 1.0 / noise, size)
+        self._pending.append(self._newest)
         if len(self._pending) >= _MOST_PENDING:
             self._add_up()
 
-    def widen_newest(self, variance: float) -> None:
-        """Add to the variance of the newest block what one of its samples is further off [Pa^2].
+    def amend_newest(self, variance: float, index: int, change: float) -> None:
+        """Correct the newest block by what the one after it tells.
 
-        Too late for a block that has been added to the sums already.
+        Parameters
+        ----------
+        variance : float
+            By which one of its samples is further off [Pa^2].
+        index : int
+            Place in the state of a linear column's parameter.
+        change : float
+            Added to that column.
         """
-        if variance > 0.0 and self._pending:
-            response, weight, size = self._pending[-1]
-            weight = 1.0 / (1.0 / weight + variance / size**2)
-            self._pending[-1] = _Pending(response, weight, size)
+        newest = self._newest
+        if newest is None or not (variance > 0.0 or change):
+            return
+        law, columns = newest.response
+        columns = columns.copy()
+        columns[self._column(index)] += change
+        weight = 1.0 / (1.0 / newest.weight + variance / newest.size**2)
+        amended = _Pending(BlockResponse(law, columns), weight, newest.size)
+        if self._pending:
+            self._pending[-1] = amended
+        else:
+            self._add_blocks([newest._replace(weight=-newest.weight), amended])
+            self._node_products = None
+        self._newest = amended
 
     def clear(self) -> None:
         """Forget all blocks."""
         self._pending.clear()
         self._deferred.clear()
+        self._newest = None
         self._node_products = None
         self._log_normalisation = 0.0
         for sums in (self._law, self._cross, self._columns):
@@ -171,6 +192,7 @@ class NormalEquations:
         if self._pending:
             self._deferred.append(functools.partial(self._add_blocks, self._pending))
             self._pending = []
+        self._newest = None
         self._deferred.append(operation)
 
     @property

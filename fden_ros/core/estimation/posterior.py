@@ -89,6 +89,13 @@ _UNIMODAL, _MULTIMODAL = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 _MULTIMODAL_BLOCKS, _UNIMODAL_BLOCKS = 4, 10
 #: Added to a standard deviation of ln Gn [1] that may be 0, before it divides.
 _TINY_DEVIATION = 1e-12
+#: What is stated of the rig is contradicted beyond this many deviations [1]: 1 % of contacts do by
+#: chance, for each of three quantities.
+_CONTRADICTION = 2.5
+#: Added to a variance that may be 0, before it divides [1].
+_TINY_VARIANCE = 1e-12
+#: The data say nothing of a quantity whose variance they lower by less than this share [1].
+_LEAST_LEARNED = 0.02
 #: Standard deviation of a change of ln G [1]: a lesion is up to several times stiffer than what is
 #: around it.
 _CHANGE_OF_LOG_G = 1.0
@@ -156,6 +163,8 @@ class StressPosterior:
         deviations[_RIG[0]] = np.sign(uncertainty.compliance_sd)
         self._prior = StatePrior(mean, deviations)
         self._know(*rig)
+        #: Variances that are stated of the rig, shape (3,).
+        self._stated_rig = self._prior.deviations[list(_RIG)] ** 2
         self._solver = GaussNewton(
             self._equations,
             self._prior,
@@ -273,9 +282,17 @@ class StressPosterior:
         self._equations.add(prediction.response, noise, size)
         self.blocks_since_solved += 1
 
-    def widen_newest(self, variance: float) -> None:
-        """Add to the variance of the newest block what one of its samples is further off."""
-        self._equations.widen_newest(variance)
+    def amend_newest(self, variance: float, delayed: float) -> None:
+        """Correct the newest block by what the one after it tells.
+
+        Parameters
+        ----------
+        variance : float
+            By which one of its samples is further off [Pa^2].
+        delayed : float
+            Added to the column of the delay, at G = 1 [1].
+        """
+        self._equations.amend_newest(variance, StateIndex.DELAY, delayed)
 
     def update(self, prediction: Prediction, noise: float) -> None:
         """Take one step of an extended Kalman filter, good until the next relinearisation.
@@ -348,10 +365,52 @@ class StressPosterior:
     def relinearise(self) -> None:
         """Solve for the posterior anew, with all blocks so far."""
         self.blocks_since_solved = 0
+        self._solve_anew()
+        if self.is_solved and self._widen_contradicted():
+            self._solve_anew()
+
+    def _solve_anew(self) -> None:
         if not self.is_unimodal:
             self._solve_at_nodes()
         if self.is_unimodal:
             self._solve()
+
+    def _widen_contradicted(self) -> bool:
+        """Widen what is stated of the rig where the data contradict it; return whether they do.
+
+        The posterior's mean scatters about the prior's by the prior's variance less its own. The
+        quantity that is farthest beyond has the variance of the largest evidence from here on: the
+        square of what the data alone would say, less the variance of that (empirical Bayes).
+        """
+        prior, rig = self._prior, np.array(_RIG)
+        variance = prior.deviations[rig] ** 2
+        learned = variance - self.covariance[rig, rig]
+        moved = (self.state - prior.mean)[rig]
+        is_told = learned > _LEAST_LEARNED * variance
+        beyond = np.divide(moved**2, learned, out=np.zeros_like(moved), where=is_told)
+        k = int(np.argmax(beyond))
+        if beyond[k] <= _CONTRADICTION**2:
+            return False
+        share = learned[k] / variance[k]
+        prior.deviations[rig[k]] = math.sqrt(
+            (moved[k] / share) ** 2 - variance[k] / share + variance[k]
+        )
+        return True
+
+    def rig_deviations(self) -> float:
+        """Return how far the rig is from what is stated, in deviations [1]: the farthest of three.
+
+        By what the data alone would say, and the variances of both.
+        """
+        prior, rig = self._prior, np.array(_RIG)
+        variance = prior.deviations[rig] ** 2
+        share = 1.0 - self.covariance[rig, rig] / np.maximum(variance, _TINY_VARIANCE)
+        told = share > _LEAST_LEARNED
+        alone = np.divide(
+            (self.state - prior.mean)[rig], share, out=np.zeros(rig.size), where=told
+        )
+        own = np.divide(variance, share, out=np.ones(rig.size), where=told) - variance
+        return float(np.max(np.abs(alone) / np.sqrt(self._stated_rig + own + _TINY_VARIANCE)))
 
     def _solve(self) -> None:
         """Solve for the maximum of a posterior that is normal."""
@@ -376,8 +435,12 @@ class StressPosterior:
             self.is_unimodal = bool(self.covariance[_LOG_GN, _LOG_GN] < _UNIMODAL**2)
 
     def _take_evidence(self, solution: Solution) -> None:
-        if solution.log_evidence is not None:
-            self.log_evidence = solution.log_evidence
+        if solution.log_evidence is None:
+            return
+        stated = np.sqrt(self._stated_rig)
+        is_open = stated > 0.0
+        widened = self._prior.deviations[list(_RIG)][is_open] / stated[is_open]
+        self.log_evidence = solution.log_evidence - float(np.sum(np.log(widened)))
 
     def at_edge(self) -> ParameterSet:
         """Return the parameters at an end of what can be represented."""

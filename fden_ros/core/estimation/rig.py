@@ -17,7 +17,7 @@ r"""How what is not known of the rig enters the stress, from block to block.
 Compliance C, delay tau and friction F shift the stress by
 
 .. math::
-    -\frac{C}{L} D^\alpha(\varphi' f), \qquad \tau\,\varphi' E(t_d)\,\dot u, \qquad
+    -\frac{C}{L} D^\alpha(\varphi' f), \qquad \tau\,\frac{d}{dt} D^\alpha\varphi, \qquad
     F\,\mathrm{sgn}(\dot u)
 
 A noisy regressor would say that a parameter is near 0, with a deviation that is far too small
@@ -35,7 +35,6 @@ import math
 from collections import deque
 
 from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
-from fden_ros.core.law.characteristic import apparent_stiffness_factor
 from fden_ros.core.law.geometry import Geometry
 
 #: The velocity is taken over this many blocks [1] ...
@@ -48,8 +47,6 @@ _STILL_SHARE = 0.5
 #: before: both are less certain by this many of its deviations [1]. Else a friction of any size
 #: would be found to be small.
 _TURN_DEVIATIONS = 2.0
-#: Time by which a delay shifts the response to a motion: of the newest motion's memory [s].
-_DELAY_TIME = 0.1
 #: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
 _FOLLOWED_SHARE = 0.1
 
@@ -68,6 +65,8 @@ class RigResponse:
     ----------
     turn_variance : float
         By which the newest block and the one before are less certain [Pa^2].
+    late_delay : float
+        To be added to the delay's column of the block before, at G = 1 [1].
     """
 
     def __init__(self, uncertainty: Uncertainty, geometry: Geometry, motion_noise: float) -> None:
@@ -80,7 +79,8 @@ class RigResponse:
         """Let the next block begin a new motion."""
         self._recent: deque[tuple[float, float]] = deque(maxlen=_VELOCITY_BLOCKS)
         self._has_loaded = self._has_unloaded = False
-        self._direction = self.turn_variance = 0.0
+        self._direction = self.turn_variance = self.late_delay = 0.0
+        self._delayed = 0.0
         self._followed = 0
         self._stress = self._loading = self._relaxing = 0.0
 
@@ -90,21 +90,23 @@ class RigResponse:
         return self._has_loaded and self._has_unloaded
 
     def columns(
-        self, block: Block, slope: float, order: float, yielding: float, jittering: float
+        self,
+        block: Block,
+        yielding: float,
+        jittering: float,
+        step: float,
     ) -> dict[StateIndex, float]:
         """Return the columns for a block [Pa]; those of compliance and delay at G = 1.
 
         Parameters
         ----------
         block : Block
-        slope : float
-            dphi/du at G = 1 [1].
-        order : float
-            alpha [1].
         yielding : float
             D^alpha of dphi/dx times the force, at G = 1 [N].
         jittering : float
             D^alpha of dphi/dx times the noise of the motion, at G = 1 [1].
+        step : float
+            Of the law's stress from the last block to this one, at G = 1 [1].
         """
         uncertainty, geometry = self._uncertainty, self._geometry
         rate = self._rate(block)
@@ -116,16 +118,17 @@ class RigResponse:
             (_TURN_DEVIATIONS * friction) ** 2 if direction != self._direction else 0.0
         )
         self._direction = direction
+        delayed = self._delay(step, block.memory_time) if direction else 0.0
+        # A force that is ahead of the motion answers to what comes next: the mean of both steps.
+        self.late_delay = 0.5 * (delayed - self._delayed)
+        self._delayed = delayed
         self._recent.append((block.compression, block.memory_time))
         by_compression = geometry.strain_slope(block.compression)
-        relaxed = apparent_stiffness_factor(order, _DELAY_TIME)
+        bending = yielding * by_compression
         return {
             StateIndex.JITTER: jittering * by_compression,
-            StateIndex.COMPLIANCE: -uncertainty.compliance_sd
-            * yielding
-            * by_compression
-            / geometry.length,
-            StateIndex.DELAY: uncertainty.delay_sd * slope * relaxed * rate,
+            StateIndex.COMPLIANCE: -uncertainty.compliance_sd * bending / geometry.length,
+            StateIndex.DELAY: delayed,
             StateIndex.FRICTION: friction * direction,
         }
 
@@ -141,6 +144,11 @@ class RigResponse:
         if rate * self._direction > 0.0:
             least *= _STILL_SHARE
         return rate if abs(rate) > least else 0.0
+
+    def _delay(self, step: float, time: float) -> float:
+        """Return the response to one deviation of the delay, by the step up to a block [1]."""
+        elapsed = time - self._recent[-1][1] if self._recent else 0.0
+        return self._uncertainty.delay_sd * step / elapsed if elapsed > 0.0 else 0.0
 
     def bend(self, compression: float, stiffness: float) -> float:
         """Return the force that bends the tool at the end of the block to come [N].

@@ -148,7 +148,8 @@ class StressEstimator:
         self._age = LoadingAge()
         self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
         self._last_response: BlockResponse | None = None
-        self._newest: tuple[float, BlockResponse] | None = None  # stress and response, to follow
+        self._step = 0.0  # of the law's stress up to the newest block [Pa]
+        self._has_newest = False  # the last block of this contact was taken
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -180,7 +181,6 @@ class StressEstimator:
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
-        self._follow()
         self._motion.interrupt()
         self._jitter.interrupt()
         self._change.begin_contact()
@@ -188,6 +188,7 @@ class StressEstimator:
         self._age.interrupt()
         self._rig.begin_contact()
         self._last_response = None
+        self._has_newest = False
         self._contact_start = None
         for posterior in self._bank:
             posterior.begin_contact(bias_sd, drift_sd)
@@ -217,7 +218,6 @@ class StressEstimator:
         FloatingPointError
             If the block's response is beyond floating-point numbers.
         """
-        self._follow()
         elastic, noise, predictions = self._predict(block)
         best = predictions[self._bank.index(self._best)]
         innovation = Innovation(
@@ -230,7 +230,8 @@ class StressEstimator:
         change = self._change.watch(block, innovation, known)
         if change is not None:
             self._start_anew(change, innovation, block)
-        if not self._change.is_blind(block.memory_time):
+        self._has_newest = not self._change.is_blind(block.memory_time)
+        if self._has_newest:
             self._take(block, noise, predictions)
         return innovation
 
@@ -250,13 +251,14 @@ class StressEstimator:
         turn = self._rig.turn_variance
         noise += self._noise_variance / block.size + turn
         before += turn * block.size**2
+        late = self._rig.late_delay if self._has_newest else 0.0
         stiffness = max(slope, 0.0) * relaxed / self._geometry.length
         rig_error = rig_error_variance(
             self._config.uncertainty, self._geometry, block.duration, stiffness
         )
         predictions = []
         for posterior in self._bank:
-            posterior.widen_newest(before)
+            posterior.amend_newest(before, late)
             model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
             predictions.append(posterior.predict(*response, block, model_error + rig_error))
         numbers = [(noise, prediction.residual, prediction.spread) for prediction in predictions]
@@ -296,7 +298,7 @@ class StressEstimator:
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         self._block_count += 1
-        self._newest = block.stress, predictions[0].response
+        self._rig.follow(block.stress, self._step)
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
 
@@ -326,6 +328,7 @@ class StressEstimator:
         if self._config.uncertainty.compliance_sd > 0.0:
             self._bend(block, state, slope * math.exp(state[_LOG_G]))
         law, free, pulse, yielding, jittering = self._basis.take_block()
+        self._step = self._law_step(BlockResponse(law, free))
         if self._contact_start is None:
             self._contact_start = block.memory_time
         in_order, _ = self._in_order(float(state[_ORDER]))
@@ -336,10 +339,9 @@ class StressEstimator:
         }
         linear |= self._rig.columns(
             block,
-            slope,
-            float(state[_ORDER]),
             float(in_order @ yielding),
             float(in_order @ jittering),
+            self._step / math.exp(state[_LOG_G]),
         )
         return law, free, linear
 
@@ -351,14 +353,10 @@ class StressEstimator:
         force = self._rig.bend(block.compression, stiffness)
         self._basis.linearise(math.exp(state[_LOG_GN]), in_origin, force)
 
-    def _follow(self) -> None:
-        """Follow the stress of the newest block, by the steps of the law where it is noisy."""
-        if self._newest is None:
-            return
-        (stress, response), self._newest = self._newest, None
-        before = self._last_response or response
-        self._rig.follow(stress, self._best.law_step(before, response))
-        self._last_response = response
+    def _law_step(self, response: BlockResponse) -> float:
+        """Return the step of the law's stress from the last block to a response [Pa]."""
+        before, self._last_response = self._last_response or response, response
+        return self._best.law_step(before, response)
 
     def _start_anew(self, change: Change, innovation: Innovation, block: Block) -> None:
         """Learn a new tissue from here on; the response to the old one is kept as it was."""
@@ -378,7 +376,6 @@ class StressEstimator:
 
     def relinearise(self, *, fully: bool = False) -> None:
         """Do what nobody waits for; solve anew, with all blocks so far, where that is due."""
-        self._follow()
         if not fully:
             self._law.work_ahead()
         if self._change.is_suspected:
@@ -453,13 +450,18 @@ class StressEstimator:
                 found |= posterior.at_edge()
         return found
 
+    @property
+    def rig_deviations(self) -> float:
+        """How far a contact that went in and out says the rig is from what is stated [1]."""
+        told = self._rig.has_reversed and self._best.is_solved
+        return self._best.rig_deviations() if told else 0.0
+
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing.
 
         That is where nothing is open, the loading never reversed, the tissue changed, or a
         solution was not found. The mixture of all scales of the model's error has these moments.
         """
-        self._follow()
         is_open = any(self._config.uncertainty.rig_sd)
         solved = all(posterior.is_solved and posterior.is_unimodal for posterior in self._likely)
         if not (is_open and solved and self._rig.has_reversed) or self._change.count:
