@@ -32,6 +32,7 @@ from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.aftermath import Aftermath
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
+from fden_ros.core.continuous import ContinuousContact
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimate import Observation
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
@@ -141,6 +142,8 @@ class Pipeline:
             config.plausibility, config.geometry, config.estimator.prior
         )
         words = stands_against(config.geometry)
+        if config.is_continuous and not config.geometry.is_stated:
+            words = ""  # a stiffness in N/m needs none
         self.problems = (words,) if words else ()
         self.standing_flags = Flag.NONE
         if words:
@@ -158,6 +161,11 @@ class Pipeline:
         """
         self._site: Site | None = None
         self._press: Press | None = None
+        self._continuous = (
+            ContinuousContact(self.config, self.site_count + 1)
+            if self.config.is_continuous
+            else None
+        )
         if scope >= _Forget.SITES:
             self._onset: Onset | None = None
             self._ended: _Ended | None = None
@@ -213,6 +221,8 @@ class Pipeline:
 
     def tare(self) -> str | None:
         """Take the present force as zero; return None, or why that cannot be done now."""
+        if self._continuous is not None:
+            return "contact.mode is continuous: the force's zero plays no part"
         mean = self._detector.mean_air_force()
         if mean is None:
             if self._detector.in_contact:
@@ -243,6 +253,7 @@ class Pipeline:
         try:
             self._end_contact(self._gaps.newest_ns, complete=False)
             self._judge_ended(self.newest_ns)
+            self._end_continuous()
         except Exception as error:
             self._fail(self.newest_ns, error)
 
@@ -268,6 +279,7 @@ class Pipeline:
         counts = {
             **dict.fromkeys(self.problems, 1),
             **self._plausibility.found,
+            **(self._continuous.warnings if self._continuous is not None else {}),
             of_stream("force", synchronizer.force_guard, config.force_limit): 1,
             of_stream(
                 "displacement", synchronizer.displacement_guard, config.displacement_limit
@@ -296,6 +308,9 @@ class Pipeline:
         self._check_gap(pair.stamp_ns)
         self.pair_count += 1
         self.newest_ns = pair.stamp_ns
+        if self._continuous is not None:
+            self._take_continuous(pair, self._continuous)
+            return
         event = self._detect(pair)
         if isinstance(event, Onset):
             self._touch(event)
@@ -309,6 +324,16 @@ class Pipeline:
         if isinstance(event, Release):
             self._end_contact(event.stamp_ns, complete=True)
 
+    def _take_continuous(self, pair: Pair, contact: ContinuousContact) -> None:
+        for output in contact.add(pair, self._input_flags, self.rejected.total()):
+            self._emit(output)
+        self.site_count = self.contact_count = contact.place_count
+
+    def _end_continuous(self) -> None:
+        if self._continuous is not None:
+            for output in self._continuous.end(self.newest_ns, self.rejected.total()):
+                self._emit(output)
+
     def _detect(self, pair: Pair) -> Onset | Release | None:
         try:
             return self._detector.add(pair)
@@ -319,6 +344,7 @@ class Pipeline:
     def _clock_jumped(self, epoch: int) -> None:
         self._clock_jumps += 1
         self._end_contact(self._gaps.newest_ns, complete=False)
+        self._end_continuous()
         self._forget(_Forget.SITES)
         self._epoch = epoch
 
@@ -326,6 +352,11 @@ class Pipeline:
         previous_ns = self._gaps.newest_ns
         gap_ns = self._gaps.step(stamp_ns)
         press, site = self._press, self._site
+        if gap_ns and self._continuous is not None:
+            if gap_ns > self._max_gap_ns:
+                self._end_continuous()
+            else:
+                self._continuous.see_gap()
         if not gap_ns or press is None or site is None:
             return
         press.see_missing(self.rejected)
@@ -570,6 +601,8 @@ class Pipeline:
         self._sums.clear()
         if self._meter is not None:
             self._meter.reset()
+        if self._continuous is not None:
+            self._continuous = ContinuousContact(self.config, self.site_count + 1)
         if site is None:
             return
         site.fail()
