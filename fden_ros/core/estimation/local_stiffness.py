@@ -43,11 +43,11 @@ _EVIDENCE_DISCOUNT, _LEAST_WEIGHT = 0.85, 0.005
 #: Degrees of freedom [1] with which the scatter of the first window is believed, and multiple of
 #: its white noise that is expected [1]: what is not white is most of it.
 _FIRST_FREEDOM, _COLOUR = 1.0, 3.0
-#: A window enters the scatter as at most this normalised square for each of two parts [1]: an
-#: edge crossed is no noise for all time.
+#: A window enters the scatter as at most this normalised square [1] beyond that of the model it
+#: surprises least: an edge that is crossed is no noise for all time.
 _MOST_SQUARE = 12.0
-#: Least degrees of freedom [1] for a deviation: with 4, after three windows, a t has a variance.
-_LEAST_FREEDOM = 4.0
+#: Least degrees of freedom [1] for a deviation, after four windows: a t has a variance above 2.
+_LEAST_FREEDOM = 3.5
 
 
 class Stiffness(NamedTuple):
@@ -73,15 +73,12 @@ class LocalStiffness:
     """
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all windows."""
         count = _DISCOUNTS.size
         self.windows = 0
         self._mean = np.zeros(count, dtype=complex)
         self._precision = np.zeros(count)  # in units of 1/sigma^2 [m^2]
-        self._squares = np.zeros(count)  # [N^2]
+        # Along k and across it: a place that changes scatters the magnitude, not the phase.
+        self._squares = np.zeros((2, count))  # [N^2]
         self._freedom = 0.0
         self._log_weights = np.zeros(count)
 
@@ -112,20 +109,21 @@ class LocalStiffness:
         freedom = _SCATTER_DISCOUNT * self._freedom
         squares = _SCATTER_DISCOUNT * self._squares
         error = stiffness - self._mean
+        turned = error * _direction(stiffness).conjugate()
         spread = 1.0 / precision + 1.0 / information
-        normalized = np.abs(error) ** 2 / spread  # over sigma^2
-        variance = squares / freedom
-        # Predictive density of two parts, Student's t in two dimensions; its constants are equal.
-        log_density = -np.log(variance * spread) - 0.5 * (freedom + 2.0) * np.log1p(
+        normalized = np.stack([turned.real, turned.imag]) ** 2 / spread  # times sigma^2
+        # Predictive densities of the parts, Student's t; their constants are equal.
+        log_density = -0.5 * np.log(squares * spread) - 0.5 * (freedom + 1.0) * np.log1p(
             normalized / squares
         )
-        self._log_weights = _EVIDENCE_DISCOUNT * self._log_weights + log_density
+        self._log_weights = _EVIDENCE_DISCOUNT * self._log_weights + log_density.sum(axis=0)
         self._log_weights -= self._log_weights.max()
         self._precision = precision + information
         self._mean = self._mean + information / self._precision * error
-        most = 2.0 * _MOST_SQUARE * np.maximum(variance, normalized.min() / 2.0 / _MOST_SQUARE)
+        # Even the best model may be surprised by the noise of the first windows.
+        most = _MOST_SQUARE * squares / freedom + normalized.min(axis=1, keepdims=True)
         self._squares = squares + np.minimum(normalized, most)
-        self._freedom = freedom + 2.0
+        self._freedom = freedom + 1.0
 
     def value(self) -> Stiffness | None:
         """Return the stiffness at the newest window; None before there are enough of them."""
@@ -138,5 +136,13 @@ class LocalStiffness:
         # The variance of a Student's t is that of its scale times freedom / (freedom - 2).
         own = self._squares / (self._freedom - 2.0) / self._precision
         parts = np.stack([apart.real, apart.imag])
-        covariance = (parts * weights) @ parts.T + float(weights @ own) * np.eye(2)
+        direction = _direction(mean)
+        turn = np.array([[direction.real, -direction.imag], [direction.imag, direction.real]])
+        covariance = (parts * weights) @ parts.T + (turn * (own @ weights)) @ turn.T
         return Stiffness(mean, covariance)
+
+
+def _direction(value: complex) -> complex:
+    """Return a number of magnitude 1 in the direction of another; 1 for 0."""
+    size = abs(value)
+    return value / size if size > 0.0 else 1.0 + 0.0j
