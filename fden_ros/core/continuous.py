@@ -146,6 +146,7 @@ class ContinuousContact:
         self._blocks = BlockSums(config.block_duration, math.inf)
         self._stated = config.dither_frequencies[0] if config.dither_frequencies else None
         self._has_found = False
+        self._elapsed = 0.0
         self._lags = 0
         # A sphere's modulus would need its depth.
         geometry = config.geometry
@@ -159,7 +160,6 @@ class ContinuousContact:
         self._stiffness = LocalStiffness()
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
-        self._elapsed = 0.0
         self._meter: ComplexModulusMeter | None = None
         self._meter_frequency = 0.0
         self._window = Window()

@@ -45,7 +45,7 @@ _EVIDENCE_DISCOUNT, _LEAST_WEIGHT = 0.85, 0.005
 _FIRST_FREEDOM, _COLOUR = 1.0, 3.0
 #: A window enters the scatter as at most this normalised square [1] beyond that of the model it
 #: surprises least: an edge that is crossed is no noise for all time.
-_MOST_SQUARE = 12.0
+_MOST_SQUARE = 5.0
 #: Least degrees of freedom [1] for a deviation, after four windows: a t has a variance above 2.
 _LEAST_FREEDOM = 3.5
 
