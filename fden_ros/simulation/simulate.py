@@ -394,6 +394,10 @@ def _across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, second if second.sum() >= 0.0 else -second
 
 
+def _listed(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+
+
 def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str, Any]:
     models = [visit.contacts.model for visit in visits]
     sites = [
@@ -406,7 +410,7 @@ def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str,
             "position": list(visit.site.position_m),
         }
         | ({"stiffening": asdict(visit.site.stiffening)} if visit.site.stiffening else {})
-        | ({"slide": asdict(visit.site.slide)} if visit.site.slide else {})
+        | ({"slide": _listed(asdict(visit.site.slide))} if visit.site.slide else {})
         for number, visit in enumerate(visits, start=1)
     ]
     met = [
