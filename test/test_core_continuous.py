@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -36,6 +36,7 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.estimation.local_stiffness import LocalStiffness
 from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
@@ -116,7 +117,7 @@ def palpated(
 def identify(record: Palpated, *, located: bool = True, **values):
     """Return the pipeline after the record, and its outputs."""
     outputs: list = []
-    config = pipeline_config(check({"contact.mode": "continuous", **values}))
+    config = pipeline_config(check({"contact.mode": "continuous"} | values))
     pipeline = Pipeline(config, outputs.append)
     feed(pipeline, record, located=located)
     pipeline.finish()
@@ -279,6 +280,48 @@ def test_a_long_gap_ends_the_place_and_forgets_it():
     assert pipeline.site_count == after[-1].site_id
     since = [one for one in of(TissueState, outputs) if one.stamp_ns > START_NS + 25_000_000_000]
     assert since[0].apparent_stiffness is None and since[-1].apparent_stiffness is not None
+
+
+def test_a_failure_ends_one_place_and_the_next_is_identified(monkeypatch):
+    add, calls = LocalStiffness.add, []
+
+    def fail_once(self, *values):
+        calls.append(values)
+        if len(calls) == 8:
+            raise ZeroDivisionError("of a test")
+        add(self, *values)
+
+    monkeypatch.setattr(LocalStiffness, "add", fail_once)
+    pipeline, outputs = identify(palpated(12))
+    failed = [one for one in of(ContactSummary, outputs) if Flag.ESTIMATION_FAILED in one.flags]
+    assert len(failed) == 1 and not failed[0].complete
+    assert [one.site_id for one in pipeline.failures] == [failed[0].site_id]
+    assert not pipeline.is_failed
+    assert len([one for one in known_places(outputs) if one.site_id > failed[0].site_id]) > 10
+
+
+@pytest.mark.parametrize("seed", range(4, 8))
+def test_the_default_mode_claims_nothing_of_a_probe_that_taps_as_it_slides(seed):
+    """It begins in contact, and is free of the tissue for a fifth of each period."""
+    record = palpated(seed, "constant", frequency=1.0, duration=20.0)
+    depth = record.displacement - np.quantile(record.displacement, 0.2)
+    noise = np.random.default_rng(seed).normal(size=depth.size)
+    force = 400.0 * np.maximum(depth, 0.0) + 0.005 * noise
+    pressed = slice(int(np.argmax(depth > 1e-3)), None)
+    tapping = replace(
+        record,
+        time=record.time[pressed],
+        force=force[pressed],
+        displacement=record.displacement[pressed],
+        way=record.way[pressed],
+    )
+    geometry = {"geometry.kind": "sphere", "geometry.radius": 0.003}
+    _, outputs = identify(tapping, **{"contact.mode": "touch", **geometry})
+    contacts = of(ContactSummary, outputs)
+    assert len(contacts) > 10
+    assert all(one.flags and not one.converged for one in contacts)
+    states = of(TissueState, outputs)
+    assert not [one for one in states if one.status is Status.CONVERGED and not one.flags]
 
 
 def test_services_say_what_they_do_in_continuous_contact():

@@ -279,8 +279,13 @@ class ContinuousContact:
         if self._place is not None:
             self._place.flags |= Flag.GAP
 
-    def end(self, stamp_ns: int, rejected: int) -> list[Output]:
-        """Forget all but the numbers; return the summary of the place that is still open."""
+    def end(self, stamp_ns: int, rejected: int, flags: Flag = Flag.NONE) -> list[Output]:
+        """Forget all but the numbers; return the summary of the place that is still open.
+
+        `flags` say why it ends.
+        """
+        if self._place is not None:
+            self._place.flags |= flags
         outputs = self._leave(stamp_ns, rejected, complete=False)
         self._forget()
         return outputs

@@ -238,6 +238,7 @@ class Pipeline:
         """Forget what was learned but of the rig; return None, or why that cannot be done now."""
         if self._detector.in_contact:
             return "the probe is in contact: lift it, then reset"
+        self._end_continuous()
         self._forget(_Forget.STREAMS)
         return None
 
@@ -263,6 +264,8 @@ class Pipeline:
         if not self.failures:
             return False
         site_id = self._site.site_id if self._site is not None else 0
+        if self._continuous is not None:
+            site_id = self._continuous.place_count
         return self.failures[-1].site_id == site_id
 
     @property
@@ -329,9 +332,9 @@ class Pipeline:
             self._emit(output)
         self.site_count = self.contact_count = contact.place_count
 
-    def _end_continuous(self) -> None:
+    def _end_continuous(self, flags: Flag = Flag.NONE) -> None:
         if self._continuous is not None:
-            for output in self._continuous.end(self.newest_ns, self.rejected.total()):
+            for output in self._continuous.end(self.newest_ns, self.rejected.total(), flags):
                 self._emit(output)
 
     def _detect(self, pair: Pair) -> Onset | Release | None:
@@ -377,9 +380,12 @@ class Pipeline:
         self._onset = onset
         site = self._site
         if site is None or site.is_elsewhere(first):
+            before = site
             self.site_count += 1
             site = Site(self.site_count, onset, self.config, self.rig, self.standing_flags)
             self._site = site
+            if before is not None and before.leaves_doubt(first.stamp_ns):
+                site.withdraw()
         self.contact_count += 1
         site.check_history(onset)
         press = self._press = Press(
@@ -596,13 +602,14 @@ class Pipeline:
         self.failure_count += 1
         site_id = site.site_id if site is not None else 0
         contact_id = press.contact_id if press is not None else 0
+        if self._continuous is not None:
+            site_id = contact_id = self._continuous.place_count
         self.failures.append(failure_of(error, stamp_ns, site_id, contact_id))
         self._behind.clear()
         self._sums.clear()
         if self._meter is not None:
             self._meter.reset()
-        if self._continuous is not None:
-            self._continuous = ContinuousContact(self.config, self.site_count + 1)
+        self._end_continuous(Flag.ESTIMATION_FAILED)
         if site is None:
             return
         site.fail()
