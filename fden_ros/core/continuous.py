@@ -30,98 +30,29 @@ from collections.abc import Callable
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
-from fden_ros.core.estimation.local_stiffness import LocalStiffness, Stiffness
-from fden_ros.core.estimation.palpation import Palpated, palpated
-from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
+from fden_ros.core.estimation.complex_modulus import ComplexModulus
+from fden_ros.core.estimation.local_stiffness import Stiffness
+from fden_ros.core.estimation.palpation import Palpated
+from fden_ros.core.estimation.palpation_meter import Measured, PalpationMeter
 from fden_ros.core.outputs import (
     ApparentStiffness,
     ContactSummary,
     DynamicModulus,
     Flag,
     Output,
-    Phase,
     Status,
     TissueState,
     edge_flag,
     order_source,
 )
+from fden_ros.core.place import Place, Window
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
 
-#: Periods of a window [1], and harmonics that are fitted beside the trend: with one period, or
-#: without the second harmonic, the harmonics of a nonlinear tissue pass for trend.
-_PERIODS, _HARMONICS = 2, (1.0, 2.0)
 #: Least amplitude, as a share of the geometry's length [1].
 _LEAST_AMPLITUDE = 1e-4
-#: What a window told is current for this many windows [1].
-_CURRENT = 2.5
 #: Time without an oscillation [s] after which it is missed.
 _SILENT_TIME = 10.0
-
-
-class Place:
-    """What is gathered at one place of the path."""
-
-    def __init__(self, number: int, start_ns: int, position: Position | None) -> None:
-        self.number = number
-        self.start_ns = self.end_ns = start_ns
-        self.first = position
-        self.samples = 0
-        self.max_force = 0.0
-        self.flags = Flag.ORIGIN_UNCERTAIN
-        self.rejected = 0
-        self.found: Palpated | None = None
-        self._sum = (0.0, 0.0, 0.0)
-        self._windows = 0
-
-    def add(self, window: Window, found: Palpated | None) -> None:
-        """Take a window of this place."""
-        self.end_ns = window.stop_ns
-        self.samples += window.samples
-        self.max_force = max(self.max_force, window.max_force)
-        self.found = found if found is not None else self.found
-        self._windows += 1
-        if window.position is not None:
-            x, y, z = (a + b for a, b in zip(self._sum, window.position, strict=True))
-            self._sum = (x, y, z)
-
-    @property
-    def position(self) -> Position | None:
-        """Mean position of its windows [m]."""
-        if self.first is None:
-            return None
-        x, y, z = (value / self._windows for value in self._sum)
-        return x, y, z
-
-
-class Window:
-    """The samples of one window of the palpation."""
-
-    def __init__(self) -> None:
-        self.samples = self.stop_ns = self.start_ns = 0
-        self.max_force = 0.0
-        self._sum = (0.0, 0.0, 0.0)
-        self._located = 0
-
-    def add(self, pair: Pair) -> None:
-        """Take a sample."""
-        self.start_ns = self.start_ns or pair.stamp_ns
-        self.stop_ns = pair.stamp_ns
-        self.samples += 1
-        self.max_force = max(self.max_force, pair.force)
-        if pair.position is not None:
-            x, y, z = (a + b for a, b in zip(self._sum, pair.position, strict=True))
-            self._sum = (x, y, z)
-            self._located += 1
-
-    @property
-    def position(self) -> Position | None:
-        """Mean position [m]; None where one is not known."""
-        if not self._located or self._located < self.samples:
-            return None
-        x, y, z = (value / self._located for value in self._sum)
-        return x, y, z
 
 
 class ContinuousContact:
@@ -144,7 +75,6 @@ class ContinuousContact:
         self.place_count = first_number - 1
         self._place: Place | None = None
         self._blocks = BlockSums(config.block_duration, math.inf)
-        self._stated = config.dither_frequencies[0] if config.dither_frequencies else None
         self._has_found = False
         self._elapsed = 0.0
         self._lags = 0
@@ -156,15 +86,16 @@ class ContinuousContact:
 
     def _forget(self) -> None:
         """Forget all but the numbers."""
-        self._frequency = PalpationFrequency()
-        self._stiffness = LocalStiffness()
+        config, frequencies = self._config, self._config.dither_frequencies
+        self._meter = PalpationMeter(
+            frequencies[0] if frequencies else None,
+            _LEAST_AMPLITUDE * config.geometry.length,
+            config.apparent_stiffness_time_scale,
+            config.estimator,
+        )
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
-        self._meter: ComplexModulusMeter | None = None
-        self._meter_frequency = 0.0
         self._window = Window()
-        self._found: Palpated | None = None
-        self._found_ns = 0
 
     @property
     def warnings(self) -> dict[str, int]:
@@ -194,61 +125,32 @@ class ContinuousContact:
         outputs: list[Output] = []
         time = self._elapsed = (pair.stamp_ns - self._start_ns) / NANOSECONDS
         displacement = pair.displacement - self._config.contact.series_compliance * pair.force
-        modulus = self._measure(time, displacement, pair.force)
-        if modulus is not None:
-            outputs += self._close_window(modulus, pair.stamp_ns, rejected)
+        measured = self._meter.add(time, displacement, pair.force)
+        if measured is not None:
+            outputs += self._close_window(measured, pair.stamp_ns, rejected)
+        if self._meter.begins_window:
+            self._window = Window()
         self._window.add(pair)
         if self._blocks.passes(pair.stamp_ns):
-            outputs.append(self._state(pair.stamp_ns, displacement, input_flags()))
+            outputs.append(self._state(pair.stamp_ns, time, displacement, input_flags()))
         return outputs
 
-    def _measure(self, time: float, displacement: float, force: float) -> ComplexModulus | None:
-        """Return k of the window that ends before this sample, in N/m, if one does."""
-        self._frequency.add(time, displacement)
-        frequency = self._stated or self._frequency.value
-        if frequency is None:
-            self._meter = None
-            return None
-        if self._meter is None or frequency != self._meter_frequency:
-            least = _LEAST_AMPLITUDE * self._config.geometry.length
-            tones = [frequency * harmonic for harmonic in _HARMONICS]
-            self._meter = ComplexModulusMeter(tones, _PERIODS, least)
-            self._meter_frequency = frequency
-            self._window = Window()
-        omega = 2.0 * math.pi * frequency
-        found = [
-            one
-            for one in self._meter.add(time, displacement, force)
-            if math.isclose(one.angular_frequency, omega)
-        ]
-        return found[0] if found else None
-
-    def _close_window(self, modulus: ComplexModulus, stamp_ns: int, rejected: int) -> list[Output]:
-        window, self._window = self._window, Window()
-        config, amplitude = self._config, modulus.strain_amplitude
+    def _close_window(self, measured: Measured, stamp_ns: int, rejected: int) -> list[Output]:
+        found, window = measured.found, self._window
         self._has_found = True
-        self._stiffness.add(complex(modulus.storage, modulus.loss), amplitude, modulus.sd)
-        value = self._stiffness.value()
-        self._found = value and palpated(
-            value,
-            modulus.angular_frequency,
-            amplitude,
-            config.apparent_stiffness_time_scale,
-            config.estimator,
-            self._stiffness.windows * modulus.samples,
-        )
-        self._found_ns = stamp_ns
-        outputs = self._follow(window, stamp_ns, rejected)
-        if self._found is None or self._place is None:
+        outputs = self._follow(window, found, stamp_ns, rejected)
+        if found is None:
             return outputs
-        self._lags += bool(self._found.estimate.at_edge)
+        self._lags += bool(found.estimate.at_edge)
         if self._is_flat:
-            outputs.append(self._modulus(window, modulus, self._found.stiffness, stamp_ns))
+            outputs.append(self._modulus(window, measured.modulus, found.stiffness, stamp_ns))
         return outputs
 
     # Places
 
-    def _follow(self, window: Window, stamp_ns: int, rejected: int) -> list[Output]:
+    def _follow(
+        self, window: Window, found: Palpated | None, stamp_ns: int, rejected: int
+    ) -> list[Output]:
         """Give a window to its place; return the summary of one that the probe has left."""
         outputs: list[Output] = []
         place = self._place
@@ -257,7 +159,7 @@ class ContinuousContact:
             self.place_count += 1
             place = self._place = Place(self.place_count, window.start_ns, window.position)
             place.rejected = rejected
-        place.add(window, self._found)
+        place.add(window, found)
         return outputs
 
     def _is_elsewhere(self, place: Place, position: Position | None) -> bool:
@@ -273,9 +175,7 @@ class ContinuousContact:
 
     def see_gap(self) -> None:
         """Take note that samples are missing before the next."""
-        if self._meter is not None:
-            self._meter.reset()
-        self._window = Window()
+        self._meter.skip()
         if self._place is not None:
             self._place.flags |= Flag.GAP
 
@@ -292,19 +192,14 @@ class ContinuousContact:
 
     # Outputs
 
-    def _is_current(self, stamp_ns: int) -> bool:
-        if self._meter is None:
-            return False
-        return stamp_ns - self._found_ns < _CURRENT * self._meter.window * NANOSECONDS
-
     def _apparent(self, found: Palpated | None) -> ApparentStiffness | None:
         if found is None:
             return None
         time_scale = self._config.apparent_stiffness_time_scale
         return ApparentStiffness(found.apparent, found.apparent_sd, time_scale)
 
-    def _state(self, stamp_ns: int, displacement: float, flags: Flag) -> TissueState:
-        found = self._found if self._is_current(stamp_ns) else None
+    def _state(self, stamp_ns: int, time: float, displacement: float, flags: Flag) -> TissueState:
+        found = self._meter.current(time)
         estimate = found.estimate if found is not None else None
         place = self._place
         own = place.flags if place is not None else Flag.ORIGIN_UNCERTAIN
@@ -314,14 +209,11 @@ class ContinuousContact:
             flags=own | flags | edge_flag(estimate),
             site_id=self.place_count,
             contact_id=self.place_count,
-            phase=self._phase_at(stamp_ns, displacement),
+            phase=self._phase.add(stamp_ns, displacement / self._config.geometry.length),
             order_source=order_source(estimate, self._config.estimator),
             estimate=estimate,
             apparent_stiffness=self._apparent(found),
         )
-
-    def _phase_at(self, stamp_ns: int, displacement: float) -> Phase:
-        return self._phase.add(stamp_ns, displacement / self._config.geometry.length)
 
     def _modulus(
         self, window: Window, modulus: ComplexModulus, stiffness: Stiffness, stamp_ns: int
