@@ -225,6 +225,42 @@ def test_an_oscillating_probe_measures_the_complex_modulus(tmp_path: Path) -> No
         assert m.fractional_order == pytest.approx(site["fractional_order"], abs=0.01)
 
 
+def test_continuous_contact_maps_a_stiffer_third_live_as_in_replay(tmp_path: Path) -> None:
+    bag = tmp_path / "continuous"
+    write_recording(simulate(load_scenario("continuous")), bag)
+    parameters = parameters_of(bag)
+    replayed: list[Any] = []
+    replay(
+        bag,
+        parameters,
+        on_output=lambda output, frame: replayed.append((output, message_of(output, frame))),
+    )
+    bench, code = run_live(bag, rate=4.0)
+    assert code == 0
+    for kind, heard in (
+        (TissueState, bench.estimates),
+        (ContactSummary, bench.summaries),
+        (DynamicModulus, bench.moduli),
+    ):
+        expected = [
+            serialize(message)
+            for output, message in replayed
+            # The last place ends with the node, when nobody listens any more.
+            if isinstance(output, kind) and getattr(output, "complete", True)
+        ]
+        stale = TissueEstimate.STATUS_STALE
+        live = [serialize(m) for m in heard if getattr(m, "status", None) != stale]
+        assert expected and live == expected, kind
+    assert TissueEstimate.STATUS_CONVERGED not in {m.status for m in bench.estimates}
+    # 60 mm in 40 s; the middle third, from 20 to 40 mm, is twice as stiff.
+    known = [m for m in bench.summaries if m.apparent_stiffness]
+    way = np.array([m.position.x for m in known])
+    value = np.array([m.apparent_stiffness for m in known])
+    soft, stiff = value[(way < 0.018) | (way > 0.046)], value[(way > 0.024) & (way < 0.038)]
+    assert len(soft) > 8 and len(stiff) > 4
+    assert np.median(stiff) == pytest.approx(2.0 * np.median(soft), rel=0.15)
+
+
 def test_unconfigured_and_inactive_are_silent_and_transitions_work() -> None:
     with Bench() as bench, identifier() as node:
         assert bench.state() == "unconfigured"

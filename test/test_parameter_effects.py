@@ -83,6 +83,8 @@ def recording(name: str) -> Recording:
         force, pause = ForceSensor(200.0, noise_n=5e-4), 8.0
     elif name == "dithered":
         sites = (Site(LIVER, (Sinusoid(0.3, 0.2, 0.01, 2.0, 12, 0.3),)),)
+    elif name == "palpated":
+        sites = (Site(LIVER, (Sinusoid(0.3, 0.2, 0.04, 2.0, 30, 0.3),)),)
     elif name in ("apart", "again"):
         places = [0.008 * number * (name == "apart") for number in range(2)]
         sites = tuple(Site(LIVER, (HOLD,), (place, 0.0)) for place in places)
@@ -418,6 +420,12 @@ EFFECTS: dict[str, Effect] = {
             b.pressing[-1].apparent_stiffness.value
             == pytest.approx(10.0**-0.131 * a.pressing[-1].apparent_stiffness.value, rel=1e-9)
         ),
+    ),
+    "contact.mode": (
+        "palpated",
+        {},
+        "continuous",
+        lambda a, b: a.summary.max_strain > 0.2 and b.summary.is_of_path,
     ),
     "dither.frequencies": (
         "dithered",

@@ -50,7 +50,7 @@ examples:
 
 `fden info BAG` shows what is in a bag and what would be used. The configuration is the identifier
 node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 nothing
-was identified: no contact is converged.
+was identified: no contact is converged, nor a stiffness known (contact.mode: continuous).
 """
 
 

@@ -58,6 +58,9 @@ class PipelineConfig:
         Compare each site with those around it that were touched before, not with the library.
     dither_frequencies : tuple of float
         Frequencies of the probe's oscillation [Hz], different; empty: there is none.
+    is_continuous : bool
+        The probe stays on the tissue and palpates: no touch is looked for, and what its
+        oscillation tells is put out. `dither_frequencies` then is the palpation's, empty: found.
     learns_rig : bool
         What a contact tells of the rig, the next site knows.
     dither_periods : int
@@ -78,6 +81,7 @@ class PipelineConfig:
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
     learns_rig: bool = False
+    is_continuous: bool = False
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
 
 

@@ -165,6 +165,11 @@ class ContactSummary:
     rig: RigKnowledge | None = None  #: with which the next site begins
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
+    @property
+    def is_of_path(self) -> bool:
+        """Whether it is a place on the path of a continuous contact whose stiffness is known."""
+        return self.apparent_stiffness is not None and Flag.ORIGIN_UNCERTAIN in self.flags
+
 
 @dataclass(frozen=True)
 class DynamicModulus:

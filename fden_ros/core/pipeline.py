@@ -28,6 +28,7 @@ from dataclasses import replace
 
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
+from fden_ros.core.continuous import ContinuousContact
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.hindsight import Hindsight
 from fden_ros.core.in_contact import InContact
@@ -111,6 +112,8 @@ class Pipeline:
             config.plausibility, config.geometry, config.estimator.prior
         )
         words = self._plausibility.standing
+        if config.is_continuous and not config.geometry.is_stated:
+            words = ""  # a stiffness in N/m needs none
         self.problems = (words,) if words else ()
         self.standing_flags = Flag.NONE
         if words:
@@ -130,6 +133,11 @@ class Pipeline:
         """
         self._site: Site | None = None
         self._press: Press | None = None
+        self._continuous = (
+            ContinuousContact(self.config, self.site_count + 1)
+            if self.config.is_continuous
+            else None
+        )
         if scope >= _Forget.SITES:
             self._onset: Onset | None = None
             self._hindsight.forget()
@@ -179,6 +187,8 @@ class Pipeline:
 
     def tare(self) -> str | None:
         """Take the present force as zero; return None, or why that cannot be done now."""
+        if self._continuous is not None:
+            return "contact.mode is continuous: the force's zero plays no part"
         mean = self._detector.mean_air_force()
         if mean is None:
             if self._detector.in_contact:
@@ -194,6 +204,7 @@ class Pipeline:
         """Forget what was learned but of the rig; return None, or why that cannot be done now."""
         if self._detector.in_contact:
             return "the probe is in contact: lift it, then reset"
+        self._end_continuous()
         self._forget(_Forget.STREAMS)
         return None
 
@@ -209,6 +220,7 @@ class Pipeline:
         try:
             self._end_contact(self._gaps.newest_ns, complete=False)
             self._say_again(self._hindsight.judge(self.newest_ns))
+            self._end_continuous()
         except Exception as error:
             self._fail(self.newest_ns, error)
 
@@ -218,6 +230,8 @@ class Pipeline:
         if not self.failures:
             return False
         site_id = self._site.site_id if self._site is not None else 0
+        if self._continuous is not None:
+            site_id = self._continuous.place_count
         return self.failures[-1].site_id == site_id
 
     @property
@@ -236,7 +250,9 @@ class Pipeline:
             self._clock_jumps,
         )
         found = {words: count for words, count in self._plausibility.found.items() if count}
-        return {**dict.fromkeys(self.problems, 1), **found, **odd}
+        along = self._continuous.warnings if self._continuous is not None else {}
+        said = {words: count for words, count in along.items() if words and count}
+        return {**dict.fromkeys(self.problems, 1), **found, **said, **odd}
 
     # Pairs
 
@@ -252,6 +268,9 @@ class Pipeline:
         self._check_gap(pair.stamp_ns)
         self.pair_count += 1
         self.newest_ns = pair.stamp_ns
+        if self._continuous is not None:
+            self._take_continuous(pair, self._continuous)
+            return
         event = self._detect(pair)
         if isinstance(event, Onset):
             self._touch(event)
@@ -264,6 +283,14 @@ class Pipeline:
         if isinstance(event, Release):
             self._end_contact(event.stamp_ns, complete=True)
 
+    def _take_continuous(self, pair: Pair, contact: ContinuousContact) -> None:
+        self._emit_all(contact.add(pair, self.rejected.total()))
+        self.site_count = self.contact_count = contact.place_count
+
+    def _end_continuous(self, flags: Flag = Flag.NONE) -> None:
+        if self._continuous is not None:
+            self._emit_all(self._continuous.end(self.newest_ns, self.rejected.total(), flags))
+
     def _detect(self, pair: Pair) -> Onset | Release | None:
         try:
             return self._detector.add(pair)
@@ -274,6 +301,7 @@ class Pipeline:
     def _clock_jumped(self, epoch: int) -> None:
         self._clock_jumps += 1
         self._end_contact(self._gaps.newest_ns, complete=False)
+        self._end_continuous()
         self._forget(_Forget.SITES)
         self._epoch = epoch
 
@@ -281,6 +309,11 @@ class Pipeline:
         previous_ns = self._gaps.newest_ns
         gap_ns = self._gaps.step(stamp_ns)
         press, site = self._press, self._site
+        if gap_ns and self._continuous is not None:
+            if gap_ns > self._max_gap_ns:
+                self._end_continuous()
+            else:
+                self._continuous.see_gap()
         if not gap_ns or press is None or site is None:
             return
         press.see_missing(self.rejected)
@@ -300,9 +333,12 @@ class Pipeline:
         self._onset = onset
         site = self._site
         if site is None or site.is_elsewhere(onset):
+            before = site
             self.site_count += 1
             site = Site(self.site_count, onset, self.config, self.rig, self.standing_flags)
             self._site = site
+            if before is not None and before.leaves_doubt(first.stamp_ns):
+                site.withdraw()
         self.contact_count += 1
         site.check_history(onset)
         press = self._press = Press(
@@ -409,8 +445,11 @@ class Pipeline:
         self.failure_count += 1
         site_id = site.site_id if site is not None else 0
         contact_id = press.contact_id if press is not None else 0
+        if self._continuous is not None:
+            site_id = contact_id = self._continuous.place_count
         self.failures.append(failure_of(error, stamp_ns, site_id, contact_id))
         self._in_contact.drop()
+        self._end_continuous(Flag.ESTIMATION_FAILED)
         if site is None:
             return
         site.fail()

@@ -50,6 +50,9 @@ _NODES = 3
 #: The tissue's relaxation between two contacts is followed in steps, the first of 1 ms [s], each
 #: longer by 4 %. (Eight steps a decade would bias Gn by a third of its error's bound.)
 _FIRST_REST, _REST_RATIO = 1e-3, 1.04
+#: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a
+#: palpation of 1 Hz dips out of the tissue for at most half of its period.
+_DIP_TIME = 0.5
 #: The surface found at the touch starts the filter; its deviation is multiplied by this, since the
 #: filter sees those samples again.
 ORIGIN_WIDENING = 3.0
@@ -199,6 +202,14 @@ class Site:
         if not is_followed and not self._begins_at_origin(first):
             self.is_usable = False
             self.flags |= Flag.ORIGIN_UNCERTAIN
+
+    def leaves_doubt(self, stamp_ns: int) -> bool:
+        """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
+
+        So a probe that palpates as it slides dips out of a contact whose beginning was not seen.
+        """
+        since = (stamp_ns - self.last_ns) / NANOSECONDS
+        return Flag.ORIGIN_UNCERTAIN in self.flags and since < _DIP_TIME
 
     def _begins_at_origin(self, pair: Pair) -> bool:
         """Whether the origin is given and a sample is there, so that no press came before it."""

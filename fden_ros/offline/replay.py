@@ -49,8 +49,8 @@ class Replay:
 
     @property
     def has_identified(self) -> bool:
-        """Whether a contact converged."""
-        return any(summary.converged for summary in self.summaries)
+        """Whether a contact converged, or the stiffness of a place on a path is known."""
+        return any(summary.converged or summary.is_of_path for summary in self.summaries)
 
 
 def replay(

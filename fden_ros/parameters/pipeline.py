@@ -61,10 +61,16 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
     Raises
     ------
     InputError
-        If the tissue library cannot be read, or is in other units than the estimates, or a
-        friction is given without a deviation.
+        If the tissue library cannot be read, or is in other units than the estimates, a friction
+        is given without a deviation, or several frequencies of a palpation.
     """
     geometry = geometry_of(parameters)
+    frequencies = tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0}))
+    if parameters.contact.mode == "continuous" and len(frequencies) > 1:
+        raise InputError(
+            f"dither.frequencies has {len(frequencies)} frequencies: with contact.mode continuous "
+            "give that of the palpation alone, or 0 to find it"
+        )
     prior = Prior(
         linear_stiffness=parameters.prior.linear_stiffness,
         linear_stiffness_log_sd=parameters.prior.linear_stiffness_log_sd,
@@ -126,9 +132,10 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             if parameters.classification.mode == "relative"
             else None
         ),
-        dither_frequencies=tuple(sorted({f for f in parameters.dither.frequencies if f > 0.0})),
+        dither_frequencies=frequencies,
         dither_periods=parameters.dither.periods,
         learns_rig=parameters.rig.learn,
+        is_continuous=parameters.contact.mode == "continuous",
         plausibility=PlausibilityConfig(
             most_force=parameters.plausible.force,
             least_strain_rate=parameters.plausible.strain_rate,

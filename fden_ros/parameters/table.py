@@ -371,6 +371,13 @@ class OriginParameters:
 class ContactParameters:
     """How a contact is detected."""
 
+    mode: str = text(
+        "touch",
+        "touch: contacts are told from the air, and G and Gn found from the first touch on; "
+        "continuous: the probe stays on the tissue and palpates, at 0.4 to 5 Hz or that of "
+        "dither.frequencies, and the stiffness dF/dd along its path is found.",
+        choices=("touch", "continuous"),
+    )
     lookback: float = number(
         5.0,
         "s",

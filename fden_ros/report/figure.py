@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from fden_ros.core.law.characteristic import phi
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.report.limits import interval_limits, symmetric_limit
+from fden_ros.report.path_picture import draw_path
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,10 @@ def save_session_figure(session: Session, path: str | Path, title: str) -> None:
     """Draw `session` and save it as PNG, SVG or PDF, by the ending of `path`."""
     figure = Figure(figsize=(12, 9), layout="constrained")
     figure.suptitle(title)
+    if any(summary.is_of_path for summary in session.summaries):
+        draw_path(figure, session.summaries)
+        figure.savefig(path, dpi=110)
+        return
     grid = figure.add_gridspec(4, 2, width_ratios=(3, 2))
     time_axes = [figure.add_subplot(grid[row, 0]) for row in range(4)]
     for axes in time_axes[1:]:

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -31,11 +32,14 @@ from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
 from fden_ros.report import plots
 from fden_ros.report.law_picture import law_picture
+from fden_ros.report.path_picture import draw_path
 from fden_ros.report.table import DASH, plus_minus, status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
 _OPEN_CONTACTS = 8
+#: Of the picture of a path [inch].
+_PATH_SIZE = (10.8, 5.0)
 
 _SOURCES = {
     OrderSource.NONE: "",
@@ -84,6 +88,8 @@ def page(session: Session) -> str:
         undefined=StrictUndefined,
     )
     summaries = session.replay.summaries
+    is_path = any(summary.is_of_path for summary in summaries)
+    detailed = [] if is_path else session.contacts[:DETAILED_CONTACTS]
     return environment.get_template("page.html").render(
         name=session.path.name,
         version=__version__,
@@ -91,15 +97,24 @@ def page(session: Session) -> str:
         headline=_headline(session),
         warnings=list(_warnings(session)),
         overview=plots.overview(session) if session.end_ns else None,
-        comparison=(plots.comparison(session) if any(s.estimate for s in summaries) else None),
-        site_map=(plots.site_map(session) if any(s.position for s in summaries) else None),
+        comparison=_comparison(session, is_path=is_path),
+        site_map=(
+            plots.site_map(session) if any(s.position for s in summaries) and not is_path else None
+        ),
         rows=[_row(summary) for summary in summaries],
         time_scale=f"{session.parameters.estimate.time_scale:g}",
-        contacts=[_contact(session, contact) for contact in session.contacts[:DETAILED_CONTACTS]],
-        left_out=max(0, len(summaries) - DETAILED_CONTACTS),
+        contacts=[_contact(session, contact) for contact in detailed],
+        left_out=0 if is_path else max(0, len(summaries) - DETAILED_CONTACTS),
         open_contacts=len(summaries) <= _OPEN_CONTACTS,
         parameters=sorted(session.parameters.as_dict().items()),
     )
+
+
+def _comparison(session: Session, *, is_path: bool) -> str | None:
+    summaries = session.replay.summaries
+    if is_path:
+        return plots.draw(functools.partial(draw_path, summaries=summaries), _PATH_SIZE)
+    return plots.comparison(session) if any(s.estimate for s in summaries) else None
 
 
 def _facts(session: Session) -> Iterator[tuple[str, str]]:
@@ -119,6 +134,9 @@ def _headline(session: Session) -> str:
     summaries = session.replay.summaries
     if not summaries:
         return "No contact was found."
+    places = sum(summary.is_of_path for summary in summaries)
+    if places:
+        return f"{_count(places, 'place')} on the path whose stiffness is known."
     sites = len({summary.site_id for summary in summaries})
     converged = sum(summary.converged for summary in summaries)
     words = (
@@ -149,6 +167,8 @@ def _warnings(session: Session) -> Iterator[str]:
         stream, _, why = reason.partition(".")
         yield f"{count} samples of the {stream} were rejected: {why.replace('_', ' ')}."
     summaries = session.replay.summaries
+    if any(summary.is_of_path for summary in summaries):
+        return
     linear = [str(s.contact_id) for s in summaries if _knows_g_alone(s)]
     if linear:
         yield f"Contact {', '.join(linear)}: G is known, Gn is not; see there why."
@@ -168,7 +188,9 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
     """Return a line of the table: texts, and a dash where there is nothing."""
     row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha", "apparent"), DASH)
     estimate = summary.estimate
-    if estimate is not None:
+    if estimate is not None and summary.is_of_path:
+        row["alpha"] = plus_minus(estimate.fractional_order, estimate.fractional_order_sd)
+    elif estimate is not None:
         g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
         deviations = estimate.deviations.tolist()
         row |= {

@@ -55,7 +55,9 @@ def contact_table(
     table.add_column("tissue", min_width=12)
     for summary in summaries:
         table.add_row(*_cells(summary, truth))
-        if summary.estimate is not None and summary.estimate.valid != ParameterSet.ALL:
+        if summary.is_of_path:
+            table.caption = "contact.mode continuous: dF/dd and α at places on the path"
+        elif summary.estimate is not None and summary.estimate.valid != ParameterSet.ALL:
             table.caption = "in brackets: prior knowledge, which the data did not determine"
     return table
 
@@ -78,7 +80,9 @@ def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
 def status_words(summary: ContactSummary) -> str:
     """Return how far a contact's parameters are known, and its flags."""
     words = "not converged"
-    if summary.converged:
+    if summary.is_of_path:
+        words = "stiffness"
+    elif summary.converged:
         words = "converged"
     elif summary.estimate is not None and ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
         words = "G known"
@@ -87,6 +91,7 @@ def status_words(summary: ContactSummary) -> str:
         flag.name.lower().replace("_", " ")
         for flag in Flag
         if flag and flag.name and flag & summary.flags
+        if not (flag is Flag.ORIGIN_UNCERTAIN and summary.is_of_path)
     ]
     return ", ".join(parts)
 
@@ -107,8 +112,10 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
                 )
             )
         )
+    if summary.is_of_path:
+        g = g_n = DASH
     site = (truth or {}).get(summary.site_id)
-    if site is not None:
+    if site is not None and not summary.is_of_path:
         g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
         g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
     apparent = DASH
@@ -119,6 +126,8 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
 
 
 def _label(summary: ContactSummary) -> str:
+    if summary.is_of_path:
+        return DASH
     if summary.classes is None:
         return "undetermined"
     return summary.classes.words

@@ -50,7 +50,7 @@ _LEAST_OPACITY = 0.1
 _MOST_SITES = 1000
 #: x, y, z as RViz wants them; the rest from the next multiple of 8 bytes on.
 _COORDINATES = ("x", "y", "z")
-_VALUES = ("G", "Gn", "alpha", "G_sd", "Gn_sd", "alpha_sd")
+_VALUES = ("G", "Gn", "alpha", "G_sd", "Gn_sd", "alpha_sd", "stiffness", "stiffness_sd")
 _POINT = np.dtype(
     {
         "names": [*_COORDINATES, *_VALUES],
@@ -108,11 +108,14 @@ class StiffnessMap:
             for name in ("sites", "values")
         ]
         for site_id, summary in self._sites.items():
+            # A path has too many places for a word each; its points are in the cloud.
+            if summary.is_of_path:
+                continue
             markers += self._site_markers(site_id, summary)
         return MarkerArray(markers=markers)
 
     def cloud(self) -> PointCloud2:
-        """Return the sites as points: float32 ``x, y, z``, float64 ``G, Gn, alpha``, deviations.
+        """Return the sites as points: float32 ``x, y, z``, float64 values and deviations.
 
         Points share one frame: sites in another than the newest summary's are left out.
         """
@@ -177,7 +180,7 @@ def colour_of(linear_stiffness: float, log_sd: float) -> ColorRGBA:
 
 
 def _values_of(summary: ContactSummary) -> tuple[float, ...]:
-    estimate = summary.estimate
+    estimate, stiffness = summary.estimate, summary.apparent_stiffness
     assert estimate is not None and summary.position is not None
     return (
         *summary.position,
@@ -187,4 +190,6 @@ def _values_of(summary: ContactSummary) -> tuple[float, ...]:
         estimate.linear_stiffness_sd,
         estimate.nonlinear_stiffness_sd,
         estimate.fractional_order_sd,
+        stiffness.value if stiffness is not None else 0.0,
+        stiffness.sd if stiffness is not None else 0.0,
     )

@@ -146,7 +146,9 @@ OUTPUT_TOPICS = (
         MarkerArray,
         _latched(1),
         ContactSummary,
-        lambda summary, frame, sites: sites.markers() if summary in sites else None,
+        lambda summary, frame, sites: (
+            sites.markers() if summary in sites and not summary.is_of_path else None
+        ),
     ),
     OutputTopic(
         "stiffness_map",

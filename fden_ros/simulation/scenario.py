@@ -321,6 +321,36 @@ class Dropout:
 
 
 @dataclass(frozen=True)
+class Slide:
+    """A way sideways in contact, during the sine of a press; the recording ends with it.
+
+    Attributes
+    ----------
+    to_m
+        Where it ends, across the approach axis; it begins at the site's position.
+    ratio
+        How many times stiffer the tissue is over the middle of the way; each place is taken to
+        have the same past.
+    edge_m
+        Length over which the stiffness passes from one to the other.
+    """
+
+    to_m: tuple[float, float]
+    ratio: float = 2.0
+    edge_m: float = 0.002
+
+    def __post_init__(self) -> None:
+        require_positive(self, "ratio", "edge_m")
+
+    def stiffness_ratio(self, share: FloatArray, start_m: tuple[float, float]) -> FloatArray:
+        """Return how many times stiffer it is at shares of the way from `start_m`, (n,)."""
+        edge = self.edge_m / max(math.dist(start_m, self.to_m), self.edge_m)
+        inner = np.clip((1.0 / 6.0 - np.abs(share - 0.5)) / edge + 0.5, 0.0, 1.0)
+        ratio: FloatArray = 1.0 + (self.ratio - 1.0) * inner
+        return ratio
+
+
+@dataclass(frozen=True)
 class Site:
     """One place on the tissue and what is done there.
 
@@ -334,12 +364,15 @@ class Site:
         Where it lies, across the approach axis.
     stiffening
         A stiffer tissue that the probe meets on its way, if any; for a single press.
+    slide
+        The way sideways in contact, if any; for a single sinusoid at the last site.
     """
 
     tissue: Tissue
     presses: tuple[Press, ...]
     position_m: tuple[float, float] = (0.0, 0.0)
     stiffening: Stiffening | None = None
+    slide: Slide | None = None
 
     def __post_init__(self) -> None:
         if not self.presses:
@@ -347,6 +380,8 @@ class Site:
         single = len(self.presses) == 1 and isinstance(self.presses[0], Ramp | RampHold)
         if self.stiffening is not None and not single:
             raise InputError("site: with a stiffening, presses must be one ramp or ramp_hold")
+        if self.slide is not None and [type(press) for press in self.presses] != [Sinusoid]:
+            raise InputError("site: with a slide, presses must be one sinusoid")
 
 
 @dataclass(frozen=True)
@@ -370,6 +405,8 @@ class Scenario:
             raise InputError("scenario: sites is empty; name at least one site")
         if self.seed < 0:
             raise InputError(f"scenario: seed is {self.seed}; it must be 0 or positive")
+        if any(site.slide for site in self.sites[:-1]):
+            raise InputError("scenario: a slide is in contact to the end; the last site has it")
         if self.disturbances.moves_tissue and any(site.stiffening for site in self.sites):
             raise InputError(
                 "scenario: a stiffening does not go with surface motion, compliance, backlash or "

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move
+from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move, SineMove
 from fden_ros.simulation.contact import ContactHistory, contacts_of_moves
 from fden_ros.simulation.disturbance import Disturbances, Phases, low_pass, quantised
 from fden_ros.simulation.scenario import (
@@ -158,6 +158,8 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
     }
     if scenario.disturbances == Disturbances():
         parameters |= EXACT
+    if scenario.sites[-1].slide is not None:
+        return parameters | {"contact.mode": "continuous"}
     orders = {model.fractional_order for model in models}
     if len(orders) == 1:
         parameters["alpha.learn"] = False
@@ -232,8 +234,17 @@ def _path_over(
         press.press(path, approach)
     path.floor = -np.inf
     site.presses[-1].press(path, approach)
+    if site.slide is not None:
+        del path.moves[1 + path.moves.index(_sine(path.moves)) :]
+        path.time = path.moves[-1].stop
+        return path
     path.rest(end_pause_s)
     return path
+
+
+def _sine(moves: Sequence[Move]) -> SineMove:
+    """Return the oscillation among the moves of a single sinusoid."""
+    return next(move for move in moves if isinstance(move, SineMove))
 
 
 def _force_stream(
@@ -249,6 +260,9 @@ def _force_stream(
     for visit in visits:
         during = slice(*np.searchsorted(times, [visit.start, visit.stop]))
         stress[during] = visit.contacts.stress(times[during] - visit.start)
+        if visit.site.slide is not None:
+            share = _share_of_slide(visit, times[during])
+            stress[during] *= visit.site.slide.stiffness_ratio(share, visit.site.position_m)
         velocity[during] = _velocity(visit, times[during], scenario.geometry)
     noise = scenario.force_noise_n * generator.standard_normal(times.size)
     error = sensor.bias_n + sensor.drift_n_per_s * times + noise
@@ -262,6 +276,15 @@ def _force_stream(
     force = quantised(low_pass(times, force, disturbances.filter_hz), disturbances.force_step_n)
     kept = _kept(elapsed_ns, scenario.dropouts, "force")
     return _stream(sensor, elapsed_ns[kept], force[kept], None)
+
+
+def _share_of_slide(visit: _Visit, times: FloatArray) -> FloatArray:
+    """Return how much of its way sideways a probe has gone at `times`, (n,)."""
+    sine = _sine(visit.moves)
+    share: FloatArray = np.clip(
+        (times - visit.start - sine.start) / (sine.stop - sine.start), 0, 1
+    )
+    return share
 
 
 def _velocity(visit: _Visit, times: FloatArray, geometry: Geometry) -> FloatArray:
@@ -352,6 +375,9 @@ def _lateral(visits: Sequence[_Visit], times: FloatArray, axis: FloatArray) -> F
         arrival = visit.start + visit.moves[0].stop if knots else visit.start
         knots += [arrival, visit.stop]
         places += [visit.site.position_m] * 2
+        if visit.site.slide is not None:
+            knots[-1:] = [visit.start + _sine(visit.moves).start, visit.stop]
+            places.append(visit.site.slide.to_m)
     across = np.array(places)
     lateral = np.zeros((times.size, 3))
     for coordinate, direction in enumerate(_across(axis)):
@@ -368,6 +394,10 @@ def _across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, second if second.sum() >= 0.0 else -second
 
 
+def _listed(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+
+
 def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str, Any]:
     models = [visit.contacts.model for visit in visits]
     sites = [
@@ -380,6 +410,7 @@ def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str,
             "position": list(visit.site.position_m),
         }
         | ({"stiffening": asdict(visit.site.stiffening)} if visit.site.stiffening else {})
+        | ({"slide": _listed(asdict(visit.site.slide))} if visit.site.slide else {})
         for number, visit in enumerate(visits, start=1)
     ]
     met = [

@@ -133,6 +133,11 @@ class ComplexModulusMeter:
         self._powers.fill(0.0)
         self._samples = 0
 
+    @property
+    def begins_window(self) -> bool:
+        """Whether the newest sample is the first of a window."""
+        return self._samples == 1
+
     def add(self, time: float, strain: float, stress: float) -> list[ComplexModulus]:
         """Add a sample; return one result a frequency where it ends a window, else nothing.
 

@@ -1,0 +1,260 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A probe that stays on the tissue: what its palpation tells of each place on its path.
+
+Where it touched and what the tissue went through before is not known, so there is no strain, and
+neither G nor Gn. What an oscillation of the probe tells needs neither: the stiffness dF/dd at its
+frequency, alpha by its phase, and with a flat geometry the complex modulus. The trend of each
+window takes up the bias of the force, relaxation, drift and the height of the surface.
+
+A *place* ends when the probe has moved on by `site_distance` to the side; each is a site with one
+contact, so summaries, map and table hold the path.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fden_ros.core.block import BlockSums, PhaseMeter
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation.complex_modulus import ComplexModulus
+from fden_ros.core.estimation.local_stiffness import Stiffness
+from fden_ros.core.estimation.palpation import Palpated
+from fden_ros.core.estimation.palpation_meter import Measured, PalpationMeter
+from fden_ros.core.outputs import (
+    ApparentStiffness,
+    ContactSummary,
+    DynamicModulus,
+    Flag,
+    Output,
+    Status,
+    TissueState,
+    edge_flag,
+    order_source,
+)
+from fden_ros.core.place import Place, Window
+from fden_ros.core.plausibility import stands_against
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
+
+#: Least amplitude, as a share of the geometry's length [1].
+_LEAST_AMPLITUDE = 1e-4
+#: Time without an oscillation [s] after which it is missed.
+_SILENT_TIME = 10.0
+
+
+class ContinuousContact:
+    """From pairs to states, moduli and one summary a place.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+    first_number : int
+        Of the places from here on.
+
+    Attributes
+    ----------
+    place_count : int
+        Number of the newest place.
+    """
+
+    def __init__(self, config: PipelineConfig, first_number: int = 1) -> None:
+        self._config = config
+        self.place_count = first_number - 1
+        self._place: Place | None = None
+        self._blocks = BlockSums(config.block_duration, math.inf)
+        self._has_found = False
+        self._elapsed = 0.0
+        self._lags = 0
+        # A sphere's modulus would need its depth.
+        geometry = config.geometry
+        self._is_flat = not stands_against(geometry) and geometry.strain_slope(0.0) > 0.0
+        self._modulus_per_stiffness = geometry.length * geometry.stress_per_force
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget all but the numbers."""
+        config, frequencies = self._config, self._config.dither_frequencies
+        self._meter = PalpationMeter(
+            frequencies[0] if frequencies else None,
+            _LEAST_AMPLITUDE * config.geometry.length,
+            config.apparent_stiffness_time_scale,
+            config.estimator,
+        )
+        self._phase = PhaseMeter()
+        self._start_ns: int | None = None
+        self._window = Window()
+
+    @property
+    def warnings(self) -> dict[str, int]:
+        """What was odd, in words, and how often."""
+        is_silent = self._elapsed > _SILENT_TIME and not self._has_found
+        counts = {
+            "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
+            "a period, so no stiffness: contact.mode continuous wants a probe that palpates": (
+                is_silent
+            ),
+            "the force follows the displacement out of step with any tissue: is "
+            "displacement.delay right?": self._lags,
+        }
+        return {words: int(count) for words, count in counts.items() if count}
+
+    # Samples
+
+    def add(self, pair: Pair, rejected: int) -> list[Output]:
+        """Take a pair; return what comes of it; `rejected`: samples rejected so far."""
+        if self._start_ns is None:
+            self._start_ns = pair.stamp_ns
+            self._blocks.restart(pair.stamp_ns)
+        outputs: list[Output] = []
+        time = self._elapsed = (pair.stamp_ns - self._start_ns) / NANOSECONDS
+        displacement = pair.displacement - self._config.contact.series_compliance * pair.force
+        measured = self._meter.add(time, displacement, pair.force)
+        if measured is not None:
+            outputs += self._close_window(measured, pair.stamp_ns, rejected)
+        if self._meter.begins_window:
+            self._window = Window()
+        self._window.add(pair)
+        if self._blocks.passes(pair.stamp_ns):
+            outputs.append(self._state(pair.stamp_ns, time, displacement))
+        return outputs
+
+    def _close_window(self, measured: Measured, stamp_ns: int, rejected: int) -> list[Output]:
+        found, window = measured.found, self._window
+        self._has_found = True
+        outputs = self._follow(window, found, stamp_ns, rejected)
+        if found is None:
+            return outputs
+        self._lags += bool(found.estimate.at_edge)
+        if self._is_flat:
+            outputs.append(self._modulus(window, measured.modulus, found.stiffness, stamp_ns))
+        return outputs
+
+    # Places
+
+    def _follow(
+        self, window: Window, found: Palpated | None, stamp_ns: int, rejected: int
+    ) -> list[Output]:
+        """Give a window to its place; return the summary of one that the probe has left."""
+        outputs: list[Output] = []
+        place = self._place
+        if place is None or self._is_elsewhere(place, window.position):
+            outputs = self._leave(stamp_ns, rejected, complete=True)
+            self.place_count += 1
+            place = self._place = Place(self.place_count, window.start_ns, window.position)
+            place.rejected = rejected
+        place.add(window, found)
+        return outputs
+
+    def _is_elsewhere(self, place: Place, position: Position | None) -> bool:
+        if place.first is None or position is None:
+            return (place.first is None) != (position is None)
+        contact = self._config.contact
+        apart = lateral_distance(contact.approach_axis, place.first, position)
+        return apart > contact.site_distance
+
+    def _leave(self, stamp_ns: int, rejected: int, *, complete: bool) -> list[Output]:
+        place, self._place = self._place, None
+        return [self._summary(place, stamp_ns, rejected, complete)] if place is not None else []
+
+    def see_gap(self) -> None:
+        """Take note that samples are missing before the next."""
+        self._meter.skip()
+        if self._place is not None:
+            self._place.flags |= Flag.GAP
+
+    def end(self, stamp_ns: int, rejected: int, flags: Flag = Flag.NONE) -> list[Output]:
+        """Forget all but the numbers; return the summary of the place that is still open.
+
+        `flags` say why it ends.
+        """
+        if self._place is not None:
+            self._place.flags |= flags
+        outputs = self._leave(stamp_ns, rejected, complete=False)
+        self._forget()
+        return outputs
+
+    # Outputs
+
+    def _apparent(self, found: Palpated | None) -> ApparentStiffness | None:
+        if found is None:
+            return None
+        time_scale = self._config.apparent_stiffness_time_scale
+        return ApparentStiffness(found.apparent, found.apparent_sd, time_scale)
+
+    def _state(self, stamp_ns: int, time: float, displacement: float) -> TissueState:
+        found = self._meter.current(time)
+        estimate = found.estimate if found is not None else None
+        place = self._place
+        own = place.flags if place is not None else Flag.ORIGIN_UNCERTAIN
+        return TissueState(
+            stamp_ns=stamp_ns,
+            status=Status.CONVERGING,
+            flags=own | edge_flag(estimate),
+            site_id=self.place_count,
+            contact_id=self.place_count,
+            phase=self._phase.add(stamp_ns, displacement / self._config.geometry.length),
+            order_source=order_source(estimate, self._config.estimator),
+            estimate=estimate,
+            apparent_stiffness=self._apparent(found),
+        )
+
+    def _modulus(
+        self, window: Window, modulus: ComplexModulus, stiffness: Stiffness, stamp_ns: int
+    ) -> DynamicModulus:
+        """Return k as a modulus: with the deviation of the filter, and of the thickness."""
+        scale = self._modulus_per_stiffness
+        thickness_sd = self._config.estimator.uncertainty.thickness_sd * abs(stiffness.value)
+        variance = float(stiffness.covariance.diagonal().max()) + thickness_sd**2
+        return DynamicModulus(
+            stamp_ns=stamp_ns,
+            start_ns=window.start_ns,
+            site_id=self.place_count,
+            contact_id=self.place_count,
+            modulus=modulus._replace(
+                mean_strain=0.0,
+                strain_amplitude=modulus.strain_amplitude / self._config.geometry.length,
+                storage=scale * stiffness.value.real,
+                loss=scale * stiffness.value.imag,
+                sd=scale * math.sqrt(variance),
+            ),
+        )
+
+    def _summary(
+        self, place: Place, stamp_ns: int, rejected: int, complete: bool
+    ) -> ContactSummary:
+        estimate = place.found.estimate if place.found is not None else None
+        count = rejected - place.rejected
+        return ContactSummary(
+            stamp_ns=stamp_ns,
+            start_ns=place.start_ns,
+            end_ns=place.end_ns,
+            site_id=place.number,
+            contact_id=place.number,
+            flags=place.flags
+            | edge_flag(estimate)
+            | (Flag.INPUT_REJECTED if count else Flag.NONE),
+            converged=False,
+            complete=complete,
+            position=place.position,
+            order_source=order_source(estimate, self._config.estimator),
+            estimate=estimate,
+            max_strain=0.0,
+            max_stress=0.0,
+            max_force=place.max_force,
+            sample_count=place.samples,
+            rejected_count=count,
+            classes=None,
+            apparent_stiffness=self._apparent(place.found),
+        )

@@ -1,0 +1,148 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+r"""Stiffness of the place under a palpating probe, from one window of palpation after another.
+
+A window gives the phasors of displacement and force, X and F, and with them the complex stiffness
+:math:`k = F / X` with a variance :math:`\sigma^2 / |X|^2`. Of sigma nothing is taken for granted:
+surface motion, drift and a place that changes scatter k from window to window, and that scatter is
+what is measured. How fast k changes along the path is not known either. So several dynamic linear
+models run side by side (West and Harrison, Bayesian Forecasting and Dynamic Models, 1997, ch. 4
+and 12): each discounts what older windows say by its own factor, learns sigma with an
+inverse-gamma law, and counts by how well it has foretold the latest windows. The posterior is a
+mixture of Student's t; its mean and covariance come out. A window costs constant time and memory.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+
+#: Share of its weight that a window keeps when the next one comes [1], a model each: memories of
+#: 33, 6, 2.5 windows, and of the newest alone.
+_DISCOUNTS = np.array([0.97, 0.84, 0.6, 0.2])
+#: Share of the scatter's weight that remains at each window [1]: a memory of 20 windows.
+_SCATTER_DISCOUNT = 0.95
+#: Share of the evidence that remains at each window [1], and the least weight of a model [1].
+_EVIDENCE_DISCOUNT, _LEAST_WEIGHT = 0.85, 0.005
+#: Degrees of freedom [1] with which the scatter of the first window is believed, and multiple of
+#: its white noise that is expected [1]: what is not white is most of it.
+_FIRST_FREEDOM, _COLOUR = 1.0, 3.0
+#: A window enters the scatter as at most this normalised square [1] beyond that of the model it
+#: surprises least: an edge that is crossed is no noise for all time.
+_MOST_SQUARE = 5.0
+#: Least degrees of freedom [1] for a deviation, after four windows: a t has a variance above 2.
+_LEAST_FREEDOM = 3.5
+
+
+class Stiffness(NamedTuple):
+    """Complex stiffness k' + j k'' at the palpation's frequency."""
+
+    value: complex  #: [N/m]
+    covariance: Array  #: of its two parts [(N/m)^2], shape (2, 2)
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the magnitude, to first order [N/m]."""
+        direction = np.array([self.value.real, self.value.imag]) / max(abs(self.value), 1e-300)
+        return math.sqrt(max(float(direction @ self.covariance @ direction), 0.0))
+
+
+class LocalStiffness:
+    """Follows the stiffness window after window.
+
+    Attributes
+    ----------
+    windows : int
+        Taken since the beginning.
+    """
+
+    def __init__(self) -> None:
+        count = _DISCOUNTS.size
+        self.windows = 0
+        self._mean = np.zeros(count, dtype=complex)
+        self._precision = np.zeros(count)  # in units of 1/sigma^2 [m^2]
+        # Along k and across it: a place that changes scatters the magnitude, not the phase.
+        self._squares = np.zeros((2, count))  # [N^2]
+        self._freedom = 0.0
+        self._log_weights = np.zeros(count)
+
+    def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
+        """Take a window.
+
+        Parameters
+        ----------
+        stiffness : complex
+            F / X [N/m].
+        amplitude : float
+            |X| [m], positive.
+        sd : float
+            Standard deviation of either part of `stiffness` by the white noise alone [N/m].
+        """
+        information = amplitude**2
+        if self.windows == 0:
+            self._mean[:] = stiffness
+            self._precision[:] = information
+            self._freedom = _FIRST_FREEDOM
+            self._squares[:] = _FIRST_FREEDOM * (_COLOUR * sd * amplitude) ** 2 + 1e-300
+        else:
+            self._learn(stiffness, information)
+        self.windows += 1
+
+    def _learn(self, stiffness: complex, information: float) -> None:
+        precision = _DISCOUNTS * self._precision
+        freedom = _SCATTER_DISCOUNT * self._freedom
+        squares = _SCATTER_DISCOUNT * self._squares
+        error = stiffness - self._mean
+        turned = error * _direction(stiffness).conjugate()
+        spread = 1.0 / precision + 1.0 / information
+        normalized = np.stack([turned.real, turned.imag]) ** 2 / spread  # times sigma^2
+        # Predictive densities of the parts, Student's t; their constants are equal.
+        log_density = -0.5 * np.log(squares * spread) - 0.5 * (freedom + 1.0) * np.log1p(
+            normalized / squares
+        )
+        self._log_weights = _EVIDENCE_DISCOUNT * self._log_weights + log_density.sum(axis=0)
+        self._log_weights -= self._log_weights.max()
+        self._precision = precision + information
+        self._mean = self._mean + information / self._precision * error
+        # Even the best model may be surprised by the noise of the first windows.
+        most = _MOST_SQUARE * squares / freedom + normalized.min(axis=1, keepdims=True)
+        self._squares = squares + np.minimum(normalized, most)
+        self._freedom = freedom + 1.0
+
+    def value(self) -> Stiffness | None:
+        """Return the stiffness at the newest window; None before there are enough of them."""
+        if self._freedom < _LEAST_FREEDOM:
+            return None
+        weights = np.maximum(np.exp(self._log_weights), _LEAST_WEIGHT)
+        weights /= weights.sum()
+        mean = complex(weights @ self._mean)
+        apart = self._mean - mean
+        # The variance of a Student's t is that of its scale times freedom / (freedom - 2).
+        own = self._squares / (self._freedom - 2.0) / self._precision
+        parts = np.stack([apart.real, apart.imag])
+        direction = _direction(mean)
+        turn = np.array([[direction.real, -direction.imag], [direction.imag, direction.real]])
+        covariance = (parts * weights) @ parts.T + (turn * (own @ weights)) @ turn.T
+        return Stiffness(mean, covariance)
+
+
+def _direction(value: complex) -> complex:
+    """Return a number of magnitude 1 in the direction of another; 1 for 0."""
+    size = abs(value)
+    return value / size if size > 0.0 else 1.0 + 0.0j

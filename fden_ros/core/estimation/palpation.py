@@ -1,0 +1,159 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+r"""Apparent stiffness and alpha from the complex stiffness under a palpating probe.
+
+With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
+
+.. math:: k_\tau = |k| \frac{(\omega\tau)^{-\alpha}}{\Gamma(1-\alpha)}, \qquad
+   \alpha = \tfrac{2}{\pi} \arg k .
+
+What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction
+against the motion adds :math:`\tfrac{4}{\pi} / |X|` to k''. The law's own error counts for the way
+from 1/omega to tau.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import digamma
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import (
+    Estimate,
+    EstimatorConfig,
+    ParameterSet,
+    Uncertainty,
+    converged,
+    determined,
+)
+from fden_ros.core.estimation.local_stiffness import Stiffness
+from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
+
+#: k' lies above 0 by this many standard deviations [1] where the probe is on something.
+_PRESENT = 5.0
+#: alpha lies beyond what can be represented by this many standard deviations [1].
+_BEYOND = 3.0
+#: The kernel's error loses its likeness over this difference of ln t [1]: 2 decades.
+_KERNEL_LENGTH = 2.0 * math.log(10.0)
+#: Least standard deviation of a given alpha [1], so that it can be divided by.
+_LEAST_ORDER_SD = 1e-6
+
+
+class Palpated(NamedTuple):
+    """What palpation tells of a place."""
+
+    stiffness: Stiffness  #: at the palpation's frequency, with what is not known of the rig
+    apparent: float  #: k_tau [N/m]
+    apparent_sd: float  #: [N/m]
+    estimate: Estimate  #: G and Gn in it are the prior
+
+
+def palpated(
+    stiffness: Stiffness,
+    angular_frequency: float,
+    amplitude: float,
+    time_scale: float,
+    config: EstimatorConfig,
+    samples: int,
+) -> Palpated | None:
+    """Return what a complex stiffness tells; None where it is not above 0.
+
+    Parameters
+    ----------
+    stiffness : Stiffness
+        Measured.
+    angular_frequency, amplitude : float
+        Of the palpation [rad/s, m].
+    time_scale : float
+        tau [s].
+    config : EstimatorConfig
+    samples : int
+        Behind the measurement.
+    """
+    if stiffness.value.real <= _PRESENT * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
+        return None
+    whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
+    value = stiffness.value
+    size = abs(value)
+    rotation = np.array([[value.real, value.imag], [-value.imag, value.real]]) / size**2
+    rotation[1] *= 2.0 / math.pi
+    measured = rotation @ whole.covariance @ rotation.T  # of ln |k| and alpha
+    own_order = 2.0 / math.pi * math.atan2(value.imag, value.real)
+    own_sd = math.sqrt(max(float(measured[1, 1]), _LEAST_ORDER_SD**2))
+    prior = config.prior
+    prior_sd = max(prior.fractional_order_sd, _LEAST_ORDER_SD)
+    # The prior's alpha as one more observation, which moves ln |k| with it.
+    gain = measured[:, 1] / (own_sd**2 + prior_sd**2)
+    log_size, order = np.array([math.log(size), own_order]) + gain * (
+        prior.fractional_order - own_order
+    )
+    covariance = measured - np.outer(gain, measured[1])
+    lag = math.log(angular_frequency * time_scale)
+    slope = np.array([1.0, float(digamma(1.0 - order)) - lag])
+    kernel = 2.0 * config.uncertainty.kernel_sd**2 * -math.expm1(-abs(lag) / _KERNEL_LENGTH)
+    apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
+    variance = float(slope @ covariance @ slope) + kernel
+    return Palpated(
+        stiffness=whole,
+        apparent=apparent,
+        apparent_sd=apparent * math.sqrt(max(variance, 0.0)),
+        estimate=_estimate(float(order), float(covariance[1, 1]), own_order, config, samples),
+    )
+
+
+def _with_rig(
+    stiffness: Stiffness, angular_frequency: float, amplitude: float, uncertainty: Uncertainty
+) -> Stiffness:
+    """Return a stiffness whose covariance holds what is not known of the rig too."""
+    value = stiffness.value
+    columns = (
+        1j * angular_frequency * value * uncertainty.delay_sd,
+        value**2 * uncertainty.compliance_sd,
+        4j / math.pi / amplitude * uncertainty.friction_sd,
+    )
+    parts = np.array([(column.real, column.imag) for column in columns])
+    return Stiffness(value, stiffness.covariance + parts.T @ parts)
+
+
+def _estimate(
+    order: float, variance: float, own_order: float, config: EstimatorConfig, samples: int
+) -> Estimate:
+    """Return the prior with the alpha that was found."""
+    prior, deviation = config.prior, math.sqrt(max(variance, 0.0))
+    covariance: Array = np.diag(prior.deviations**2)
+    covariance[2, 2] = variance
+    deviations = np.sqrt(covariance.diagonal())
+    is_beyond = not config.is_order_given and (
+        own_order + _BEYOND * deviation < LOWEST_ORDER
+        or own_order - _BEYOND * deviation > HIGHEST_ORDER
+    )
+    valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
+    known = converged(config, deviations, valid)
+    return Estimate(
+        log_linear_stiffness=math.log(prior.linear_stiffness),
+        log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
+        fractional_order=min(max(order, LOWEST_ORDER), HIGHEST_ORDER),
+        covariance=covariance,
+        strain_origin=0.0,
+        strain_origin_sd=0.0,
+        probability_beyond_boundary=0.0,
+        valid=ParameterSet.NONE if is_beyond else valid,
+        known=ParameterSet.NONE if is_beyond else known,
+        at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
+        sample_count=samples,
+    )

@@ -1,0 +1,113 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""At which frequency a probe palpates, found from its displacement."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+
+#: The displacement is looked at on even steps of 1/32 s, over the last 8 s, twice a second, from
+#: 3 s on.
+_RATE = 32.0
+_MOST, _LEAST, _EVERY = 256, 96, 16
+#: Palpation lies within these [Hz], and has been seen for 3 periods.
+_SLOWEST, _FASTEST = 0.4, 5.0
+_PERIODS = 3.0
+#: Points of the spectrum, with zeros: steps of 1/64 Hz.
+_POINTS = 2048
+#: The peak of a Hann window is 4 steps of its length wide.
+_HALF_WIDTH = 2.0
+#: The velocity of a palpation has this share of its power [1] in one peak.
+_LEAST_SHARE = 0.5
+#: Another frequency is taken when it differs by this share [1]: two periods are still told from
+#: the trend.
+_CHANGE = 0.04
+
+
+class PalpationFrequency:
+    """Finds the frequency of an oscillation that dominates the velocity.
+
+    Attributes
+    ----------
+    value : float or None
+        The frequency [Hz]; None while nothing oscillates.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self.value: float | None = None
+        self._ring = np.zeros(_MOST)
+        self._count = 0
+        self._start = self._time = self._displacement = 0.0
+        self._begun = False
+
+    def add(self, time: float, displacement: float) -> None:
+        """Take a sample at a time [s]; times increase."""
+        if not self._begun:
+            self._start, self._begun = time, True
+        while True:
+            instant = self._start + self._count / _RATE
+            if instant > time:
+                break
+            share = (instant - self._time) / (time - self._time) if self._count else 1.0
+            step = displacement - self._displacement
+            self._ring[self._count % _MOST] = self._displacement + share * step
+            self._count += 1
+            if self._count >= _LEAST and self._count % _EVERY == 0:
+                self._look()
+        self._time, self._displacement = time, displacement
+
+    def _look(self) -> None:
+        found = dominant_frequency(self._recent(), _RATE)
+        present = self.value
+        if found is None or present is None or abs(found / present - 1.0) > _CHANGE:
+            self.value = found
+
+    def _recent(self) -> Array:
+        if self._count < _MOST:
+            return self._ring[: self._count]
+        return np.roll(self._ring, -(self._count % _MOST))
+
+
+def dominant_frequency(values: Array, rate: float) -> float | None:
+    """Return the frequency [Hz] that dominates the change of evenly spaced values, or None.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Displacements [any unit].
+    rate : float
+        Of the samples [Hz].
+    """
+    velocity = np.diff(values)
+    velocity -= velocity.mean()
+    power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), _POINTS)) ** 2
+    step = rate / _POINTS
+    width = _HALF_WIDTH * rate / velocity.size / step
+    lowest = math.ceil(max(_SLOWEST, _PERIODS * rate / velocity.size) / step)
+    highest = math.floor(_FASTEST / step)
+    peak = lowest + int(np.argmax(power[lowest : highest + 1]))
+    near = power[max(peak - round(width), 0) : peak + round(width) + 1].sum()
+    if not near > _LEAST_SHARE * power.sum() or peak in (lowest, highest):
+        return None
+    below, top, above = power[peak - 1 : peak + 2]
+    return float(step * (peak + 0.5 * (below - above) / (below - 2.0 * top + above)))

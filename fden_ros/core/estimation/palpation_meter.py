@@ -1,0 +1,127 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Measures what a palpating probe meets, window after window, at a frequency stated or found."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
+from fden_ros.core.estimation.estimate import EstimatorConfig
+from fden_ros.core.estimation.local_stiffness import LocalStiffness
+from fden_ros.core.estimation.palpation import Palpated, palpated
+from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
+
+#: Periods of a window [1], and harmonics that are fitted beside the trend: with one period, or
+#: without the second harmonic, the harmonics of a nonlinear tissue pass for trend.
+_PERIODS, _HARMONICS = 2, (1.0, 2.0)
+#: What a window told is current for this many windows [1].
+_CURRENT = 2.5
+
+
+class Measured(NamedTuple):
+    """What one window tells."""
+
+    modulus: ComplexModulus  #: of the window alone, of force by displacement [N/m]
+    found: Palpated | None  #: of all windows so far; None: no answer of the tissue
+
+
+class PalpationMeter:
+    """Follows stiffness and alpha, sample by sample.
+
+    Parameters
+    ----------
+    frequency : float or None
+        Of the palpation [Hz]; None: it is found.
+    least_amplitude : float
+        Amplitude of the displacement [m] below which there is no palpation.
+    time_scale : float
+        tau of the apparent stiffness [s].
+    config : EstimatorConfig
+    """
+
+    def __init__(
+        self,
+        frequency: float | None,
+        least_amplitude: float,
+        time_scale: float,
+        config: EstimatorConfig,
+    ) -> None:
+        self._stated = frequency
+        self._least_amplitude = least_amplitude
+        self._time_scale = time_scale
+        self._config = config
+        self._finder = PalpationFrequency()
+        self._stiffness = LocalStiffness()
+        self._meter: ComplexModulusMeter | None = None
+        self._frequency = 0.0
+        self._found: Palpated | None = None
+        self._found_time = 0.0
+
+    @property
+    def begins_window(self) -> bool:
+        """Whether the newest sample is the first of a window."""
+        return self._meter is not None and self._meter.begins_window
+
+    def skip(self) -> None:
+        """Begin the window anew: samples are missing."""
+        if self._meter is not None:
+            self._meter.reset()
+
+    def add(self, time: float, displacement: float, force: float) -> Measured | None:
+        """Take a sample; return what the window tells that ended before it, if one did.
+
+        Parameters
+        ----------
+        time : float
+            [s], increasing.
+        displacement, force : float
+            [m] and [N].
+        """
+        self._finder.add(time, displacement)
+        frequency = self._stated or self._finder.value
+        if frequency is None:
+            self._meter = None
+            return None
+        if self._meter is None or frequency != self._frequency:
+            tones = [frequency * harmonic for harmonic in _HARMONICS]
+            self._meter = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
+            self._frequency = frequency
+        for modulus in self._meter.add(time, displacement, force):
+            if math.isclose(modulus.angular_frequency, 2.0 * math.pi * frequency):
+                self._found = self._learn(modulus)
+                self._found_time = time
+                return Measured(modulus, self._found)
+        return None
+
+    def _learn(self, modulus: ComplexModulus) -> Palpated | None:
+        stiffness, amplitude = self._stiffness, modulus.strain_amplitude
+        stiffness.add(complex(modulus.storage, modulus.loss), amplitude, modulus.sd)
+        value = stiffness.value()
+        return value and palpated(
+            value,
+            modulus.angular_frequency,
+            amplitude,
+            self._time_scale,
+            self._config,
+            stiffness.windows * modulus.samples,
+        )
+
+    def current(self, time: float) -> Palpated | None:
+        """Return what is known at a time [s]; None where the last window is too long ago."""
+        if self._meter is None or time - self._found_time > _CURRENT * self._meter.window:
+            return None
+        return self._found

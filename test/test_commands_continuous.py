@@ -1,0 +1,114 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Continuous contact from a bag: table, JSON, results, map and report."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from fden_ros.cli import main
+from fden_ros.errors import InputError
+from fden_ros.recording.synthetic import write_recording
+from fden_ros.simulation.scenario import Slide, load_scenario
+from fden_ros.simulation.simulate import simulate
+from fden_ros.simulation.trajectory import Ramp
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("continuous") / "bag"
+    write_recording(simulate(load_scenario("continuous")), folder)
+    return folder
+
+
+def command(bag: Path, name: str, *options: str | Path) -> int:
+    config = bag / "identifier.yaml"
+    return main([name, str(bag), "--config", str(config), *map(str, options)])
+
+
+def test_a_path_is_identified_and_its_places_are_a_map(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "results"
+    assert command(bag, "replay", "--json", "-o", out) == 0
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    known = [one for one in contacts if one["apparent_stiffness"] is not None]
+    assert len(known) > 20
+    assert not any(one["converged"] for one in contacts)
+    assert all(one["flags"] == ["origin_uncertain"] for one in contacts)
+    assert {name for one in known for name in one["valid_parameters"]} <= {"fractional_order"}
+    with AnyReader([out]) as reader:
+        read = [
+            (connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+        ]
+    assert not [m for topic, m in read if topic == "/identifier/markers"]
+    cloud = [m for topic, m in read if topic == "/identifier/stiffness_map"][-1]
+    names = [field.name for field in cloud.fields]
+    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, cloud.point_step)
+
+    def column(name: str, kind: str) -> np.ndarray:
+        first = cloud.fields[names.index(name)].offset
+        return rows[:, first : first + np.dtype(kind).itemsize].copy().view(kind)[:, 0]
+
+    assert column("stiffness", "<f8") == pytest.approx([o["apparent_stiffness"] for o in known])
+    assert column("x", "<f4") == pytest.approx([o["position"][0] for o in known], abs=1e-6)
+
+
+def test_a_table_shows_stiffness_and_alpha_and_no_prior(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(bag, "replay") == 0
+    text = capsys.readouterr().out
+    assert "dF/dd and α at places on the path" in text
+    assert text.count("stiffness  ") > 20
+    assert "3200" not in text
+
+
+def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
+    page, picture, table = (tmp_path / name for name in ("page.html", "picture.png", "table.csv"))
+    assert command(bag, "report", "-o", page, "--png", picture, "--csv", table) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "places on the path whose stiffness is known." in text
+    assert "dF/dd for a motion of 0.1 s" in text
+    assert picture.stat().st_size > 10_000
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["apparent_stiffness"]]
+    assert len(rows) > 20
+
+
+def test_a_slide_meets_tissue_as_much_stiffer_as_it_says() -> None:
+    scenario = load_scenario("continuous")
+    site = scenario.sites[0]
+    assert site.slide is not None
+    soft = replace(scenario, sites=(replace(site, slide=replace(site.slide, ratio=1.0)),))
+    quiet = replace(scenario.force, noise_n=0.0, bias_n=0.0, drift_n_per_s=0.0)
+    one, other = (simulate(replace(made, force=quiet)).force.value for made in (scenario, soft))
+    ratio = one[other > 0.0] / other[other > 0.0]
+    assert ratio.min() == pytest.approx(1.0) and ratio.max() == pytest.approx(2.0)
+    assert np.mean(ratio > 1.5) == pytest.approx(1.0 / 3.0, abs=0.05)
+    with pytest.raises(InputError, match="one sinusoid"):
+        replace(site, presses=(Ramp(0.1, 0.2),))
+    with pytest.raises(InputError, match="ratio is 0"):
+        Slide((0.06, 0.0), ratio=0.0)
+    with pytest.raises(InputError, match="the last site"):
+        replace(scenario, sites=(site, site))

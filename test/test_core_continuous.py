@@ -1,0 +1,350 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A probe that stays on the tissue: stiffness and alpha along its path, and what is not known.
+
+The truth is the closed-form answer of a fractional element to a sine about a slow motion, with a
+surface, a force zero and a rig of its own; it shares nothing with the core.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from fden_ros.core import (
+    ContactSummary,
+    DynamicModulus,
+    Flag,
+    Pipeline,
+    Status,
+    TissueState,
+)
+from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.estimation.local_stiffness import LocalStiffness
+from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
+from fden_ros.errors import InputError
+from fden_ros.parameters import check, pipeline_config
+
+START_NS = 5_000_000_000
+TIME_SCALE = 0.1
+RIGID = {
+    "displacement.delay_sd": 0.0,
+    "displacement.compliance_sd": 0.0,
+    "force.friction_sd": 0.0,
+    "model_error.sd": 0.0,
+}
+
+
+@dataclass(frozen=True)
+class Palpated:
+    """One record and its truth."""
+
+    time: np.ndarray  #: [s]
+    displacement: np.ndarray  #: as read [m]
+    force: np.ndarray  #: [N]
+    way: np.ndarray  #: sideways [m]
+    stiffness: np.ndarray  #: |k| [N/m]
+    order: float
+    angular_frequency: float  #: [rad/s]
+
+    def apparent(self, way: float) -> float:
+        """dF/dd after `TIME_SCALE` at a place [N/m]."""
+        size = float(np.interp(way, self.way, self.stiffness))
+        relaxed = (self.angular_frequency * TIME_SCALE) ** -self.order
+        return size * relaxed / math.gamma(1.0 - self.order)
+
+
+def palpated(
+    seed: int,
+    profile: str = "constant",
+    *,
+    is_rigid: bool = False,
+    duration: float = 40.0,
+    frequency: float = 1.5,
+    amplitude: float = 1e-3,
+    delay: float = 0.0,
+) -> Palpated:
+    """Palpate while sliding at 3 mm/s, sampled at 100 Hz with jitter."""
+    rng = np.random.default_rng(seed)
+    n = int(100 * duration)
+    step = (1.0 + 0.05 * rng.uniform(-1.0, 1.0, n)) / 100.0
+    t = np.cumsum(step)
+    order = rng.uniform(0.05, 0.3)
+    omega = 2.0 * math.pi * frequency * (1.0 + 0.01 * rng.normal())
+    stiffness = {
+        "constant": np.full(n, 400.0),
+        "smooth": 400.0 * np.exp(0.35 * np.sin(2.0 * math.pi * t / 20.0 + rng.uniform(0.0, 6.0))),
+        "edge": np.where((t > 0.4 * duration) & (t < 0.75 * duration), 800.0, 400.0),
+        "air": np.zeros(n),
+    }[profile]
+    angle = omega * t + rng.uniform(0.0, 6.0)
+    size = amplitude * (1.0 + 0.1 * np.sin(0.3 * t + rng.uniform(0.0, 6.0)))
+    slow = 3e-3 + 5e-4 * np.sin(0.25 * t + rng.uniform(0.0, 6.0))
+    walk = np.cumsum(rng.normal(size=(2, n)) * np.sqrt(step), axis=1)
+    surface, zero = 2e-4 * walk[0], 0.3 + 5e-3 * walk[1]
+    # The sine, a second harmonic as nonlinear tissue gives it, and the slow motion, which relaxes.
+    force = stiffness * size * np.cos(angle + 0.5 * math.pi * order)
+    force += 0.1 * stiffness * size * np.cos(2.0 * angle + 0.3)
+    force += (
+        stiffness * omega**-order / math.gamma(1 - order) * (t + 1) ** -order * (slow - surface)
+    )
+    force += zero + 0.01 * rng.normal(size=n)
+    displacement = slow + size * np.cos(angle)
+    if not is_rigid:
+        force += 0.007 * rng.normal() * np.sign(-np.sin(angle))
+        displacement = displacement + 1.5e-4 * rng.normal() * force
+        delay += 0.0025 * rng.normal()
+    displacement = np.interp(t - delay, t, displacement) + 5e-6 * rng.normal(size=n)
+    return Palpated(t, displacement, force, 3e-3 * t, stiffness, order, omega)
+
+
+def identify(record: Palpated, *, located: bool = True, **values):
+    """Return the pipeline after the record, and its outputs."""
+    outputs: list = []
+    config = pipeline_config(check({"contact.mode": "continuous"} | values))
+    pipeline = Pipeline(config, outputs.append)
+    feed(pipeline, record, located=located)
+    pipeline.finish()
+    return pipeline, outputs
+
+
+def feed(pipeline: Pipeline, record: Palpated, *, located: bool = True, shift: float = 0.0):
+    columns = (record.time + shift, record.force, record.displacement, record.way)
+    for t, force, displacement, way in zip(*(c.tolist() for c in columns), strict=True):
+        stamp_ns = START_NS + round(1e9 * t)
+        pipeline.add_force(stamp_ns, force)
+        place = (way, 0.0, displacement) if located else None
+        pipeline.add_displacement(stamp_ns, displacement, place)
+
+
+def of(kind, outputs):
+    return [output for output in outputs if isinstance(output, kind)]
+
+
+def known_places(outputs):
+    return [one for one in of(ContactSummary, outputs) if one.is_of_path]
+
+
+@functools.cache
+def errors(profile: str, is_rigid: bool, seeds: int = 12) -> np.ndarray:
+    """Errors of dF/dd and alpha over their deviations, shape (places, 2)."""
+    found = []
+    for seed in range(seeds):
+        record = palpated(seed, profile, is_rigid=is_rigid)
+        _, outputs = identify(record, **(RIGID if is_rigid else {}))
+        for place in known_places(outputs):
+            stiffness, estimate = place.apparent_stiffness, place.estimate
+            truth = record.apparent(place.position[0])
+            found.append(
+                (
+                    math.log(stiffness.value / truth) * stiffness.value / stiffness.sd,
+                    (estimate.fractional_order - record.order) / estimate.fractional_order_sd,
+                )
+            )
+    return np.array(found)
+
+
+CONDITIONS = [
+    ("constant", False),
+    ("constant", True),
+    ("smooth", True),
+    ("edge", False),
+    ("edge", True),
+]
+
+
+@pytest.mark.parametrize(("profile", "is_rigid"), CONDITIONS)
+def test_deviations_hold_along_the_path(profile, is_rigid):
+    found = errors(profile, is_rigid)
+    assert len(found) > 12 * 15
+    rms = np.sqrt(np.mean(found**2, axis=0))
+    assert np.all(rms > 0.6) and np.all(rms < 1.4), rms
+
+
+def test_intervals_of_95_percent_hold_in_90_to_99():
+    found = np.concatenate([errors(*condition) for condition in CONDITIONS])
+    share = np.mean(np.abs(found) < 1.96, axis=0)
+    assert np.all(share > 0.9) and np.all(share < 0.99), share
+
+
+def test_neither_g_nor_gn_is_claimed_and_nothing_is_converged():
+    _, outputs = identify(palpated(1), **{"geometry.area": 1e-4, "geometry.thickness": 0.02})
+    states = of(TissueState, outputs)
+    assert {state.status for state in states} == {Status.CONVERGING}
+    assert all(Flag.ORIGIN_UNCERTAIN in state.flags for state in states)
+    estimates = [state.estimate for state in states if state.estimate is not None]
+    assert len(estimates) > 0.7 * len(states)
+    assert all(not one.valid & ParameterSet.STIFFNESS for one in estimates)
+    assert all(one.known | ParameterSet.FRACTIONAL_ORDER == 4 for one in estimates)
+    assert not any(one.converged for one in of(ContactSummary, outputs))
+
+
+def test_the_complex_modulus_is_the_stiffness_by_the_geometry():
+    area, thickness = 1e-4, 0.02
+    record = palpated(2, is_rigid=True)
+    geometry = {"geometry.area": area, "geometry.thickness": thickness}
+    _, outputs = identify(record, **RIGID, **geometry)
+    moduli = [one.modulus for one in of(DynamicModulus, outputs)]
+    assert len(moduli) > 20
+    last = moduli[-1]
+    truth = 400.0 * thickness / area
+    assert math.hypot(last.storage, last.loss) == pytest.approx(truth, abs=4.0 * last.sd)
+    assert last.fractional_order == pytest.approx(record.order, abs=4.0 * last.fractional_order_sd)
+    # In pascals only where the probe is stated and its modulus needs no depth.
+    for other in ({}, {"geometry.kind": "sphere", "geometry.radius": 0.003}):
+        assert not of(DynamicModulus, identify(record, **other)[1])
+
+
+@pytest.mark.parametrize("profile", ["air", "constant"])
+def test_what_gives_no_answer_has_no_stiffness(profile):
+    amplitude = 1e-3 if profile == "air" else 0.0
+    pipeline, outputs = identify(palpated(3, profile, amplitude=amplitude))
+    assert of(TissueState, outputs)
+    assert not any(one.apparent_stiffness for one in of(TissueState, outputs))
+    assert not known_places(outputs)
+    if profile == "constant":
+        assert any("no oscillation" in words for words in pipeline.warnings)
+
+
+def test_a_stiffness_is_not_current_when_the_palpation_is_over():
+    record = palpated(4)
+    still = palpated(4, amplitude=0.0)
+    outputs: list = []
+    pipeline = Pipeline(pipeline_config(check({"contact.mode": "continuous"})), outputs.append)
+    feed(pipeline, record)
+    assert outputs[-1].apparent_stiffness is not None
+    feed(pipeline, still, shift=40.0)
+    assert outputs[-1].apparent_stiffness is None
+
+
+def test_a_stated_frequency_gives_what_the_found_one_does_and_sooner():
+    record = palpated(5, is_rigid=True)
+    (found, stated) = (
+        [one for one in of(TissueState, outputs) if one.apparent_stiffness]
+        for outputs in (
+            identify(record)[1],
+            identify(record, **{"dither.frequencies": [1.5]})[1],
+        )
+    )
+    last, other = found[-1].apparent_stiffness, stated[-1].apparent_stiffness
+    assert last.value == pytest.approx(other.value, abs=last.sd)
+    assert stated[0].stamp_ns < found[0].stamp_ns
+    with pytest.raises(InputError, match="2 frequencies"):
+        identify(record, **{"dither.frequencies": [1.5, 3.0]})
+
+
+def test_a_force_out_of_step_is_told_and_its_alpha_not_known():
+    pipeline, outputs = identify(palpated(6, is_rigid=True, delay=-0.06))
+    places = known_places(outputs)
+    assert all(Flag.ESTIMATE_AT_EDGE in one.flags and not one.estimate.known for one in places[4:])
+    assert any("displacement.delay" in words for words in pipeline.warnings)
+
+
+def test_places_are_as_far_apart_as_sites_and_one_without_positions():
+    record = palpated(7)
+    places = known_places(identify(record, **{"site.distance": 0.01})[1])
+    apart = np.diff([one.position[0] for one in places])
+    assert np.all(apart[:-1] > 0.009) and len(places) >= 8
+    assert [one.site_id for one in places] == list(
+        range(places[0].site_id, places[-1].site_id + 1)
+    )
+    assert len(known_places(identify(record, located=False)[1])) == 1
+
+
+def test_a_long_gap_ends_the_place_and_forgets_it():
+    record = palpated(8, duration=20.0)
+    outputs: list = []
+    pipeline = Pipeline(pipeline_config(check({"contact.mode": "continuous"})), outputs.append)
+    feed(pipeline, record)
+    count = len(of(ContactSummary, outputs))
+    feed(pipeline, record, shift=25.0)
+    pipeline.finish()
+    after = of(ContactSummary, outputs)[count:]
+    assert not after[0].complete and after[1].site_id == after[0].site_id + 1
+    assert pipeline.site_count == after[-1].site_id
+    since = [one for one in of(TissueState, outputs) if one.stamp_ns > START_NS + 25_000_000_000]
+    assert since[0].apparent_stiffness is None and since[-1].apparent_stiffness is not None
+
+
+def test_a_failure_ends_one_place_and_the_next_is_identified(monkeypatch):
+    add, calls = LocalStiffness.add, []
+
+    def fail_once(self, *values):
+        calls.append(values)
+        if len(calls) == 8:
+            raise ZeroDivisionError("of a test")
+        add(self, *values)
+
+    monkeypatch.setattr(LocalStiffness, "add", fail_once)
+    pipeline, outputs = identify(palpated(12))
+    failed = [one for one in of(ContactSummary, outputs) if Flag.ESTIMATION_FAILED in one.flags]
+    assert len(failed) == 1 and not failed[0].complete
+    assert [one.site_id for one in pipeline.failures] == [failed[0].site_id]
+    assert not pipeline.is_failed
+    assert len([one for one in known_places(outputs) if one.site_id > failed[0].site_id]) > 10
+
+
+@pytest.mark.parametrize("seed", range(4, 8))
+def test_the_default_mode_claims_nothing_of_a_probe_that_taps_as_it_slides(seed):
+    """It begins in contact, and is free of the tissue for a fifth of each period."""
+    record = palpated(seed, "constant", frequency=1.0, duration=20.0)
+    depth = record.displacement - np.quantile(record.displacement, 0.2)
+    noise = np.random.default_rng(seed).normal(size=depth.size)
+    force = 400.0 * np.maximum(depth, 0.0) + 0.005 * noise
+    pressed = slice(int(np.argmax(depth > 1e-3)), None)
+    tapping = replace(
+        record,
+        time=record.time[pressed],
+        force=force[pressed],
+        displacement=record.displacement[pressed],
+        way=record.way[pressed],
+    )
+    geometry = {"geometry.kind": "sphere", "geometry.radius": 0.003}
+    _, outputs = identify(tapping, **{"contact.mode": "touch", **geometry})
+    contacts = of(ContactSummary, outputs)
+    assert len(contacts) > 10
+    assert all(one.flags and not one.converged for one in contacts)
+    states = of(TissueState, outputs)
+    assert not [one for one in states if one.status is Status.CONVERGED and not one.flags]
+
+
+def test_services_say_what_they_do_in_continuous_contact():
+    pipeline, _ = identify(palpated(9, duration=10.0))
+    assert "contact.mode is continuous" in str(pipeline.tare())
+    assert pipeline.reset() is None
+
+
+@pytest.mark.parametrize("frequency", [0.8, 1.5, 3.0])
+def test_the_frequency_of_a_palpation_is_found(frequency):
+    record = palpated(10, frequency=frequency, duration=15.0)
+    finder = PalpationFrequency()
+    for t, displacement in zip(record.time, record.displacement, strict=True):
+        finder.add(t, displacement)
+    truth = record.angular_frequency / (2.0 * math.pi)
+    assert finder.value == pytest.approx(truth, rel=0.04)
+
+
+@pytest.mark.parametrize("steps", [1, 0])
+def test_noise_and_a_wandering_probe_do_not_palpate(steps):
+    rng = np.random.default_rng(11)
+    noise = 1e-4 * rng.normal(size=6000)
+    finder = PalpationFrequency()
+    for n, displacement in enumerate(np.cumsum(noise) if steps else noise):
+        finder.add(0.01 * n, displacement)
+        assert finder.value is None
