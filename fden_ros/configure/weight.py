@@ -54,9 +54,15 @@ _TURNED = math.radians(2.0)
 _USUAL_RATE = 1.0
 #: The largest angle between orientations that is enough [rad].
 _LEAST_TURN = math.radians(40.0)
+#: Share of the orientations' scatter below which all turns are about one axis: the weight along
+#: it cannot be told from the bias. Turns by 28 degrees about a second axis give this much.
+_LEAST_SPREAD = 0.02
+#: Below this share, half a degree of wobble, least squares have no solution of their own.
+_NO_SPREAD = 1e-5
 #: The driver has taken the weight off if less than this is left [N], and less than 5 deviations.
 _TAKEN_OFF_N = 0.05
-_MOTION = (
+#: What tells the weight.
+MOTION = (
     "turn the tool in the air, slowly, through three orientations 60 degrees apart about two "
     "axes, with a second of rest at each"
 )
@@ -167,7 +173,8 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
     if not streams:
         return None
     turns = _Turns(streams, masks)
-    if _largest_turn(turns.rotations(0.0)) < _LEAST_TURN:
+    rotations = turns.rotations(0.0)
+    if _largest_turn(rotations) < _LEAST_TURN or _one_axis(rotations)[1] < _NO_SPREAD:
         return None
     return _fit(turns, tuple((float(a), float(b)) for a, b in seconds))
 
@@ -178,18 +185,14 @@ def weight_finding(
     """Return what to say of mass and centre; `newton` is one unit of the recorded force [N]."""
     names = ("tool mass", "tool centre of mass")
     if weight is None:
-        reason = (
-            "the tool did not turn in the air"
-            if any(s.orientation is not None for s in recordings)
-            else "the recording holds no orientation of the tool"
-        )
-        return unknown(names[0], reason, _MOTION), unknown(names[1], reason, _MOTION)
+        reason, motion = _missing_turn(recordings) or ("the turns tell nothing", MOTION)
+        return unknown(names[0], reason, motion), unknown(names[1], reason, motion)
     if not weight.holds:
         reason = (
             f"while it turned, the force does not follow from a weight: {newton * weight.left:.2g}"
             " N are left; was it in contact?"
         )
-        return unknown(names[0], reason, _MOTION), unknown(names[1], reason, _MOTION)
+        return unknown(names[0], reason, MOTION), unknown(names[1], reason, MOTION)
     size, sd = newton * weight.weight, newton * weight.weight_sd
     if size < max(5.0 * sd, 0.0) or size < _TAKEN_OFF_N:
         limit = size + 2.0 * sd
@@ -207,8 +210,10 @@ def weight_finding(
         return nothing, unknown(names[1], evidence, "nothing: there is no weight to take off")
     mass, mass_sd = size / GRAVITY, sd / GRAVITY
     if mass_sd > _LARGEST_SHARE * mass:
-        reason = f"{mass:.3g} ± {mass_sd:.2g} kg is too uncertain"
-        return unknown(names[0], reason, _MOTION), unknown(names[1], reason, _MOTION)
+        uncertain = f"{mass:.3g} ± {mass_sd:.2g} kg is too uncertain"
+        why, motion = _missing_turn(recordings) or ("", MOTION)
+        reason = f"{uncertain}: {why}" if why else uncertain
+        return unknown(names[0], reason, motion), unknown(names[1], reason, motion)
     if not weight.aligned:
         turned = math.degrees(weight.turned_by)
         evidence = (
@@ -233,7 +238,7 @@ def weight_finding(
     )
     if not math.isfinite(weight.centre_sd) or weight.centre_sd > 0.005:
         reason = "the torques do not tell the centre within 5 mm"
-        return found, unknown(names[1], reason, _MOTION)
+        return found, unknown(names[1], reason, MOTION)
     centre = tuple(float(v) for v in weight.centre)
     return found, Finding(
         names[1],
@@ -268,6 +273,40 @@ def _turning(streams: Streams) -> Mask:
         low, high = grid[a] + margin, grid[b] - margin
         mask |= (streams.force_times >= low) & (streams.force_times <= high)
     return mask
+
+
+def _missing_turn(recordings: Sequence[Streams]) -> tuple[str, str] | None:
+    """Return what the orientations lack to tell a weight, and the motion that brings it."""
+    turned = [(s, _turning(s)) for s in recordings if s.orientation is not None]
+    if not turned:
+        return "the recording holds no orientation of the tool", MOTION
+    if max(int(mask.sum()) for _, mask in turned) < 20:
+        return "the tool did not turn in the air", MOTION
+    rotations = _Turns([s for s, _ in turned], [mask for _, mask in turned]).rotations(0.0)
+    largest = _largest_turn(rotations)
+    if largest < _LEAST_TURN:
+        return f"the tool turned by {math.degrees(largest):.0f} degrees only", MOTION
+    axis, spread = _one_axis(rotations)
+    if spread > _LEAST_SPREAD:
+        return None
+    along = ", ".join(f"{v:.1f}" for v in axis + 0.0)
+    return (
+        f"all turns were about one axis, ({along}) in the frame of the poses",
+        "turn the tool in the air about another axis, across that one, by 60 degrees, too, "
+        "slowly, with a second of rest",
+    )
+
+
+def _one_axis(turns: Array) -> tuple[Array, float]:
+    """Return the axis that the turns (n, 3, 3) move least, in the poses' frame, and its scatter.
+
+    A direction v of the poses' frame is seen from the tool as ``R.T v``; the scatter is the mean
+    square of that less its mean, 0 where all turns are about v.
+    """
+    mean = turns.mean(axis=0)
+    sizes, axes = np.linalg.eigh(np.eye(3) - mean @ mean.T)
+    axis = axes[:, 0] * math.copysign(1.0, axes[np.argmax(np.abs(axes[:, 0])), 0])
+    return axis, float(sizes[0])
 
 
 def _largest_turn(turns: Array) -> float:
@@ -355,6 +394,8 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     holds = strained < max(_MOST_NOISE * noise, _MOST_SHARE * weight)
     if holds and weight > 20.0 * sd:
         centre, centre_sd = _centre(turns, chosen.delay, matrix, down)
+        # A weight that is off moves the centre along its own direction by the same share.
+        centre_sd = math.hypot(centre_sd, float(np.linalg.norm(centre)) * sd / weight)
     else:
         centre, centre_sd = np.full(3, np.nan), math.nan
     return Weight(
