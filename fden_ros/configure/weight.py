@@ -338,8 +338,8 @@ def _free_columns(turns: Array) -> Array:
     return design
 
 
-def _solve(columns: Array, nuisance: Array, values: Array) -> tuple[Array, Array, Array, float]:
-    """Return solution, covariance, residual (n, 3) and what whiteness lacks."""
+def _solve(columns: Array, nuisance: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Return solution, covariance and residual (n, 3)."""
     count, _, width = columns.shape
     extra = nuisance.shape[1]
     design = np.zeros((count, 3, width + 3 * extra))
@@ -354,7 +354,7 @@ def _solve(columns: Array, nuisance: Array, values: Array) -> tuple[Array, Array
     freedom = max(3 * count - flat.shape[1], 1)
     variance = float(np.sum(residual**2)) / freedom
     spread = max(inflation(residual[:, row]) for row in range(3))
-    return solution, inverse * variance * spread, residual, spread
+    return solution, inverse * variance * spread, residual
 
 
 def _fit(turns: _Turns, seconds: Seconds) -> Weight:
@@ -362,7 +362,7 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     aligned = _fit_one(turns, values, nuisance, _aligned_columns)
     free = _fit_one(turns, values, nuisance, _free_columns)
     noise = float(np.mean([noise_of(s.force_times, s.force).mean() for s in turns.streams]))
-    weight = float(np.linalg.norm(aligned.solution[:3]))
+    weight, aligned_sd = _size(aligned.solution[:3], aligned.covariance[:3, :3])
     strained = math.sqrt(float(np.mean(aligned.residual**2)))
     relaxed = math.sqrt(float(np.mean(free.residual**2)))
     # The poses are the sensor's where a rotation of its own explains hardly more.
@@ -370,11 +370,12 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     is_aligned = better < 60.0 / values.shape[0] + 1e-3 or strained < 0.004 * weight
     if is_aligned:
         vector = aligned.solution[:3]
-        sd = math.sqrt(float(np.mean(np.diag(aligned.covariance)[:3])))
+        sd = aligned_sd
+        direction_sd = math.sqrt(float(np.mean(np.diag(aligned.covariance)[:3])))
         matrix, down = np.eye(3) * weight, vector / max(weight, 1e-300)
         chosen, turned_by = aligned, 0.0
         upright = np.array([0.0, 0.0, math.copysign(1.0, down[2])])
-        if angle_between(down, upright) < max(_TURNED, 3.0 * sd / max(weight, 1e-300)):
+        if angle_between(down, upright) < max(_TURNED, 3.0 * direction_sd / max(weight, 1e-300)):
             down = upright
     else:
         free_matrix = free.solution[:9].reshape(3, 3)
@@ -443,17 +444,27 @@ def _fit_one(turns: _Turns, values: Array, nuisance: Array, columns: object) -> 
     )
     delay = float(found.x)
     rotations = turns.rotations(delay)
-    solution, covariance, residual, spread = _solve(columns(rotations), nuisance, values)
-    width = columns(rotations[:1]).shape[2]
-    # How the fitted force changes with the delay, what the other unknowns take up left out.
+    design = columns(rotations)
+    solution, _, _ = _solve(design, nuisance, values)
+    width = design.shape[2]
+    # How the fitted force changes with the delay: one more unknown.
     step = 1e-3
     ahead = np.einsum("nij,j->ni", columns(turns.rotations(delay + step)), solution[:width])
     behind = np.einsum("nij,j->ni", columns(turns.rotations(delay - step)), solution[:width])
     slope = (ahead - behind) / (2.0 * step)
-    free = _solve(columns(rotations), nuisance, slope)[2]
-    variance = float(np.sum(residual**2)) / max(3 * values.shape[0] - solution.size, 1)
-    delay_sd = math.sqrt(variance * spread / max(float(np.sum(free**2)), 1e-300))
-    return _One(solution, covariance, residual, delay, delay_sd)
+    whole = np.concatenate([design, slope[:, :, None]], axis=2)
+    solution, covariance, residual = _solve(whole, nuisance, values)
+    return _One(solution, covariance, residual, delay, math.sqrt(float(covariance[width, width])))
+
+
+def _size(vector: Array, covariance: Array) -> tuple[float, float]:
+    """Return the length of a vector (3,) and its deviation, from its covariance (3, 3)."""
+    size = float(np.linalg.norm(vector))
+    along = vector / max(size, 1e-300)
+    variance = float(along @ covariance @ along)
+    # What lies across adds to the length, by half its square.
+    across = max(float(np.trace(covariance)) - variance, 0.0) / (2.0 * max(size, 1e-300))
+    return size, math.hypot(math.sqrt(max(variance, 0.0)), across)
 
 
 def _centre(turns: _Turns, delay: float, matrix: Array, down: Array) -> tuple[Array, float]:
@@ -467,5 +478,5 @@ def _centre(turns: _Turns, delay: float, matrix: Array, down: Array) -> tuple[Ar
     columns[:, 0, 1], columns[:, 0, 2] = z, -y
     columns[:, 1, 0], columns[:, 1, 2] = -z, x
     columns[:, 2, 0], columns[:, 2, 1] = y, -x
-    solution, covariance, _, _ = _solve(columns, turns.nuisance(), torque)
+    solution, covariance, _ = _solve(columns, turns.nuisance(), torque)
     return solution[:3], math.sqrt(float(np.mean(np.diag(covariance)[:3])))

@@ -31,12 +31,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fden_msgs.srv import IdentifyTool
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -53,6 +48,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.decisions import Decisions
+from fden_ros.nodes.descriptors import descriptor_of
 from fden_ros.nodes.diagnostics import Diagnostics
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
@@ -520,27 +516,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _node_descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(
-        description=f"{parameter.description} [{parameter.unit}]",
-        read_only=parameter.name == "autostart",
-    )
-    is_number = isinstance(parameter.default, (int, float)) and not isinstance(
-        parameter.default, bool
-    )
-    if is_number and isinstance(parameter.default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=0.0 if parameter.may_be_zero else parameter.minimum,
-                to_value=parameter.maximum,
-            )
-        ]
-    elif is_number:
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=int(parameter.minimum), to_value=int(parameter.maximum), step=1
-            )
-        ]
-    return descriptor
+    return descriptor_of(parameter, read_only=parameter.name == "autostart")
 
 
 def main(arguments: list[str] | None = None) -> int:
