@@ -1,4 +1,18 @@
-r"""Gains of controllers that exist, from the tissue's stiffness by the rule of the force controller.
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+r"""Gains of controllers that exist, from the tissue's stiffness by the force controller's rule.
 
 The rule is :math:`v = w (F_{target} - F) / k`: a force loop of the bandwidth w on tissue of the
 stiffness k. An admittance controller moves by :math:`M \ddot x + D \dot x + S x = F`, which is the
