@@ -39,7 +39,7 @@ _BEND = 5.0
 _STRAIGHT = 5e-6
 #: The way to a contact and from it is looked at for this time [s], and counts from this many
 #: deviations of the position's noise on.
-_WAY, _LEAST_WAY = 0.5, 20.0
+_WAY, _LEAST_WAY, _LEAST_CHUNKS = 0.8, 20.0, 5
 _PRESS = (
     "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
 )
@@ -98,10 +98,10 @@ def _from_touches(sessions: tuple[Session, ...]) -> Axes:
     parts = [push.T @ (push @ direction) for _, _, push in pushes]
     floors = []
     for session, _, push in pushes:
-        # Noise of the force and, as large again, of the level in the air.
+        # Noise of the force, and of the level in the air: that of medians over 2 s.
         chunk = float(np.mean(session.force_noise)) / math.sqrt(_per_chunk(session))
-        floors.append(chunk * math.sqrt(2.0 * float(np.sum((push @ direction) ** 2))))
-        floors[-1] = math.hypot(floors[-1], 0.3 * chunk * float(np.sum(push @ direction)))
+        floors.append(chunk * math.sqrt(float(np.sum((push @ direction) ** 2))))
+        floors[-1] = math.hypot(floors[-1], 0.2 * chunk * float(np.sum(push @ direction)))
     force = _combined(parts, floors)
     motion_parts, motion_floors, together = [], [], []
     for session, contact, push in pushes:
@@ -137,17 +137,19 @@ def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
     """
     ways, floors = [], []
     for session, contact in contacts:
-        for touch, away in ((contact.start, -_WAY), (contact.end, _WAY)):
-            times = np.array([touch + 0.1 * away, touch + away])
-            streams = session.streams
-            if times.min() < streams.start or times.max() > streams.end:
+        noise = float(np.mean(session.motion_noise)) / math.sqrt(_per_chunk(session, motion=True))
+        for touch, start, sign in ((contact.first, -_WAY, 1.0), (contact.last, _WAY, -1.0)):
+            end = float(session.edges[touch]) + start
+            near = np.abs(session.times - 0.5 * (float(session.edges[touch]) + end)) < 0.5 * _WAY
+            if not session.edges[0] < end < session.edges[-1] or near.sum() < _LEAST_CHUNKS:
                 continue
-            near = (session.times > times.min()) & (session.times < times.max())
             if (session.turning | ~session.air)[near].any():
                 continue
-            there, back = streams.position_at(times)
-            ways.append(there - back)
-            floors.append(math.sqrt(2.0) * float(np.mean(session.motion_noise)))
+            # As it goes on: the way of every chunk weighs by its time.
+            position, times = session.position[near], session.times[near]
+            since = sign * (times - times.mean())
+            ways.append(since @ position / float(since @ since) * _WAY)
+            floors.append(noise * _WAY / float(np.linalg.norm(since)))
             if not float(np.linalg.norm(ways[-1])) > _LEAST_WAY * floors[-1]:
                 return None
     if len(contacts) < 2 or len(ways) < 3:
@@ -170,7 +172,7 @@ def _motion_part(session: Session, contact: Contact, push: Array) -> tuple[Array
     length = float(np.linalg.norm(part))
     along = moved @ (part / max(length, 1e-300))
     correlation = length / max(rose.size * float(np.sqrt(np.mean(along**2))), 1e-300)
-    return part, 2.0 * noise * math.sqrt(rose.size), correlation
+    return part, noise * math.sqrt(2.0 * rose.size), correlation
 
 
 def _per_chunk(session: Session, *, motion: bool = False) -> float:
