@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-r"""Start the identifier node with its parameter file, topics and lifecycle.
+r"""Start the identifier node with its parameter file, topics and lifecycle; the bridge if asked.
 
 ros2 launch fden_ros identifier.launch.py force_topic:=/ft/wrench \
     displacement_topic:=/arm/joint_states
@@ -20,8 +20,9 @@ ros2 launch fden_ros identifier.launch.py force_topic:=/ft/wrench \
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import LifecycleNode
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
@@ -75,6 +76,12 @@ def generate_launch_description() -> LaunchDescription:
             description="Start the node again, 2 s after it has ended.",
         ),
         DeclareLaunchArgument(
+            "bridge",
+            default_value="false",
+            choices=["true", "false"],
+            description="Start the bridge to a controller, too; `parameters` has its section.",
+        ),
+        DeclareLaunchArgument(
             "log_level",
             default_value="info",
             choices=["debug", "info", "warn", "error", "fatal"],
@@ -108,4 +115,18 @@ def generate_launch_description() -> LaunchDescription:
             LaunchConfiguration("parameters"),
         ],
     )
-    return LaunchDescription([*arguments, OpaqueFunction(function=_check_parameters), identifier])
+    bridge = Node(
+        package="fden_ros",
+        executable="bridge",
+        name="bridge",
+        namespace=LaunchConfiguration("namespace"),
+        output="screen",
+        # Without it a controller keeps the gains that were set last.
+        respawn=True,
+        respawn_delay=0.5,
+        arguments=["--ros-args", "--params-file", LaunchConfiguration("parameters")],
+        condition=IfCondition(LaunchConfiguration("bridge")),
+    )
+    return LaunchDescription(
+        [*arguments, OpaqueFunction(function=_check_parameters), identifier, bridge]
+    )

@@ -147,3 +147,66 @@ def test_measured_robot_is_31_ms_out_of_step_if_alpha_is_0(capsys):
     assert oscillation["frequency_hz"] == pytest.approx(2.0, abs=0.01)
     assert oscillation["lead_deg"] == pytest.approx(22.0, abs=1.0)
     assert oscillation["delay_s_by_alpha"]["0.0"] == pytest.approx(0.031, abs=0.001)
+
+
+def tones(
+    slope: float,
+    phase: float,
+    delay: float,
+    seed: int,
+    frequencies: tuple[float, ...] = (1.0, 4.0),
+) -> tuple[Samples, Samples]:
+    """Sines one after the other about one depth on tissue of a slope and a phase of its own."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 30.0, 0.002)
+    depth, force = np.full(times.size, 4e-3), np.full(times.size, 1.5)
+    begin = 3.0
+    for frequency in frequencies:
+        omega = 2.0 * math.pi * frequency
+        inside = (times >= begin) & (times < begin + 10.0 / frequency)
+        since = times[inside] - begin
+        depth[inside] += 5e-4 * np.sin(omega * since)
+        force[inside] += 5e-4 * 300.0 * omega**slope * np.sin(omega * since + phase)
+        begin += 10.0 / frequency + 1.0
+    force += rng.normal(0.0, 2e-3, times.size)
+    depth += rng.normal(0.0, 2e-6, times.size)
+    return Samples(times, force), Samples(times + delay, depth)
+
+
+@pytest.mark.parametrize("share", [1.0, 1.6, 2.5])
+def test_a_phase_beyond_that_of_the_slope_is_not_told_from_a_delay(share: float) -> None:
+    errors = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        slope, delay = rng.uniform(0.08, 0.25), rng.uniform(-0.005, 0.02)
+        phase = share * 0.5 * math.pi * slope
+        result = find_delay(*tones(slope, phase, delay, seed))
+        assert result.slope == pytest.approx(slope, abs=4.0 * result.slope_sd)
+        if share == 1.0:
+            assert not result.explanations
+            assert result.delay is not None
+            errors.append((result.delay - delay) / result.delay_sd)
+            continue
+        assert result.delay is None and result.order is None
+        constant, by_slope = result.explanations
+        assert constant.delay == pytest.approx(delay, abs=4.0 * constant.delay_sd)
+        assert by_slope.delay - delay > 5.0 * by_slope.delay_sd
+    if errors:
+        assert 0.4 < math.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_a_given_alpha_that_the_phases_contradict_gives_no_delay(tmp_path, capsys) -> None:
+    force, displacement = tones(0.15, 0.45, 0.01, 3)
+    assert find_delay(force, displacement, 0.15, 0.005).delay is None
+    # One frequency shows no contradiction: then it is said what the delay rests on.
+    single = find_delay(*tones(0.15, 0.45, 0.01, 3, (2.0,)), 0.15, 0.005)
+    assert single.delay is not None
+    assert "a degree of it counts as 1.4 ms" in single.warnings[0]
+    table = tmp_path / "tones.csv"
+    at = np.interp(force.times, displacement.times, displacement.values)
+    rows = np.column_stack([force.times, force.values, at])
+    np.savetxt(table, rows, delimiter=",", header="time_s,force_N,depth_m", comments="")
+    assert main(["calibrate", "delay", str(table)]) == 0
+    printed = capsys.readouterr().out
+    assert "to the power 0.15" in printed
+    assert "cannot be told from a delay" in printed and "Parameter:" not in printed

@@ -624,3 +624,19 @@ def test_a_full_disk_leaves_no_results(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1 and "cannot be written" in done.stderr
     assert list(out.parent.iterdir()) == []
+
+
+def test_headings_with_units_need_no_columns(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    press, file = (
+        Path(__file__).parent.parent / "examples" / n for n in ("press.csv", "probe.yaml")
+    )
+    columns = "time_s,force_N,depth_mm*1e-3"
+    stated = replayed(capsys, press, "--config", file, "--columns", columns)
+    assert replayed(capsys, press, "--config", file) == stated
+    assert replayed(capsys, press, "--config", file, "-o", tmp_path / "results") == stated
+    plain = tmp_path / "plain.csv"
+    plain.write_text(press.read_text().replace("time_s,force_N,depth_mm", "t,f,d"))
+    line = error_line(capsys, 1, "replay", plain, "--config", file)
+    assert "headings do not say what is what" in line and "it has t, f, d" in line

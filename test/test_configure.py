@@ -32,13 +32,14 @@ from fden_ros.benchmarks.configure import judge
 from fden_ros.benchmarks.unknown_rigs import SimulatedRig, simulate_rig
 from fden_ros.cli import main
 from fden_ros.configure.picture import save_picture
-from fden_ros.configure.reading import guessed_columns, read
+from fden_ros.configure.reading import read
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.writer import parameter_file
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import read_sections
+from fden_ros.recording.table import guessed_columns
 
 DATA = os.environ.get("FDEN_DATA")
 #: A dozen rigs of every kind; see `test_the_dozen_rigs_are_of_every_kind`.

@@ -159,3 +159,31 @@ def test_meter_refuses_frequencies_that_make_no_sense(frequencies):
 
 def test_example_of_the_meter_runs():
     assert doctest.testmod(complex_modulus).failed == 0
+
+
+def test_slope_and_phase_are_told_apart_with_deviations():
+    omegas = 2.0 * math.pi * np.array([1.0, 2.0, 4.0])
+    slopes, phases = [], []
+    for seed in range(200):
+        generator = np.random.default_rng(seed)
+        slope, phase = generator.uniform(0.05, 0.3), generator.uniform(0.1, 0.7)
+        times = np.arange(0.0, 4.02, 0.01)
+        strain = 0.1 + 0.01 * np.cos(np.outer(times, omegas)).sum(axis=1)
+        waves = 300.0 * omegas**slope * np.cos(np.outer(times, omegas) + phase)
+        stress = 40.0 + 0.01 * waves.sum(axis=1) + 0.3 * generator.standard_normal(times.size)
+        found = moduli(ComplexModulusMeter([1.0, 2.0, 4.0]), times, strain, stress)
+        assert len(found) == 3
+        slopes.append((found[0].slope - slope) / found[0].slope_sd)
+        phases += [
+            (m.fractional_order - 2.0 / math.pi * phase) / m.fractional_order_sd for m in found
+        ]
+    for errors in (slopes, phases):
+        assert 0.9 < math.sqrt(np.mean(np.square(errors))) < 1.1
+        assert 0.92 <= np.mean(np.abs(errors) < 1.96) <= 0.98
+
+
+def test_one_frequency_tells_no_slope():
+    times = np.arange(0.0, 4.02, 0.01)
+    strain, stress = np.sin(6.2832 * times), np.sin(6.2832 * times + 0.2)
+    (one,) = moduli(ComplexModulusMeter([1.0]), times, strain, stress)
+    assert one.slope is None and one.slope_sd is None

@@ -279,3 +279,19 @@ def test_two_points_are_enough_for_parameters_but_not_for_a_deviation():
 def test_data_that_cannot_be_are_refused_with_the_reason(fit, words):
     with pytest.raises(InputError, match=words):
         fit()
+
+
+def test_slope_and_phase_of_a_dynamic_test_have_deviations_of_their_own():
+    slope, phase, errors = 0.15, 0.4, {"slope": [], "phase": []}
+    for seed in range(200):
+        generator = np.random.default_rng(seed)
+        noise = np.exp(0.03 * generator.standard_normal((2, OMEGAS.size)))
+        magnitude = 500.0 * OMEGAS**slope
+        storage = magnitude * math.cos(phase) * noise[0]
+        fit = fit_complex_modulus(OMEGAS, storage, magnitude * math.sin(phase) * noise[1])
+        assert any("contradict" in warning for warning in fit.warnings)
+        for name, truth in (("slope", slope), ("phase", 2.0 / math.pi * phase)):
+            low, high = fit.beside[name]["alpha"][2:]
+            errors[name].append(low <= truth <= high)
+    for held in errors.values():
+        assert 0.91 <= np.mean(held) <= 0.99

@@ -147,7 +147,7 @@ def test_every_locked_package_is_pinned_and_no_index_is_named() -> None:
         assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*( ; [^:/]+)?", pin), pin
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "msg_defs" / "msg").glob("*.msg")), ids=str)
+@pytest.mark.parametrize("path", sorted((ROOT / "msg_defs").glob("*/*.??[gv]")), ids=str)
 def test_every_float_of_a_message_states_its_unit(path: Path) -> None:
     field = re.compile(r"^float\d+(\[[^]]*\])?\s+(\w+)\s*(#.*)?$")
     dimensionless_lists = {"probabilities"}

@@ -167,6 +167,12 @@ def result_object(result: DelayResult) -> dict[str, Any]:
         "alpha": result.order,
         "alpha_sd": result.order_sd,
         "alpha_given": result.order_given,
+        "slope": result.slope,
+        "slope_sd": result.slope_sd,
+        "explanations": [
+            {"if": e.words, "delay_s": e.delay, "delay_sd_s": e.delay_sd}
+            for e in result.explanations
+        ],
         "oscillations": [
             {
                 "start_s": o.start,
@@ -203,6 +209,16 @@ def _show(result: DelayResult) -> None:
     console.print(table)
     for warning in result.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
+    if result.slope is not None and result.slope_sd is not None:
+        console.print(
+            f"The force grows with the frequency to the power {result.slope:.3f} ± "
+            f"{result.slope_sd:.3f}: alpha of a fractional order.",
+            soft_wrap=True,
+            highlight=False,
+        )
+    if result.explanations:
+        _show_explanations(console, result)
+        return
     if result.delay is None or result.delay_sd is None or result.order is None:
         _show_undecided(console, result)
         return
@@ -215,6 +231,21 @@ def _show(result: DelayResult) -> None:
         highlight=False,
     )
     console.print(f"Parameter: displacement.delay: {result.delay:.6f}", highlight=False)
+
+
+def _show_explanations(console: Any, result: DelayResult) -> None:
+    console.print(
+        "The phases are not those of a fractional order: the tissue's phase is another one, a "
+        "filter is on, or the tool gives way. Such tissue cannot be told from a delay:",
+        soft_wrap=True,
+    )
+    for one in result.explanations:
+        console.print(
+            f"  {1e3 * one.delay:.2f} ± {1e3 * one.delay_sd:.2f} ms, if {one.words}",
+            soft_wrap=True,
+            highlight=False,
+        )
+    console.print("Measure the delay on a spring or a rigid plate instead.", soft_wrap=True)
 
 
 def _show_undecided(console: Any, result: DelayResult) -> None:

@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_table(path: Path, as_json: bool) -> int:
-    from fden_ros.recording.table import headings_of
+    from fden_ros.recording.table import guessed_columns, headings_of
 
     headings = headings_of(path)
     if as_json:
@@ -90,7 +90,8 @@ def _show_table(path: Path, as_json: bool) -> int:
     print(f"{path}: a table with the columns")
     for number, heading in enumerate(headings, start=1):
         print(f"  {number:2}  {heading}")
-    print(f"Next: fden replay {path} --columns TIME,FORCE,DISPLACEMENT")
+    columns = "" if guessed_columns(headings) else " --columns TIME,FORCE,DISPLACEMENT"
+    print(f"Next: fden replay {path}{columns}")
     return 0
 
 

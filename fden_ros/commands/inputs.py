@@ -56,7 +56,8 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
         metavar="T,F,D",
         help="the recording is a table (CSV): headings or numbers of the columns of time, force "
         "and displacement, each with an optional factor to s, N and m: "
-        "time_s,force_N,depth_mm*1e-3. @500 as time: rows at 500 Hz",
+        "time_s,force_N,depth_mm*1e-3. @500 as time: rows at 500 Hz. Not needed where headings "
+        "name them with their units",
     )
     group.add_argument(
         "--rows",

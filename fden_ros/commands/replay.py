@@ -46,7 +46,7 @@ examples:
       --force-topic /plc/loads --force-field 'channels[2]'
   fden replay palpation.mcap --config probe.yaml -o results
       then: ros2 bag play -i palpation.mcap mcap -i results
-  fden replay press.csv --config probe.yaml --columns 'time_s,force_N,depth_mm*1e-3'
+  fden replay press.csv --config probe.yaml --columns '1,3,2*1e-3'
 
 `fden info BAG` shows what is in a bag and what would be used. The configuration is the identifier
 node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 nothing

@@ -25,6 +25,7 @@ from scipy.stats import t as student
 
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Contact, Session
+from fden_ros.configure.stiffening import stiffening
 from fden_ros.configure.streams import Array
 
 #: An axis is claimed from a standard deviation of its direction of this size on [rad]: 2 degrees
@@ -32,10 +33,13 @@ from fden_ros.configure.streams import Array
 LARGEST_SD = math.radians(2.0) / 2.45
 #: Force and motion of a contact go together from this correlation on.
 _TOGETHER = 0.5
-#: A bend of force over displacement shows the sign from this many deviations on.
+#: Stiffening shows the sign from this many deviations on.
 _BEND = 5.0
 #: No drive runs straighter than this [m]: a short stroke shows no direction.
 _STRAIGHT = 5e-6
+#: The way to a contact and from it is looked at for this time [s], and counts from this many
+#: deviations of the position's noise on.
+_WAY, _LEAST_WAY, _LEAST_CHUNKS = 0.8, 20.0, 5
 _PRESS = (
     "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
 )
@@ -57,12 +61,19 @@ class Axes:
     displacement: Axis | None
     sessions: tuple[Session, ...]
     reason: str = ""
+    by_approach: bool = False  #: the displacement's is that of the ways to and from contacts
 
     def findings(self) -> tuple[Finding, Finding]:
         """Return what to say of the force's axis and of the displacement's."""
         return (
             _finding("force", self.force, self.sessions, self.reason),
-            _finding("displacement", self.displacement, self.sessions, self.reason),
+            _finding(
+                "displacement",
+                self.displacement,
+                self.sessions,
+                self.reason,
+                by_approach=self.by_approach,
+            ),
         )
 
 
@@ -87,10 +98,10 @@ def _from_touches(sessions: tuple[Session, ...]) -> Axes:
     parts = [push.T @ (push @ direction) for _, _, push in pushes]
     floors = []
     for session, _, push in pushes:
-        # Noise of the force and, as large again, of the level in the air.
+        # Noise of the force, and of the level in the air: that of medians over 2 s.
         chunk = float(np.mean(session.force_noise)) / math.sqrt(_per_chunk(session))
-        floors.append(chunk * math.sqrt(2.0 * float(np.sum((push @ direction) ** 2))))
-        floors[-1] = math.hypot(floors[-1], 0.3 * chunk * float(np.sum(push @ direction)))
+        floors.append(chunk * math.sqrt(float(np.sum((push @ direction) ** 2))))
+        floors[-1] = math.hypot(floors[-1], 0.2 * chunk * float(np.sum(push @ direction)))
     force = _combined(parts, floors)
     motion_parts, motion_floors, together = [], [], []
     for session, contact, push in pushes:
@@ -109,8 +120,45 @@ def _from_touches(sessions: tuple[Session, ...]) -> Axes:
     weight = sum(w for w, _ in together)
     agreed = sum(w * c for w, c in together) / weight if weight > 0.0 else 0.0
     if agreed < _TOGETHER:
+        displacement = None
+    if displacement is None or displacement.sd > LARGEST_SD:
+        approach = _approach_axis([(session, contact) for session, contact, _ in pushes])
+        if approach is not None and approach.sd < LARGEST_SD:
+            return Axes(force, approach, sessions, by_approach=True)
+    if displacement is None:
         return Axes(force, None, sessions, "the force does not rise with any motion of the probe")
     return Axes(force, displacement, sessions)
+
+
+def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
+    """Return the direction of the ways to the contacts and back, as of a plate that resists all.
+
+    None with less than two contacts, or where the probe rests before or after one of them.
+    """
+    ways, floors = [], []
+    for session, contact in contacts:
+        noise = float(np.mean(session.motion_noise)) / math.sqrt(_per_chunk(session, motion=True))
+        for touch, start, sign in ((contact.first, -_WAY, 1.0), (contact.last, _WAY, -1.0)):
+            end = float(session.edges[touch]) + start
+            near = np.abs(session.times - 0.5 * (float(session.edges[touch]) + end)) < 0.5 * _WAY
+            if not session.edges[0] < end < session.edges[-1] or near.sum() < _LEAST_CHUNKS:
+                continue
+            if (session.turning | ~session.air)[near].any():
+                continue
+            # As it goes on: the way of every chunk weighs by its time.
+            position, times = session.position[near], session.times[near]
+            since = sign * (times - times.mean())
+            ways.append(since @ position / float(since @ since) * _WAY)
+            floors.append(noise * _WAY / float(np.linalg.norm(since)))
+            if not float(np.linalg.norm(ways[-1])) > _LEAST_WAY * floors[-1]:
+                return None
+    if len(contacts) < 2 or len(ways) < 3:
+        return None
+    axis = _combined(ways, floors)
+    if axis is None or axis.direction.size == 1:
+        return axis
+    length = float(np.mean(np.linalg.norm(ways, axis=1)))
+    return Axis(axis.direction, math.hypot(axis.sd, _STRAIGHT / length))
 
 
 def _motion_part(session: Session, contact: Contact, push: Array) -> tuple[Array, float, float]:
@@ -124,7 +172,7 @@ def _motion_part(session: Session, contact: Contact, push: Array) -> tuple[Array
     length = float(np.linalg.norm(part))
     along = moved @ (part / max(length, 1e-300))
     correlation = length / max(rose.size * float(np.sqrt(np.mean(along**2))), 1e-300)
-    return part, 2.0 * noise * math.sqrt(rose.size), correlation
+    return part, noise * math.sqrt(2.0 * rose.size), correlation
 
 
 def _per_chunk(session: Session, *, motion: bool = False) -> float:
@@ -163,20 +211,11 @@ def _from_preload(sessions: tuple[Session, ...]) -> Axes:
     assert cross is not None
     left, _, right = np.linalg.svd(cross)
     into, grows = left[:, 0], right[0]
-    bends = []
-    for session in sessions:
-        depth, force = _aligned(session, into, grows)
-        if not _correlation(depth, force) > _TOGETHER:
-            return Axes(None, None, sessions, "force and motion do not go together")
-        for part in np.array_split(np.arange(depth.size), 9)[1:]:
-            design = np.stack([np.ones(part.size), depth[part], depth[part] ** 2], axis=1)
-            if part.size > 8 and float(depth[part].std()) > 0.3:
-                bends.append(float(np.linalg.lstsq(design, force[part], rcond=None)[0][2]))
-    if len(bends) < 3:
-        return Axes(None, None, sessions, "the probe hardly moves in contact")
-    mean = float(np.median(bends))
-    sd = float(np.median(np.abs(np.array(bends) - mean))) / 0.6745 / math.sqrt(len(bends))
-    if abs(mean) < _BEND * sd:
+    if not all(_go_together(session, into, grows) for session in sessions):
+        return Axes(None, None, sessions, "force and motion do not go together")
+    bends = [stiffening(session, into, grows) for session in sessions]
+    mean = sum(bends) / math.sqrt(len(bends))
+    if abs(mean) < _BEND:
         return Axes(None, None, sessions, "it never leaves the surface, and shows no sign")
     sign = math.copysign(1.0, mean)
     if into.size == 1:
@@ -189,19 +228,18 @@ def _from_preload(sessions: tuple[Session, ...]) -> Axes:
     return Axes(force_axis, displacement, sessions)
 
 
-def _aligned(session: Session, into: Array, grows: Array) -> tuple[Array, Array]:
-    """Return depth, scaled to 1, and force at the same instants: the lag that fits best."""
+def _go_together(session: Session, into: Array, grows: Array) -> bool:
+    """Whether force and displacement go together, at the lag that fits best."""
     streams = session.streams
     step = max(float(np.median(np.diff(streams.force_times))), 5e-3)
     times = np.arange(streams.start + 0.1, streams.end - 0.1, step)
     columns = [np.interp(times, streams.force_times, column) for column in session.unloaded.T]
     force = np.stack(columns, axis=1) @ grows
-    ways = [streams.position_at(times + lag) @ into for lag in np.linspace(-0.03, 0.08, 23)]
-    depth = max(ways, key=lambda way: _correlation(way, force))
-    depth = depth - depth.mean()
-    turning = np.interp(times, session.times, session.turning.astype(float)) > 0.0
-    depth, force = depth[~turning], (force - force.mean())[~turning]
-    return depth / max(float(depth.std()), 1e-300), force
+    still = np.interp(times, session.times, session.turning.astype(float)) == 0.0
+    return any(
+        _correlation((streams.position_at(times + lag) @ into)[still], force[still]) > _TOGETHER
+        for lag in np.linspace(-0.03, 0.08, 23)
+    )
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -220,7 +258,14 @@ def _split_axis(values: Sequence[Array], direction: Array) -> Axis:
     return axis if axis is not None else Axis(direction, math.inf)
 
 
-def _finding(what: str, axis: Axis | None, sessions: tuple[Session, ...], reason: str) -> Finding:
+def _finding(
+    what: str,
+    axis: Axis | None,
+    sessions: tuple[Session, ...],
+    reason: str,
+    *,
+    by_approach: bool = False,
+) -> Finding:
     subject = f"{what} axis"
     if axis is None:
         return unknown(subject, reason or "no contact was seen", _PRESS)
@@ -231,6 +276,8 @@ def _finding(what: str, axis: Axis | None, sessions: tuple[Session, ...], reason
         if all(s.leaves for s in sessions)
         else "one contact that never ends; the sign from its stiffening"
     )
+    if by_approach:
+        basis = f"the ways to and from {count} contacts, which do not give way"
     if axis.direction.size == 1:
         falls = bool(axis.direction[0] < 0.0)
         grows = "the force falls" if what == "force" else "the displacement falls"

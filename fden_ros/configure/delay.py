@@ -84,6 +84,19 @@ def delay_finding(
     good = [source for source in sources if source.sd < _LARGEST_SD]
     if good:
         return _combined(good)
+    for result, seconds in results:
+        if result.explanations:
+            said = "; ".join(f"{1e3 * e.delay:.1f} ms if {e.words}" for e in result.explanations)
+            return Finding(
+                "delay",
+                False,
+                None,
+                None,
+                "s",
+                seconds,
+                f"slope and phase differ: {said}",
+                _MOTION,
+            )
     singles = [
         (oscillation, seconds)
         for result, seconds in results

@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +29,7 @@ from fden_ros.parameters import check
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import Topic
 from fden_ros.recording.source import BagSource, Selection
-from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
+from fden_ros.recording.table import TableReader, looks_like_a_table, stated_columns
 from fden_ros.ros.messages import stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
@@ -42,29 +41,6 @@ MESSAGES = {
     "geometry_msgs/msg/PointStamped": "point",
 }
 _JOINTS = "sensor_msgs/msg/JointState"
-#: Words of headings, and units with their factors to s, N and m.
-_WORDS = {
-    "time": ("time", "t", "stamp", "timestamp", "zeit"),
-    "force": ("force", "f", "fz", "load", "kraft"),
-    "displacement": (
-        "displacement",
-        "depth",
-        "position",
-        "indentation",
-        "penetration",
-        "z",
-        "x",
-        "pos",
-        "disp",
-        "stroke",
-        "extension",
-    ),
-}
-_UNITS = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "gf": 9.80665e-3},
-    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2},
-}
 #: Fewer samples of a stream say nothing.
 _LEAST_SAMPLES = 50
 
@@ -120,35 +96,9 @@ def read(
     return _read_bag(Path(path), chosen, show)
 
 
-def guessed_columns(headings: list[str]) -> str | None:
-    """Return what headings such as ``time_s,force_N,depth_mm`` make of `--columns`, or None."""
-    found: dict[str, str] = {}
-    for heading in headings:
-        parts = [part for part in re.split(r"[^a-z0-9]+", heading.lower()) if part]
-        for what, words in _WORDS.items():
-            if what in found or not parts or parts[0] not in words:
-                continue
-            factors = [_UNITS[what][part] for part in parts[1:] if part in _UNITS[what]]
-            if len(factors) != 1 or "," in heading or "*" in heading:
-                continue
-            found[what] = heading if factors[0] == 1.0 else f"{heading}*{factors[0]:g}"
-            break
-    return ",".join(found[what] for what in _WORDS) if len(found) == len(_WORDS) else None
-
-
 def _read_table(path: Path, selection: Selection) -> Reading:
-    columns = selection.columns
-    if columns is None:
-        headings = headings_of(path)
-        guess = guessed_columns(headings)
-        if guess is None:
-            raise InputError(
-                f"{path} is a table whose headings do not say what is what: give the columns of "
-                "time, force and displacement, such as --columns time_s,force_N,depth_mm*1e-3; "
-                f"it has {', '.join(headings)}"
-            )
-        columns = Columns.parse(guess)
-        selection = Selection(columns=columns, where=selection.where)
+    columns = selection.columns or stated_columns(path)
+    selection = Selection(columns=columns, where=selection.where)
     table = TableReader(path, columns, selection.where)
     rows = np.array([(r.stamp_ns, r.force, r.displacement) for r in table.rows()], dtype=object)
     if rows.shape[0] < _LEAST_SAMPLES:

@@ -51,8 +51,12 @@ _PAUSE = 2.0
 _DRIFT_SHARE = 0.002
 #: The force in the air is followed by medians over this time [s].
 _FOLLOW = 2.0
+#: In the air the probe travels by this share of its way in contact, at least.
+_TRAVEL = 0.2
 #: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off.
 _SAME = 0.5
+#: The variance of a median over that of a mean, of normal noise.
+_MEDIAN_VARIANCE = 1.57
 #: A contact has at least this many chunks.
 _LEAST = 4
 #: A recording whose largest change of force is below this many deviations holds no contact.
@@ -374,21 +378,31 @@ def _medians(times: Array, values: Array, air: Mask) -> Array:
     """Return medians over 2 s of the values in the air, linear in between (n, k)."""
     bins = np.floor((times[air] - times[0]) / _FOLLOW).astype(int)
     inside = values[air]
-    knots, levels = [], []
+    knots, levels, noises = [], [], []
     for one in np.unique(bins):
         of_bin = bins == one
         if of_bin.sum() < 3:
             continue
         knots.append(float(times[air][of_bin].mean()))
         levels.append(np.median(inside[of_bin], axis=0))
+        noises.append(_MEDIAN_VARIANCE * inside[of_bin].var(axis=0, ddof=1) / of_bin.sum())
     if not knots:
         return np.broadcast_to(np.median(inside, axis=0), values.shape).copy()
     table = np.array(levels)
+    if len(knots) > 2:
+        # Medians that scatter no more than by noise follow nothing: their mean is nearer.
+        middle = table.mean(axis=0)
+        moved = table.var(axis=0, ddof=1)
+        share = np.clip(1.0 - np.mean(noises, axis=0) / np.maximum(moved, 1e-300), 0.0, 1.0)
+        table = middle + share * (table - middle)
     return np.stack([np.interp(times, knots, column) for column in table.T], axis=1)
 
 
 def _follows(height: Array, position: Array, air: Mask, still: Mask) -> bool:
-    """Whether the force in what is taken for air follows the motion, as it does in contact."""
+    """Whether the force in what is taken for air follows the motion, as it does in contact.
+
+    Where the probe does not travel there, nothing shows that it is the air.
+    """
     pressed = still & ~air
     if pressed.sum() < _LEAST:
         return False
@@ -409,5 +423,9 @@ def _follows(height: Array, position: Array, air: Mask, still: Mask) -> bool:
     slope = float(along[free] @ change[free]) / float(along[free] @ along[free])
     in_contact = float(along[contact] @ change[contact]) / float(along[contact] @ along[contact])
     travel = float(np.sqrt(np.sum(along[free] ** 2)))
+    line = position @ into
+    longest = max((float(np.ptp(line[a:b])) for a, b in runs(air) if b - a >= _LEAST), default=0.0)
+    if longest < _TRAVEL * float(np.ptp(line[pressed])):
+        return True
     fit_sd = float(np.std(change[free])) / travel
     return slope > 0.15 * in_contact and slope > 4.0 * fit_sd

@@ -45,6 +45,7 @@ class _Usual:
     name: str
     size: float
     spread: float
+    below: bool = True  #: whether a smaller one is less usual, too
 
 
 # Motion: lift and press of a probe, travel of a recording. Force: the peaks that probes are held
@@ -56,6 +57,8 @@ _PEAK = _Usual("largest force", 2.5, 1.2)
 _NOISE = _Usual("noise", 6e-3, 1.1)
 _STIFFNESS = _Usual("stiffness", 300.0, 2.0)
 _WEIGHT = _Usual("tool's weight", 4.0, 1.3)
+# Tare and tools leave up to some 10 N; a sensor that was zeroed shows nothing.
+_LEVEL = _Usual("level in the air", 5.0, 1.3, below=False)
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,16 @@ def _force_unit(
         push += [np.ptp(s.force @ axes.force.direction) for s in axes.sessions if not s.leaves]
         if push:
             clues.append((_PEAK, max(float(np.max(p)) for p in push)))
+        level = max(
+            (
+                float(np.linalg.norm(np.median(s.baseline, axis=0)))
+                for s in axes.sessions
+                if s.leaves
+            ),
+            default=0.0,
+        )
+        if level > 0.0:
+            clues.append((_LEVEL, level))
         stiffness = _softest(axes, metre)
         if stiffness > 0.0:
             clues.append((_STIFFNESS, stiffness))
@@ -158,6 +171,8 @@ def _odds(clues: Sequence[tuple[_Usual, float]], units: dict[str, float]) -> flo
             continue
         for number, factor in enumerate(units.values()):
             away = math.log(value * factor / usual.size) / usual.spread
+            if not usual.below:
+                away = max(away, 0.0)
             # Beyond 5 spreads a clue says no more: rigs are stranger than a normal law.
             sums[number] -= 0.5 * min(away**2, 25.0)
     return sums[0] - sums[1]
@@ -179,7 +194,7 @@ def _excursion(axes: Axes) -> float:
 
 def _softest(axes: Axes, metre: float) -> float:
     """Return the least stiffness of a contact, in units of force per metre."""
-    if axes.displacement is None or axes.force is None:
+    if axes.displacement is None or axes.force is None or axes.by_approach:
         return 0.0
     found = []
     for session in axes.sessions:

@@ -54,9 +54,15 @@ _TURNED = math.radians(2.0)
 _USUAL_RATE = 1.0
 #: The largest angle between orientations that is enough [rad].
 _LEAST_TURN = math.radians(40.0)
+#: Share of the orientations' scatter below which all turns are about one axis: the weight along
+#: it cannot be told from the bias. Turns by 28 degrees about a second axis give this much.
+_LEAST_SPREAD = 0.02
+#: Below this share, half a degree of wobble, least squares have no solution of their own.
+_NO_SPREAD = 1e-5
 #: The driver has taken the weight off if less than this is left [N], and less than 5 deviations.
 _TAKEN_OFF_N = 0.05
-_MOTION = (
+#: What tells the weight.
+MOTION = (
     "turn the tool in the air, slowly, through three orientations 60 degrees apart about two "
     "axes, with a second of rest at each"
 )
@@ -167,7 +173,8 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
     if not streams:
         return None
     turns = _Turns(streams, masks)
-    if _largest_turn(turns.rotations(0.0)) < _LEAST_TURN:
+    rotations = turns.rotations(0.0)
+    if _largest_turn(rotations) < _LEAST_TURN or _one_axis(rotations)[1] < _NO_SPREAD:
         return None
     return _fit(turns, tuple((float(a), float(b)) for a, b in seconds))
 
@@ -178,18 +185,14 @@ def weight_finding(
     """Return what to say of mass and centre; `newton` is one unit of the recorded force [N]."""
     names = ("tool mass", "tool centre of mass")
     if weight is None:
-        reason = (
-            "the tool did not turn in the air"
-            if any(s.orientation is not None for s in recordings)
-            else "the recording holds no orientation of the tool"
-        )
-        return unknown(names[0], reason, _MOTION), unknown(names[1], reason, _MOTION)
+        reason, motion = _missing_turn(recordings) or ("the turns tell nothing", MOTION)
+        return unknown(names[0], reason, motion), unknown(names[1], reason, motion)
     if not weight.holds:
         reason = (
             f"while it turned, the force does not follow from a weight: {newton * weight.left:.2g}"
             " N are left; was it in contact?"
         )
-        return unknown(names[0], reason, _MOTION), unknown(names[1], reason, _MOTION)
+        return unknown(names[0], reason, MOTION), unknown(names[1], reason, MOTION)
     size, sd = newton * weight.weight, newton * weight.weight_sd
     if size < max(5.0 * sd, 0.0) or size < _TAKEN_OFF_N:
         limit = size + 2.0 * sd
@@ -207,8 +210,10 @@ def weight_finding(
         return nothing, unknown(names[1], evidence, "nothing: there is no weight to take off")
     mass, mass_sd = size / GRAVITY, sd / GRAVITY
     if mass_sd > _LARGEST_SHARE * mass:
-        reason = f"{mass:.3g} ± {mass_sd:.2g} kg is too uncertain"
-        return unknown(names[0], reason, _MOTION), unknown(names[1], reason, _MOTION)
+        uncertain = f"{mass:.3g} ± {mass_sd:.2g} kg is too uncertain"
+        why, motion = _missing_turn(recordings) or ("", MOTION)
+        reason = f"{uncertain}: {why}" if why else uncertain
+        return unknown(names[0], reason, motion), unknown(names[1], reason, motion)
     if not weight.aligned:
         turned = math.degrees(weight.turned_by)
         evidence = (
@@ -233,7 +238,7 @@ def weight_finding(
     )
     if not math.isfinite(weight.centre_sd) or weight.centre_sd > 0.005:
         reason = "the torques do not tell the centre within 5 mm"
-        return found, unknown(names[1], reason, _MOTION)
+        return found, unknown(names[1], reason, MOTION)
     centre = tuple(float(v) for v in weight.centre)
     return found, Finding(
         names[1],
@@ -270,6 +275,40 @@ def _turning(streams: Streams) -> Mask:
     return mask
 
 
+def _missing_turn(recordings: Sequence[Streams]) -> tuple[str, str] | None:
+    """Return what the orientations lack to tell a weight, and the motion that brings it."""
+    turned = [(s, _turning(s)) for s in recordings if s.orientation is not None]
+    if not turned:
+        return "the recording holds no orientation of the tool", MOTION
+    if max(int(mask.sum()) for _, mask in turned) < 20:
+        return "the tool did not turn in the air", MOTION
+    rotations = _Turns([s for s, _ in turned], [mask for _, mask in turned]).rotations(0.0)
+    largest = _largest_turn(rotations)
+    if largest < _LEAST_TURN:
+        return f"the tool turned by {math.degrees(largest):.0f} degrees only", MOTION
+    axis, spread = _one_axis(rotations)
+    if spread > _LEAST_SPREAD:
+        return None
+    along = ", ".join(f"{v:.1f}" for v in axis + 0.0)
+    return (
+        f"all turns were about one axis, ({along}) in the frame of the poses",
+        "turn the tool in the air about another axis, across that one, by 60 degrees, too, "
+        "slowly, with a second of rest",
+    )
+
+
+def _one_axis(turns: Array) -> tuple[Array, float]:
+    """Return the axis that the turns (n, 3, 3) move least, in the poses' frame, and its scatter.
+
+    A direction v of the poses' frame is seen from the tool as ``R.T v``; the scatter is the mean
+    square of that less its mean, 0 where all turns are about v.
+    """
+    mean = turns.mean(axis=0)
+    sizes, axes = np.linalg.eigh(np.eye(3) - mean @ mean.T)
+    axis = axes[:, 0] * math.copysign(1.0, axes[np.argmax(np.abs(axes[:, 0])), 0])
+    return axis, float(sizes[0])
+
+
 def _largest_turn(turns: Array) -> float:
     some = turns[:: max(turns.shape[0] // 60, 1)]
     cosine = 0.5 * (np.einsum("aij,bij->ab", some, some) - 1.0)
@@ -299,8 +338,8 @@ def _free_columns(turns: Array) -> Array:
     return design
 
 
-def _solve(columns: Array, nuisance: Array, values: Array) -> tuple[Array, Array, Array, float]:
-    """Return solution, covariance, residual (n, 3) and what whiteness lacks."""
+def _solve(columns: Array, nuisance: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Return solution, covariance and residual (n, 3)."""
     count, _, width = columns.shape
     extra = nuisance.shape[1]
     design = np.zeros((count, 3, width + 3 * extra))
@@ -315,7 +354,7 @@ def _solve(columns: Array, nuisance: Array, values: Array) -> tuple[Array, Array
     freedom = max(3 * count - flat.shape[1], 1)
     variance = float(np.sum(residual**2)) / freedom
     spread = max(inflation(residual[:, row]) for row in range(3))
-    return solution, inverse * variance * spread, residual, spread
+    return solution, inverse * variance * spread, residual
 
 
 def _fit(turns: _Turns, seconds: Seconds) -> Weight:
@@ -323,7 +362,7 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     aligned = _fit_one(turns, values, nuisance, _aligned_columns)
     free = _fit_one(turns, values, nuisance, _free_columns)
     noise = float(np.mean([noise_of(s.force_times, s.force).mean() for s in turns.streams]))
-    weight = float(np.linalg.norm(aligned.solution[:3]))
+    weight, aligned_sd = _size(aligned.solution[:3], aligned.covariance[:3, :3])
     strained = math.sqrt(float(np.mean(aligned.residual**2)))
     relaxed = math.sqrt(float(np.mean(free.residual**2)))
     # The poses are the sensor's where a rotation of its own explains hardly more.
@@ -331,11 +370,12 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     is_aligned = better < 60.0 / values.shape[0] + 1e-3 or strained < 0.004 * weight
     if is_aligned:
         vector = aligned.solution[:3]
-        sd = math.sqrt(float(np.mean(np.diag(aligned.covariance)[:3])))
+        sd = aligned_sd
+        direction_sd = math.sqrt(float(np.mean(np.diag(aligned.covariance)[:3])))
         matrix, down = np.eye(3) * weight, vector / max(weight, 1e-300)
         chosen, turned_by = aligned, 0.0
         upright = np.array([0.0, 0.0, math.copysign(1.0, down[2])])
-        if angle_between(down, upright) < max(_TURNED, 3.0 * sd / max(weight, 1e-300)):
+        if angle_between(down, upright) < max(_TURNED, 3.0 * direction_sd / max(weight, 1e-300)):
             down = upright
     else:
         free_matrix = free.solution[:9].reshape(3, 3)
@@ -355,6 +395,8 @@ def _fit(turns: _Turns, seconds: Seconds) -> Weight:
     holds = strained < max(_MOST_NOISE * noise, _MOST_SHARE * weight)
     if holds and weight > 20.0 * sd:
         centre, centre_sd = _centre(turns, chosen.delay, matrix, down)
+        # A weight that is off moves the centre along its own direction by the same share.
+        centre_sd = math.hypot(centre_sd, float(np.linalg.norm(centre)) * sd / weight)
     else:
         centre, centre_sd = np.full(3, np.nan), math.nan
     return Weight(
@@ -402,17 +444,27 @@ def _fit_one(turns: _Turns, values: Array, nuisance: Array, columns: object) -> 
     )
     delay = float(found.x)
     rotations = turns.rotations(delay)
-    solution, covariance, residual, spread = _solve(columns(rotations), nuisance, values)
-    width = columns(rotations[:1]).shape[2]
-    # How the fitted force changes with the delay, what the other unknowns take up left out.
+    design = columns(rotations)
+    solution, _, _ = _solve(design, nuisance, values)
+    width = design.shape[2]
+    # How the fitted force changes with the delay: one more unknown.
     step = 1e-3
     ahead = np.einsum("nij,j->ni", columns(turns.rotations(delay + step)), solution[:width])
     behind = np.einsum("nij,j->ni", columns(turns.rotations(delay - step)), solution[:width])
     slope = (ahead - behind) / (2.0 * step)
-    free = _solve(columns(rotations), nuisance, slope)[2]
-    variance = float(np.sum(residual**2)) / max(3 * values.shape[0] - solution.size, 1)
-    delay_sd = math.sqrt(variance * spread / max(float(np.sum(free**2)), 1e-300))
-    return _One(solution, covariance, residual, delay, delay_sd)
+    whole = np.concatenate([design, slope[:, :, None]], axis=2)
+    solution, covariance, residual = _solve(whole, nuisance, values)
+    return _One(solution, covariance, residual, delay, math.sqrt(float(covariance[width, width])))
+
+
+def _size(vector: Array, covariance: Array) -> tuple[float, float]:
+    """Return the length of a vector (3,) and its deviation, from its covariance (3, 3)."""
+    size = float(np.linalg.norm(vector))
+    along = vector / max(size, 1e-300)
+    variance = float(along @ covariance @ along)
+    # What lies across adds to the length, by half its square.
+    across = max(float(np.trace(covariance)) - variance, 0.0) / (2.0 * max(size, 1e-300))
+    return size, math.hypot(math.sqrt(max(variance, 0.0)), across)
 
 
 def _centre(turns: _Turns, delay: float, matrix: Array, down: Array) -> tuple[Array, float]:
@@ -426,5 +478,5 @@ def _centre(turns: _Turns, delay: float, matrix: Array, down: Array) -> tuple[Ar
     columns[:, 0, 1], columns[:, 0, 2] = z, -y
     columns[:, 1, 0], columns[:, 1, 2] = -z, x
     columns[:, 2, 0], columns[:, 2, 1] = y, -x
-    solution, covariance, _, _ = _solve(columns, turns.nuisance(), torque)
+    solution, covariance, _ = _solve(columns, turns.nuisance(), torque)
     return solution[:3], math.sqrt(float(np.mean(np.diag(covariance)[:3])))

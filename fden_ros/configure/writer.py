@@ -22,7 +22,9 @@ from collections.abc import Sequence
 from fden_ros.configure.finding import Finding
 from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
+from fden_ros.errors import InputError
 from fden_ros.parameters import PARAMETERS, Value
+from fden_ros.recording.table import stated_columns
 
 _WIDTH = 95
 #: Group of the parameter file in which a finding without parameters is told.
@@ -80,13 +82,21 @@ def replay_command(path: str, reading: Reading) -> str:
         field = getattr(chosen, f"{what}_field")
         parts += [f"--{what}-topic {topic}"] if topic else []
         parts += [f"--{what}-field {field}"] if field else []
-    if chosen.columns is not None:
+    if chosen.columns is not None and not _says_itself(reading):
         of = [chosen.columns.time, chosen.columns.force, chosen.columns.displacement]
         text = ",".join(c.name if c.factor == 1 else f"{c.name}*{c.factor}" for c in of)
         parts.append(f"--columns '{text}'")
     if chosen.where is not None:
         parts.append(f"--rows '{chosen.where[0]}={chosen.where[1]}'")
     return " ".join(parts)
+
+
+def _says_itself(reading: Reading) -> bool:
+    """Whether the headings of a table say the columns that were read."""
+    try:
+        return stated_columns(reading.path) == reading.selection.columns
+    except InputError:
+        return False
 
 
 def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[str] = ()) -> str:

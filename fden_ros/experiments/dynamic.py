@@ -41,7 +41,16 @@ from fden_ros.experiments.regression import (
     line_through_logarithms,
     require_positive,
 )
-from fden_ros.experiments.result import Array, Curve, Fit, Panel, plain, positive, r_squared
+from fden_ros.experiments.result import (
+    Array,
+    Curve,
+    Fit,
+    Panel,
+    Parameter,
+    plain,
+    positive,
+    r_squared,
+)
 
 #: Deviations of alpha and ln G about the first sample's values, before any sample counts.
 _PRIOR_SD = (0.3, 3.0)
@@ -63,6 +72,9 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
 
     The slopes of the two lines are also fitted separately: where their mean contradicts the alpha
     that the ratio G''/G' gives, no single springpot describes the data, which is reported.
+    ``slope`` has the alpha of the slope of \|G*\|, ``phase`` that of the mean phase, each with its
+    deviation: some tissue has a larger phase than its slope says (Kobayashi et al.,
+    arXiv:1804.00979).
 
     Parameters
     ----------
@@ -91,6 +103,8 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
     }
     slopes = [line_through(np.log(omega), logs[:, i]) for i in (0, 1)]
     angles = np.arctan2(moduli[:, 1], moduli[:, 0])
+    whole = line_through(np.log(omega), np.log(np.hypot(moduli[:, 0], moduli[:, 1])))
+    by_slope = plain(whole.values[0], whole.deviation_of(np.array([1.0, 0.0])), whole.dof)
     return Fit(
         "dynamic",
         parameters,
@@ -101,7 +115,9 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
             "slopes": {
                 name: plain(s.values[0], s.deviation_of(np.array([1.0, 0.0])), s.dof)
                 for name, s in zip(("storage", "loss"), slopes, strict=True)
-            }
+            },
+            "slope": {"alpha": by_slope},
+            "phase": {"alpha": _by_phase(angles)},
         },
         _modulus_panels(omega, moduli, state),
     )
@@ -147,8 +163,6 @@ def fit_bode(omega: Array, gain: Array, phase: Array) -> Fit:
         "alpha": plain(alpha, spread(np.array([1.0, 0.0])), solution.dof),
         "g": positive(log_g, spread(np.array([0.0, 1.0])), solution.dof),
     }
-    from_phase = -2.0 / math.pi * phase
-    phase_sd = from_phase.std(ddof=1) / math.sqrt(phase.size) if phase.size > 1 else math.nan
     logs = np.log(gain)
     fine = _grid(omega)
     panels = (
@@ -167,9 +181,16 @@ def fit_bode(omega: Array, gain: Array, phase: Array) -> Fit:
         r_squared(logs, logs - solution.residuals),
         omega.size,
         (*_contradiction([_negated(solution)], -phase, "the phase"), *solution.warnings()),
-        {"phase": {"alpha": plain(float(from_phase.mean()), phase_sd, phase.size - 1.0)}},
+        {"phase": {"alpha": _by_phase(-phase)}},
         panels,
     )
+
+
+def _by_phase(angles: Array) -> Parameter:
+    """Return the alpha that the loss angles [rad] say (n,)."""
+    orders = 2.0 / math.pi * angles
+    sd = orders.std(ddof=1) / math.sqrt(orders.size) if orders.size > 1 else math.nan
+    return plain(float(orders.mean()), sd, orders.size - 1.0)
 
 
 def _negated(solution: Solution) -> Solution:

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -61,9 +61,14 @@ class Diagnostics:
         inputs: Inputs,
         listened_to: Sequence[ListenedTo],
         backlog: Backlog,
+        is_collecting: Callable[[], bool],
     ) -> None:
-        """Begin to report on `pipeline`, fed by `listened_to`, a list that may still grow."""
+        """Begin to report on `pipeline`, fed by `listened_to`, a list that may still grow.
+
+        While `is_collecting` the samples go to the identification of the tool.
+        """
         self._backlog = backlog
+        self._is_collecting = is_collecting
         self._pipeline = pipeline
         self._inputs = inputs
         self._listened_to = listened_to
@@ -128,6 +133,8 @@ class Diagnostics:
 
     def _first_problems(self, pipeline: Pipeline) -> list[str]:
         """Return what is wrong with the inputs; log it once while nothing has come of them."""
+        if self._is_collecting():
+            return ["identify_tool is collecting: nothing is estimated until it has answered"]
         has_come = {"force": self._inputs.has_force, "displacement": self._inputs.has_displacement}
         inputs = [
             problem

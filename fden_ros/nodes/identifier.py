@@ -15,7 +15,8 @@
 """The lifecycle node ``identifier``: the pipeline on live topics.
 
 Subscribes to ``force`` and ``displacement``; publishes ``~/estimate``, ``~/classification``,
-``~/palpation`` and ``/diagnostics``; offers ``~/reset``, ``~/forget_rig`` and ``~/tare``.
+``~/palpation`` and ``/diagnostics``; offers ``~/reset``, ``~/forget_rig``, ``~/tare`` and
+``~/identify_tool``.
 Everything that computes is in :mod:`fden_ros.core`.
 """
 
@@ -29,12 +30,8 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from fden_msgs.srv import IdentifyTool
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -45,15 +42,18 @@ from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
+from fden_ros.configure.tool import ToolCollection
 from fden_ros.core.outputs import Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.decisions import Decisions
+from fden_ros.nodes.descriptors import descriptor_of
 from fden_ros.nodes.diagnostics import Diagnostics
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
+from fden_ros.nodes.tool_identification import ToolIdentification
 from fden_ros.parameters import (
     NODE_PARAMETERS,
     PARAMETERS,
@@ -63,6 +63,7 @@ from fden_ros.parameters import (
     pipeline_config,
 )
 from fden_ros.parameters.files import identifier_values
+from fden_ros.recording.reader import Topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import DAMAGED, DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
 from fden_ros.ros.status import type_name
@@ -72,6 +73,7 @@ _STALE_CHECK_PERIOD = 0.05
 #: A stale estimate is published again and again at this period [s].
 _STALE_PERIOD = 1.0
 _ACKNOWLEDGE_TIMEOUT = 1.0
+_INACTIVE = "the node is not active: activate it first"
 
 
 class Identifier(LifecycleNode):
@@ -95,6 +97,9 @@ class Identifier(LifecycleNode):
         self._made: list[Callable[[], object]] = []
         self._listened_to: list[ListenedTo] = []
         self._publishers_made: dict[str, LifecyclePublisher] = {}
+        self._tool = ToolIdentification(
+            self._begin_collection, lambda line: self.get_logger().info(f"identify_tool: {line}")
+        )
         self.add_on_set_parameters_callback(self._on_set_parameters)
 
     # Parameters
@@ -208,12 +213,13 @@ class Identifier(LifecycleNode):
             self._made.append(lambda p=publisher: self.destroy_publisher(p))  # type: ignore[misc]
         self._diagnostics = Diagnostics(self)
         self._made.append(self._diagnostics.destroy)
-        for name, callback in (
-            ("~/reset", self._on_reset),
-            ("~/forget_rig", self._on_forget_rig),
-            ("~/tare", self._on_tare),
+        for kind, name, callback in (
+            (Trigger, "~/reset", self._on_reset),
+            (Trigger, "~/forget_rig", self._on_forget_rig),
+            (Trigger, "~/tare", self._on_tare),
+            (IdentifyTool, "~/identify_tool", self._on_identify_tool),
         ):
-            service = self.create_service(Trigger, name, callback)
+            service = self.create_service(kind, name, callback)
             self._made.append(lambda s=service: self.destroy_service(s))  # type: ignore[misc]
         self.get_logger().info(f"configured: silent until it is activated{self._by('activate')}")
 
@@ -231,7 +237,13 @@ class Identifier(LifecycleNode):
         self._last_input = self._steady.now()
         self._active = True
         self._backlog = Backlog()
-        self._diagnostics.start(self._pipeline, self._inputs, self._listened_to, self._backlog)
+        self._diagnostics.start(
+            self._pipeline,
+            self._inputs,
+            self._listened_to,
+            self._backlog,
+            lambda: self._tool.is_collecting,
+        )
         self._subscribe(FORCE_MESSAGES[parameters.force.message], "force", self._inputs)
         self._subscribe(
             DISPLACEMENT_MESSAGES[parameters.displacement.message], "displacement", self._inputs
@@ -279,6 +291,9 @@ class Identifier(LifecycleNode):
         assert fast is not None
 
         def read(data: bytes) -> None:
+            if self._tool.is_collecting:
+                self._tool.add(topic, data)
+                return
             try:
                 fast(data)
                 return
@@ -296,6 +311,7 @@ class Identifier(LifecycleNode):
 
     def _stop_listening(self) -> None:
         self._active = False
+        self._tool.end()
         self._backlog.clear()
         for one in self._listened_to:
             self.destroy_subscription(one.subscription)
@@ -353,6 +369,7 @@ class Identifier(LifecycleNode):
         with self._lock:
             if self._active and self._backlog.waiting:
                 self._backlog.work()
+            self._tool.check_time()
             self._log_failures()
             self._tell_stale()
 
@@ -378,7 +395,9 @@ class Identifier(LifecycleNode):
         waited = _seconds(self._last_input, now)
         if waited < self.get_parameter("stale_timeout").value:
             return
-        if self._told_stale is None and self._last_state is not None:
+        if self._tool.is_collecting and self._told_stale is None:
+            self.get_logger().debug("stale: the samples go to identify_tool")
+        elif self._told_stale is None and self._last_state is not None:
             self.get_logger().warning(
                 f"no usable pair of force and displacement for {waited:.2f} s: the estimate is "
                 "stale"
@@ -398,7 +417,7 @@ class Identifier(LifecycleNode):
 
     def _reset(self, response: Trigger.Response) -> Trigger.Response:
         if not self._active or self._pipeline is None or self._inputs is None:
-            return _answer(response, "the node is not active: activate it first")
+            return _answer(response, _INACTIVE)
         problem = self._pipeline.reset()
         if problem is None:
             self._inputs.reset()
@@ -411,7 +430,7 @@ class Identifier(LifecycleNode):
     ) -> Trigger.Response:
         with self._lock:
             if not self._active or self._pipeline is None:
-                return _answer(response, "the node is not active: activate it first")
+                return _answer(response, _INACTIVE)
             self._pipeline.forget_rig()
             self.get_logger().info("forget_rig: the next site begins with the parameters' rig")
             return _answer(response, None)
@@ -422,10 +441,41 @@ class Identifier(LifecycleNode):
 
     def _tare(self, response: Trigger.Response) -> Trigger.Response:
         if not self._active or self._pipeline is None:
-            return _answer(response, "the node is not active: activate it first")
+            return _answer(response, _INACTIVE)
         problem = self._pipeline.tare()
         self.get_logger().info(f"tare: {problem or 'the present force is zero now'}")
         return _answer(response, problem)
+
+    def _on_identify_tool(
+        self, request: IdentifyTool.Request, response: IdentifyTool.Response
+    ) -> IdentifyTool.Response:
+        with self._lock:
+            if not self._active:
+                response.message = _INACTIVE
+                return response
+            return self._tool.answer(request.command, response)
+
+    def _begin_collection(self) -> ToolCollection:
+        """Return an empty collection; the pipeline waits, and begins afresh behind it."""
+        assert self._pipeline is not None and self._inputs is not None
+        parameters = self._parameters_now()
+        kinds = {
+            "force": FORCE_MESSAGES[parameters.force.message],
+            "displacement": DISPLACEMENT_MESSAGES[parameters.displacement.message],
+        }
+        force, displacement = (
+            Topic(self.resolve_topic_name(name), type_name(kind), 1)
+            for name, kind in kinds.items()
+        )
+        needs_centre = self._inputs.takes_torque
+        collection = ToolCollection(force, displacement, needs_centre=needs_centre)
+        if self._pipeline.reset() is not None:
+            raise InputError(
+                "the probe is in contact: lift it, then ask again; where it is in the air all "
+                "the same, deactivate and activate the node first"
+            )
+        self._inputs.reset()
+        return collection
 
     # The end
 
@@ -466,27 +516,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _node_descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(
-        description=f"{parameter.description} [{parameter.unit}]",
-        read_only=parameter.name == "autostart",
-    )
-    is_number = isinstance(parameter.default, (int, float)) and not isinstance(
-        parameter.default, bool
-    )
-    if is_number and isinstance(parameter.default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=0.0 if parameter.may_be_zero else parameter.minimum,
-                to_value=parameter.maximum,
-            )
-        ]
-    elif is_number:
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=int(parameter.minimum), to_value=int(parameter.maximum), step=1
-            )
-        ]
-    return descriptor
+    return descriptor_of(parameter, read_only=parameter.name == "autostart")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -41,6 +41,11 @@ def force_controller() -> int:
     return _run("force_controller")
 
 
+def bridge() -> int:
+    """Run the node ``bridge``."""
+    return _run("bridge")
+
+
 def _run(name: str) -> int:
     note_signals()
     return int(importlib.import_module(f"fden_ros.nodes.{name}").main())

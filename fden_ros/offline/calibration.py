@@ -22,6 +22,10 @@ the first part by the tissue's order alpha (the phase of the paper's eq. Phase, 
 second by the delay tau with which the displacement is stamped. The law's nonlinearity does not
 move the phase of the fundamental: phi is instantaneous, and so in phase with the strain. One
 frequency cannot tell the two parts apart; two can, or a known alpha.
+
+A fractional order also says how the force grows with the frequency, as :math:`\omega^\alpha`. Some
+tissue has a larger phase than that slope says (Kobayashi et al., arXiv:1804.00979). What its phase
+is at each frequency is then not known, and cannot be told from a delay.
 """
 
 from __future__ import annotations
@@ -29,8 +33,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +63,10 @@ _DIFFERENT = 1.2
 #: Least force of an oscillation, as a share of its stroke, for the probe to be in contact.
 _LEAST_FORCE = 0.02
 _LARGEST_ALPHA = 0.65
+#: Slope and phase contradict each other beyond this many deviations, and this difference of alpha.
+_CONTRADICTION, _NEGLIGIBLE_ORDER = 3.5, 0.01
+#: Forces at two frequencies compare where the means differ by less than this share of the strokes.
+_SAME_MEAN = 0.2
 
 
 @dataclass(frozen=True)
@@ -78,6 +87,9 @@ class Oscillation:
     amplitude: float  #: of the displacement [m]
     lead: float  #: of the force before the displacement [rad]
     lead_sd: float  #: [rad]
+    mean: float  #: of the displacement [m]
+    stiffness: float  #: amplitude of the force over that of the displacement [N/m]
+    stiffness_sd: float  #: of its logarithm
 
     @property
     def angular_frequency(self) -> float:
@@ -90,10 +102,20 @@ class Oscillation:
 
 
 @dataclass(frozen=True)
+class Explanation:
+    """One reading of the oscillations, where they allow several."""
+
+    words: str
+    delay: float  #: [s]
+    delay_sd: float  #: [s]
+
+
+@dataclass(frozen=True)
 class DelayResult:
     """What oscillations say of the delay.
 
-    `delay` and `order` are None where one frequency leaves them undecided.
+    `delay` and `order` are None where one frequency leaves them undecided, and where slope and
+    phase contradict each other: `explanations` then are what it could be.
     """
 
     oscillations: tuple[Oscillation, ...]
@@ -103,6 +125,9 @@ class DelayResult:
     order_sd: float | None  #: [1]
     order_given: bool
     warnings: tuple[str, ...] = ()
+    slope: float | None = None  #: of ln force over ln frequency: alpha of a fractional order [1]
+    slope_sd: float | None = None  #: [1]
+    explanations: tuple[Explanation, ...] = ()
 
 
 def find_delay(
@@ -132,12 +157,91 @@ def find_delay(
             f"no steady oscillation of at least {_LEAST_CYCLES} cycles in contact: move the probe "
             "in a sine about a mean, on tissue, best at two frequencies such as 1 and 4 Hz"
         )
-    if order is not None:
-        return _with_order(found, order, order_sd, warnings)
     frequencies = [oscillation.frequency for oscillation in found]
     if max(frequencies) < _DIFFERENT * min(frequencies):
-        return DelayResult(found, None, None, None, None, False, tuple(warnings))
-    return _with_frequencies(found, warnings)
+        if order is None:
+            return DelayResult(found, None, None, None, None, False, tuple(warnings))
+        degree = 1e3 * math.radians(1.0) / found[0].angular_frequency
+        warnings.append(
+            "this holds where the phase of the tissue is pi alpha / 2; some tissue has a larger "
+            "one, which one frequency cannot tell from a delay: a degree of it counts as "
+            f"{degree:.2g} ms"
+        )
+        return _with_order(found, order, order_sd, warnings)
+    by_phase = _with_frequencies(found, warnings)
+    slope = _slope(found, displacement)
+    if slope is not None:
+        by_phase = replace(by_phase, slope=slope[0], slope_sd=slope[1])
+    if order is None:
+        return by_phase if slope is None else _against(by_phase, slope, "the slope")
+    given = (order, order_sd)
+    checked = _against(by_phase, given, "the given alpha")
+    if checked.delay is None:
+        return checked
+    return replace(
+        _with_order(found, order, order_sd, warnings),
+        slope=by_phase.slope,
+        slope_sd=by_phase.slope_sd,
+    )
+
+
+def _against(by_phase: DelayResult, other: tuple[float, float], words: str) -> DelayResult:
+    """Return what the phases say, undecided where another alpha contradicts them."""
+    delay, delay_sd, order, order_sd = (
+        by_phase.delay,
+        by_phase.delay_sd,
+        by_phase.order,
+        by_phase.order_sd,
+    )
+    assert delay is not None and delay_sd is not None
+    assert order is not None and order_sd is not None
+    difference, sd = order - other[0], math.hypot(order_sd, other[1])
+    if abs(difference) <= max(_CONTRADICTION * sd, _NEGLIGIBLE_ORDER):
+        return by_phase
+    rest = _with_order(by_phase.oscillations, *other, ())
+    assert rest.delay is not None and rest.delay_sd is not None
+    return replace(
+        by_phase,
+        delay=None,
+        delay_sd=None,
+        order=None,
+        order_sd=None,
+        explanations=(
+            Explanation(
+                f"the tissue's phase is the same at every frequency, that of alpha {order:.3f} ± "
+                f"{order_sd:.3f}, though {words} is {other[0]:.3f} ± {other[1]:.3f}",
+                delay,
+                delay_sd,
+            ),
+            Explanation(
+                f"the tissue's phase is that of {words}, and the rest is delay",
+                rest.delay,
+                rest.delay_sd,
+            ),
+        ),
+    )
+
+
+def _slope(found: tuple[Oscillation, ...], displacement: Samples) -> tuple[float, float] | None:
+    """Return alpha by the growth of the force with the frequency, and its deviation.
+
+    None where the oscillations are not about one mean in one contact: a strain apart, the tissue
+    is stiffer, and elsewhere it is another.
+    """
+    stroke = min(o.amplitude for o in found)
+    if max(o.mean for o in found) - min(o.mean for o in found) > _SAME_MEAN * stroke:
+        return None
+    between = _between(displacement, found[0].start, found[-1].end).values
+    if float(np.max(np.abs(between - found[0].mean))) > 3.0 * max(o.amplitude for o in found):
+        return None
+    logs = np.log([o.angular_frequency for o in found])
+    values = np.log([o.stiffness for o in found])
+    weights = np.array([1.0 / max(o.stiffness_sd, 1e-6) ** 2 for o in found])
+    logs, values = logs - weights @ logs / weights.sum(), values - weights @ values / weights.sum()
+    information = float(weights @ logs**2)
+    slope = float(weights @ (logs * values)) / information
+    misfit = float(weights @ (values - slope * logs) ** 2) / max(len(found) - 2, 1)
+    return slope, math.sqrt(max(misfit, 1.0) / information)
 
 
 def _with_order(
@@ -262,32 +366,39 @@ def _measure(
         return None
     bound = 0.5 / cycles
     refined = minimize_scalar(
-        lambda f: _harmonic_fit(motion, start, end, f, harmonics)[2],
+        lambda f: _harmonic_fit(motion, start, end, f, harmonics).misfit,
         bounds=(frequency * (1.0 - bound), frequency * (1.0 + bound)),
         method="bounded",
         options={"xatol": 1e-7 * frequency},
     )
     frequency = float(refined.x)
-    of_motion, motion_sd, _ = _harmonic_fit(motion, start, end, frequency, harmonics)
-    of_force, force_sd, _ = _harmonic_fit(response, start, end, frequency, harmonics)
-    lead = float(np.angle(of_force / of_motion))
+    of_motion = _harmonic_fit(motion, start, end, frequency, harmonics)
+    of_force = _harmonic_fit(response, start, end, frequency, harmonics)
+    ratio = of_force.fundamental / of_motion.fundamental
+    noise = math.hypot(of_motion.sd, of_force.sd)
     # What the noise does not explain shows in the difference of the halves.
     middle = start + math.ceil(0.5 * cycles) / frequency
     halves = []
     for low, high in ((start, middle), (middle, end)):
         phases = [
-            _harmonic_fit(_between(s, low, high), low, high, frequency, harmonics)[0]
+            _harmonic_fit(_between(s, low, high), low, high, frequency, harmonics).fundamental
             for s in (response, motion)
         ]
-        halves.append(float(np.angle(phases[0] / phases[1])))
-    scatter = abs(float(np.angle(np.exp(1j * (halves[1] - halves[0]))))) / 2.0
+        halves.append(phases[0] / phases[1])
+    change = np.log(halves[1] / halves[0])
+    scatter = abs(float(change.imag)) / 2.0
+    # An exponential law makes the fundamental larger by twice the square of its second harmonic.
+    bend = 2.0 * of_force.second**2
     return Oscillation(
         start=start,
         end=end,
         frequency=frequency,
-        amplitude=float(abs(of_motion)),
-        lead=lead,
-        lead_sd=max(math.hypot(motion_sd, force_sd), scatter, 1e-6),
+        amplitude=abs(of_motion.fundamental),
+        lead=float(np.angle(ratio)),
+        lead_sd=max(noise, scatter, 1e-6),
+        mean=float(0.5 * (motion.values.max() + motion.values.min())),
+        stiffness=abs(ratio),
+        stiffness_sd=math.hypot(max(noise, abs(float(change.real)) / 2.0, 1e-6), bend),
     )
 
 
@@ -296,10 +407,19 @@ def _between(stream: Samples, start: float, end: float) -> Samples:
     return Samples(stream.times[inside], stream.values[inside])
 
 
+class _Harmonics(NamedTuple):
+    """Harmonics of one stream over whole cycles."""
+
+    fundamental: complex
+    sd: float  #: of the fundamental's phase [rad], and of the logarithm of its magnitude
+    misfit: float  #: sum of squares
+    second: float  #: magnitude of the second harmonic over that of the fundamental
+
+
 def _harmonic_fit(
     stream: Samples, start: float, end: float, frequency: float, harmonics: int
-) -> tuple[complex, float, float]:
-    """Fit harmonics and a slow trend; return the fundamental, its phase's sd and the misfit."""
+) -> _Harmonics:
+    """Fit harmonics and a slow trend."""
     phase = 2.0 * math.pi * frequency * (stream.times - start)
     scaled = 2.0 * (stream.times - start) / (end - start) - 1.0
     columns = [np.polynomial.legendre.legvander(scaled, _TREND_DEGREE)]
@@ -309,11 +429,16 @@ def _harmonic_fit(
     coefficients = np.linalg.lstsq(design, stream.values, rcond=None)[0]
     residual = stream.values - design @ coefficients
     misfit = float(residual @ residual)
-    cosine, sine = coefficients[_TREND_DEGREE + 1 : _TREND_DEGREE + 3]
+    cosine, sine, *others = coefficients[_TREND_DEGREE + 1 :]
     fundamental = complex(cosine, -sine)
     noise = math.sqrt(misfit / max(stream.times.size - design.shape[1], 1))
     amplitude = max(abs(fundamental), 1e-300)
-    return fundamental, noise * math.sqrt(2.0 / stream.times.size) / amplitude, misfit
+    return _Harmonics(
+        fundamental,
+        noise * math.sqrt(2.0 / stream.times.size) / amplitude,
+        misfit,
+        math.hypot(*others[:2]) / amplitude,
+    )
 
 
 # Recordings

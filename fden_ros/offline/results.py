@@ -29,7 +29,7 @@ from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
-from fden_ros.recording.source import Selection
+from fden_ros.recording.source import Selection, is_table
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.status import PipelineProblems, diagnostic_status, type_name
@@ -79,9 +79,9 @@ def replay_to_bag(
     if Path(folder).resolve() == Path(bag).resolve():
         raise InputError(f"{folder} is the recording itself: choose another place for the results")
     with BagWriter(folder, overwrite=overwrite) as writer:
-        is_table = selection is not None and selection.columns is not None
-        rows = _RowCopy(writer, parameters) if with_inputs and is_table else None
-        recorder = _Recorder(writer, _Copy(writer, bag) if with_inputs and not is_table else None)
+        has_rows = is_table(bag, selection)
+        rows = _RowCopy(writer, parameters) if with_inputs and has_rows else None
+        recorder = _Recorder(writer, _Copy(writer, bag) if with_inputs and not has_rows else None)
         return replay(
             bag,
             parameters,

@@ -40,7 +40,7 @@ from fden_ros.core.streams.samples import NANOSECONDS, Position
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
 from fden_ros.recording.reader import BagReader
-from fden_ros.recording.source import Selection
+from fden_ros.recording.source import Selection, is_table
 from fden_ros.recording.synthetic import read_truth
 
 Array = NDArray[np.float64]
@@ -256,7 +256,7 @@ def gather(
 
 
 def _truth(bag: str | Path, selection: Selection | None) -> dict[int, dict[str, Any]]:
-    if selection is not None and selection.columns is not None:
+    if is_table(bag, selection):
         return {}
     truth = read_truth(BagReader(bag))
     return {site["site"]: site for site in truth["sites"]} if truth else {}

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,7 +27,7 @@ from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
-from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
+from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
 from fden_ros.recording.topics import find_topic, named_topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import DAMAGED, Inputs, NumberOrVector
@@ -90,6 +90,11 @@ class Source(Protocol):
         """
 
 
+def is_table(path: str | Path, selection: Selection | None) -> bool:
+    """Return whether a recording is read as a table."""
+    return (selection is not None and selection.columns is not None) or looks_like_a_table(path)
+
+
 def open_source(
     path: str | Path, parameters: Parameters, selection: Selection | None = None
 ) -> Source:
@@ -101,14 +106,9 @@ def open_source(
         If it cannot be read, or it is not clear what in it is force and displacement.
     """
     chosen = selection or Selection()
-    if chosen.columns is not None:
-        return TableSource(path, parameters, chosen)
-    if looks_like_a_table(path):
-        headings = headings_of(path)
-        raise InputError(
-            f"{path} is a table: say which columns hold time, force and displacement, such as "
-            f"--columns time_s,force_N,depth_mm*1e-3; it has {', '.join(headings)}"
-        )
+    if is_table(path, chosen):
+        columns = chosen.columns or stated_columns(path)
+        return TableSource(path, parameters, replace(chosen, columns=columns))
     return BagSource(path, parameters, chosen)
 
 

@@ -33,6 +33,30 @@ _NS = Decimal(1_000_000_000)
 _DELIMITERS = ",;\t "
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
 
+#: Words of headings, and units with their factors to s, N and m.
+_WORDS = {
+    "time": ("time", "t", "stamp", "timestamp", "zeit"),
+    "force": ("force", "f", "fz", "load", "kraft"),
+    "displacement": (
+        "displacement",
+        "depth",
+        "position",
+        "indentation",
+        "penetration",
+        "z",
+        "x",
+        "pos",
+        "disp",
+        "stroke",
+        "extension",
+    ),
+}
+_UNITS = {
+    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "gf": 9.80665e-3},
+    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2},
+}
+
 
 class Row(NamedTuple):
     """One row: a stamp (ns), a force [N] and a displacement [m]."""
@@ -81,6 +105,41 @@ class Columns:
             Column(m["name"], Decimal(m["factor"] or 1)) for m in matches if m is not None
         )
         return Columns(time, force, displacement)
+
+
+def guessed_columns(headings: list[str]) -> str | None:
+    """Return what headings such as ``time_s,force_N,depth_mm`` make of `--columns`, or None."""
+    found: dict[str, str] = {}
+    for heading in headings:
+        parts = [part for part in re.split(r"[^a-z0-9]+", heading.lower()) if part]
+        for what, words in _WORDS.items():
+            if what in found or not parts or parts[0] not in words:
+                continue
+            factors = [_UNITS[what][part] for part in parts[1:] if part in _UNITS[what]]
+            if len(factors) != 1 or "," in heading or "*" in heading:
+                continue
+            found[what] = heading if factors[0] == 1.0 else f"{heading}*{factors[0]:g}"
+            break
+    return ",".join(found[what] for what in _WORDS) if len(found) == len(_WORDS) else None
+
+
+def stated_columns(path: str | Path) -> Columns:
+    """Return the columns that a table's headings state with their units.
+
+    Raises
+    ------
+    InputError
+        If they do not say what is what, or in which unit.
+    """
+    headings = headings_of(path)
+    guess = guessed_columns(headings)
+    if guess is None:
+        raise InputError(
+            f"{path} is a table whose headings do not say what is what: give the columns of "
+            "time, force and displacement, such as --columns time_s,force_N,depth_mm*1e-3; "
+            f"it has {', '.join(headings)}"
+        )
+    return Columns.parse(guess)
 
 
 class TableReader:

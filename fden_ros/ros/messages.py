@@ -123,6 +123,8 @@ def modulus_message(output: DynamicModulus, frame_id: str) -> ComplexModulus:
     message.modulus_sd = modulus.sd
     message.fractional_order = modulus.fractional_order
     message.fractional_order_sd = modulus.fractional_order_sd
+    if modulus.slope is not None and modulus.slope_sd is not None:
+        message.slope, message.slope_sd = modulus.slope, modulus.slope_sd
     message.stiffness = modulus.stiffness
     message.distortion = modulus.distortion
     message.sample_count = modulus.samples

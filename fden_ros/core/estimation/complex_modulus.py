@@ -24,7 +24,10 @@ periods of the slowest frequency, strain and stress are each fitted, by least sq
 where the polynomial takes up the mean, the relaxation of the hold, and slow motion. With the
 phasors :math:`X = a_x - i b_x` and F alike, :math:`G^*(\omega) = F/X`, and from it, in the linear
 range, :math:`\alpha = \tfrac{2}{\pi}\arg G^*` and :math:`G = |G^*|/\omega^\alpha` (paper, eqs.
-defMI to Gpp2). About a mean strain :math:`x_0` beyond 1/Gn this G is the tangent
+defMI to Gpp2).
+With several frequencies the slope of :math:`\ln|G^*|` over :math:`\ln\omega` is alpha a second
+time; some tissue has a larger phase than that says (Kobayashi et al., arXiv:1804.00979), and then
+no alpha is the tissue's. About a mean strain :math:`x_0` beyond 1/Gn this G is the tangent
 :math:`\varphi'(x_0) = G\,e^{G_n x_0 - 1}`.
 
 Only sums over the window are kept, so a sample costs constant time and memory, and neither even
@@ -59,6 +62,8 @@ class ComplexModulus(NamedTuple):
     loss: float  #: G'' [Pa]
     sd: float  #: standard deviation of G' and of G'' each [Pa]
     distortion: float  #: what sines and trend leave of the stress, RMS over the sines' RMS [1]
+    slope: float | None = None  #: of ln|G*| over ln omega in this window [1]; None: one frequency
+    slope_sd: float | None = None  #: its standard deviation [1]
 
     @property
     def fractional_order(self) -> float:
@@ -209,7 +214,21 @@ class ComplexModulusMeter:
                     math.sqrt(left[1] / self._samples / max(0.5 * float(sines @ sines), 1e-300)),
                 )
             )
+        return _with_slope(results)
+
+
+def _with_slope(results: list[ComplexModulus]) -> list[ComplexModulus]:
+    """Return the moduli of one window with the slope through them."""
+    if len(results) < 2:
         return results
+    place = np.log([one.angular_frequency for one in results])
+    magnitude = np.hypot([one.storage for one in results], [one.loss for one in results])
+    weights = (magnitude / np.maximum([one.sd for one in results], 1e-12 * magnitude)) ** 2
+    place = place - weights @ place / weights.sum()
+    information = float(weights @ place**2)
+    slope = float(weights @ (place * np.log(magnitude))) / information
+    slope_sd = math.sqrt(1.0 / information)
+    return [one._replace(slope=slope, slope_sd=slope_sd) for one in results]
 
 
 def modulus_of_springpot(
