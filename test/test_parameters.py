@@ -339,6 +339,9 @@ class Samples:
     def add_displacement(self, stamp_ns, displacement, position=None, load=0.0):
         self.heard.append(("displacement", displacement))
 
+    def add_surface(self, stamp_ns, surface):
+        self.heard.append(("surface", surface))
+
     def reject(self, stream, reason):
         self.heard.append((stream, reason))
 
@@ -355,6 +358,9 @@ READ = {
     "displacement.axis": ([2.0, 0.0, 0.0], "displacement", POINT, 0.3, 0.1),
     "displacement.name": ("b", "displacement", JOINTS, 0.1, 0.2),
     "displacement.inverted": (True, "displacement", JOINTS, 0.1, -0.1),
+    "surface.axis": ([-2.0, 0.0, 0.0], "surface", POINT, 0.3, -0.1),
+    "surface.name": ("b", "surface", JOINTS, 0.1, 0.2),
+    "surface.scale": (-0.5, "surface", JOINTS, 0.1, -0.05),
 }
 
 
@@ -363,8 +369,8 @@ def test_parameter_says_what_of_a_message_counts(name):
     value, stream, message, usual, expected = READ[name]
     for parameters, number in (({}, usual), ({name: value}, expected)):
         samples = Samples()
-        inputs = Inputs(check(parameters), samples)
-        (inputs.add_force if stream == "force" else inputs.add_displacement)(message)
+        inputs = Inputs(check({"surface.message": "point"} | parameters), samples)
+        inputs.add(stream, message)
         assert samples.heard == [(stream, number)]
 
 

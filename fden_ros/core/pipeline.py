@@ -207,6 +207,14 @@ class Pipeline:
             self._fail(stamp_ns, error)
             self._restart_streams()
 
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Take a place of the tissue's surface [m], positive into the tissue; it is taken off."""
+        try:
+            self._synchronizer.add_surface(stamp_ns, surface)
+        except Exception as error:
+            self._fail(stamp_ns, error)
+            self._restart_streams()
+
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not even be read."""
         self.rejected[f"{stream}.{reason}"] += 1

@@ -128,11 +128,10 @@ class Diagnostics:
 
     def _first_problems(self, pipeline: Pipeline) -> list[str]:
         """Return what is wrong with the inputs; log it once while nothing has come of them."""
-        has_come = {"force": self._inputs.has_force, "displacement": self._inputs.has_displacement}
         inputs = [
             problem
             for one in self._listened_to
-            for problem in one.problems(self._node, has_come=has_come[one.what])
+            for problem in one.problems(self._node, has_come=self._inputs.has_come(one.what))
         ]
         clock = clock_problem(self._node)
         pairing = pairing_problem(pipeline, self._inputs)

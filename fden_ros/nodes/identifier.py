@@ -14,8 +14,9 @@
 
 """The lifecycle node ``identifier``: the pipeline on live topics.
 
-Subscribes to ``force`` and ``displacement``; publishes ``~/estimate``, ``~/classification``,
-``~/palpation`` and ``/diagnostics``; offers ``~/reset``, ``~/forget_rig`` and ``~/tare``.
+Subscribes to ``force``, ``displacement`` and, where it is measured, ``surface``; publishes
+``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``,
+``~/forget_rig`` and ``~/tare``.
 Everything that computes is in :mod:`fden_ros.core`.
 """
 
@@ -64,7 +65,7 @@ from fden_ros.parameters import (
 )
 from fden_ros.parameters.files import identifier_values
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
+from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs
 from fden_ros.ros.status import type_name
 from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, OutputMessages
 
@@ -120,7 +121,7 @@ class Identifier(LifecycleNode):
         for name in given:
             if name in values:
                 self._parameter_overrides[name] = RosParameter(name, value=values[name])
-        inputs = [self.resolve_topic_name(name) for name in ("force", "displacement")]
+        inputs = [self.resolve_topic_name(name) for name in INPUT_MESSAGES]
         outputs = [self.resolve_topic_name(f"~/{topic.name}") for topic in OUTPUT_TOPICS]
         check_qos_overrides(given, inputs, outputs)
 
@@ -232,17 +233,16 @@ class Identifier(LifecycleNode):
         self._active = True
         self._backlog = Backlog()
         self._diagnostics.start(self._pipeline, self._inputs, self._listened_to, self._backlog)
-        self._subscribe(FORCE_MESSAGES[parameters.force.message], "force", self._inputs)
-        self._subscribe(
-            DISPLACEMENT_MESSAGES[parameters.displacement.message], "displacement", self._inputs
-        )
+        for name in self._inputs.names:
+            kind = getattr(parameters, name).message
+            self._subscribe(INPUT_MESSAGES[name][kind], name, self._inputs)
         self._stale_timer = self.create_timer(
             _STALE_CHECK_PERIOD, self._check_stale, clock=self._steady
         )
         self._listening_timers = [self._stale_timer]
         # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
-        topics = " and ".join(one.subscription.topic_name for one in self._listened_to)
-        self.get_logger().info(f"listening to {topics}")
+        *first, last = (one.subscription.topic_name for one in self._listened_to)
+        self.get_logger().info(f"listening to {', '.join(first)} and {last}")
         for problem in self._pipeline.problems:
             self.get_logger().warning(problem)
 
@@ -274,7 +274,6 @@ class Identifier(LifecycleNode):
         self._backlog.inputs.append(source)
 
     def _reader(self, kind: type, topic: str, inputs: Inputs) -> Callable[[bytes], None]:
-        add = inputs.add_force if topic == "force" else inputs.add_displacement
         fast = fast_handler(topic, type_name(kind), inputs)
         assert fast is not None
 
@@ -290,7 +289,7 @@ class Identifier(LifecycleNode):
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
                 inputs.reject(topic, DAMAGED)
                 return
-            add(message)
+            inputs.add(topic, message)
 
         return read
 

@@ -339,6 +339,9 @@ class _Collector:
     ) -> None:
         self.displacements.append((stamp_ns, displacement))
 
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Leave it out: what is rigid does not breathe."""
+
     def reject(self, stream: str, reason: str) -> None:
         self.rejected += 1
 

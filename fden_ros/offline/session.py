@@ -316,6 +316,9 @@ class _Tap:
         self._gatherer.displacement.add(stamp_ns, displacement)
         self._sink.add_displacement(stamp_ns, displacement, position, load)
 
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        self._sink.add_surface(stamp_ns, surface)
+
     def reject(self, stream: str, reason: str) -> None:
         self._sink.reject(stream, reason)
 

@@ -27,6 +27,8 @@ from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     geometry_of,
     pipeline_config,
+    surface_axis,
+    takes_surface,
     tool_weight,
     uncertainty_of,
     unit_vector,
@@ -51,6 +53,8 @@ __all__ = [
     "pipeline_config",
     "read_parameter_file",
     "read_parameter_files",
+    "surface_axis",
+    "takes_surface",
     "tool_weight",
     "uncertainty_of",
     "unit_vector",

@@ -82,6 +82,8 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             pairing_window=parameters.synchronize.window,
             force_limit=parameters.force.limit,
             displacement_limit=parameters.displacement.limit,
+            takes_surface=takes_surface(parameters),
+            surface_delay=parameters.surface.delay,
         ),
         contact=ContactConfig(
             force_threshold=parameters.force.threshold,
@@ -158,6 +160,17 @@ def _friction(parameters: Parameters) -> float:
             "only with a standard deviation, 0.001 say"
         )
     return force.friction
+
+
+def takes_surface(parameters: Parameters) -> bool:
+    """Return whether the place of the surface is measured."""
+    return parameters.surface.message != "none"
+
+
+def surface_axis(parameters: Parameters) -> tuple[float, float, float]:
+    """Return the direction into the tissue in the frame of the surface's positions."""
+    axis = parameters.surface.axis
+    return unit_vector(axis if any(axis) else parameters.displacement.axis)
 
 
 def tool_weight(parameters: Parameters) -> ToolWeight | None:

@@ -187,12 +187,48 @@ class DisplacementParameters:
 
 @dataclass(frozen=True)
 class SurfaceParameters:
-    """The tissue's surface where nobody touches it."""
+    """The tissue's surface where nobody touches it: measured, or how much it may move."""
+
+    message: str = text(
+        "none",
+        "Type of the topic surface, where the surface's place is measured and taken off the "
+        "displacement: sensor_msgs/JointState, or geometry_msgs/PoseStamped, TransformStamped or "
+        "PointStamped. A bag says its own; none: it is not measured.",
+        choices=("none", "joint_state", "pose", "transform", "point"),
+    )
+    axis: tuple[float, float, float] = vector(
+        (0.0, 0.0, 0.0),
+        "1",
+        "Direction into the tissue, in the frame of the surface's positions; normalised; zeros: "
+        "displacement.axis.",
+        may_be_zero=True,
+    )
+    name: str = text(
+        "",
+        "Joint whose position is the surface's place, where its topic carries joint states; "
+        "empty: the first.",
+    )
+    scale: float = number(
+        1.0,
+        "1",
+        "Motion of the surface into the tissue in m per unit of its reading; negative where the "
+        "reading falls as the surface recedes from the probe.",
+        -1000.0,
+        1000.0,
+    )
+    delay: float = number(
+        0.0,
+        "s",
+        "How much later than the force the surface is stamped for the same instant.",
+        -10.0,
+        10.0,
+    )
 
     motion_sd: float = number(
         0.0002,
         "m",
-        "Standard deviation of its motion in one second, by breathing and heartbeat; 0: it rests.",
+        "Standard deviation of its motion in one second, by breathing and heartbeat, that is not "
+        "measured; 0: it rests.",
         0.0,
         0.1,
     )

@@ -97,7 +97,7 @@ class BagContents:
     topics
         By name.
     used : mapping
-        ``force`` and ``displacement`` to the topic that a replay would use.
+        ``force``, ``displacement`` and ``surface`` to the topic that a replay would use.
     problems
         Why a replay could not begin, a line each.
     warnings
@@ -204,12 +204,12 @@ def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> lis
             warnings.append(
                 f"{topic.name}: {topic.gap_count} gaps, the longest of {topic.longest_gap:.3g} s"
             )
-    if len(chosen) == 2:
+    if len(chosen) >= 2:
         start = max(topic.start_ns for topic in chosen)
         end = min(topic.end_ns for topic in chosen)
         if start >= end:
             warnings.append(
-                "the stamps of force and displacement do not overlap: are they of one clock?"
+                f"the stamps of {' and '.join(used)} do not overlap: are they of one clock?"
             )
     return warnings
 

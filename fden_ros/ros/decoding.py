@@ -27,7 +27,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.ros.inputs import Inputs
+from fden_ros.ros.inputs import Inputs, Places
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -53,7 +53,7 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     Parameters
     ----------
     what : str
-        ``force`` or ``displacement``.
+        ``force``, ``displacement`` or ``surface``.
     type_name : str
     inputs : Inputs
 
@@ -71,7 +71,9 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     name = type_name.rpartition("/")[2]
     if name not in sizes:
         return None
-    return _position_handler(inputs, sizes[name], has_child=name == "TransformStamped")
+    return _position_handler(
+        inputs.places[what], sizes[name], has_child=name == "TransformStamped"
+    )
 
 
 def _head(data: bytes) -> tuple[str, int, int]:
@@ -146,9 +148,9 @@ def _wrench_handler(inputs: Inputs) -> Handler:
     return handle
 
 
-def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
-    take, unpack = inputs.take_position, _VECTOR.unpack_from
-    has_turn = inputs.takes_orientation and size > _VECTOR.size
+def _position_handler(places: Places, size: int, has_child: bool) -> Handler:
+    take, unpack = places.take_position, _VECTOR.unpack_from
+    has_turn = places.takes_orientation and size > _VECTOR.size
     layout: _Layout | None = None
 
     def handle(data: bytes) -> None:
@@ -171,7 +173,8 @@ def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
 
 def _joint_handler(what: str, inputs: Inputs) -> Handler:
     is_force = what == "force"
-    joint = (inputs.force_joint if is_force else inputs.displacement_joint).encode()
+    joint = (inputs.force_joint if is_force else inputs.places[what].joint).encode()
+    take = None if is_force else inputs.places[what].take_joint
     layout: _Layout | None = None
     place: int | None = None
 
@@ -200,10 +203,10 @@ def _joint_handler(what: str, inputs: Inputs) -> Handler:
             stamp = find(data)
         value = None if place is None else _DOUBLE.unpack_from(data, place)[0]
         assert layout is not None
-        if is_force:
+        if take is None:
             inputs.take_force(layout.frame, stamp, inputs.signed_effort(value))
         else:
-            inputs.take_joint(layout.frame, stamp, value)
+            take(layout.frame, stamp, value)
 
     return handle
 

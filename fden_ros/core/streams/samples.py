@@ -37,6 +37,8 @@ class Reason:
     FUTURE_STAMP = "future_stamp"
     UNPAIRED = "unpaired"
     DISPLACEMENT_GAP = "displacement_gap"
+    NO_SURFACE = "no_surface"
+    SURFACE_GAP = "surface_gap"
     WRONG_FRAME = "wrong_frame"
     MISSING_FIELD = "missing_field"
     SPIKE = "spike"
@@ -85,6 +87,9 @@ class Sink(Protocol):
         load: float = 0.0,
     ) -> None:
         """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Take a place of the tissue's surface, along the way of the displacement [m]."""
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not be read."""

@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Two streams of stamped samples into pairs: displacement interpolated to the stamps of the force.
+"""Streams of stamped samples into pairs: all others interpolated to the stamps of the force.
 
-Every decision rests on stamps and on the order of samples within their own stream, never on when
-samples of the two streams arrive relative to each other. So live, replayed and batched data give
-the same pairs.
+A force waits for the displacements around its stamp and then, where the tissue's surface is
+measured too, for the surface around it: :class:`~fden_ros.core.streams.join.Join`.
 """
 
 from __future__ import annotations
@@ -28,15 +27,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.join import Around, Join, JoinLimits
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 
 #: The displacement's noise is measured over its last 256 samples by the median of its magnitude,
 #: which is 0.6745 standard deviations of a normal variable.
 _NOISE_SAMPLES = 256
 _MEDIAN_OF_NORMAL = 0.6745
-#: In a slow stream displacements up to 2 usual steps of the force apart are interpolated between,
-#: and a sample waits for up to 4 usual steps of its stream.
-_GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +52,10 @@ class SynchronizeConfig:
         stream, where they are longer.
     force_limit, displacement_limit : float
         Larger magnitudes are rejected as out of range [N, m].
+    takes_surface : bool
+        A force waits for the surface around it too, which is taken off the displacement.
+    surface_delay : float
+        The surface's stamps lag the force's by this much [s]; may be negative.
     """
 
     displacement_delay: float = 0.0
@@ -62,6 +63,8 @@ class SynchronizeConfig:
     pairing_window: float = 5.0
     force_limit: float = 1e5
     displacement_limit: float = 10.0
+    takes_surface: bool = False
+    surface_delay: float = 0.0
 
 
 class Synchronizer:
@@ -73,8 +76,7 @@ class Synchronizer:
     on_pair : callable
         Called with each :class:`Pair`, in order.
     rejected : collections.Counter
-        Counts of rejected samples, keyed ``"force.<reason>"`` or ``"displacement.<reason>"``;
-        added to.
+        Counts of rejected samples, keyed ``"<stream>.<reason>"``; added to.
     """
 
     def __init__(
@@ -82,39 +84,52 @@ class Synchronizer:
     ) -> None:
         self._config = config
         self._on_pair = on_pair
-        self._delay_ns = round(config.displacement_delay * NANOSECONDS)
-        self._max_gap_ns = round(config.max_gap * NANOSECONDS)
-        self._window_ns = round(config.pairing_window * NANOSECONDS)
         self.force_guard = StreamGuard(config.force_limit, rejected, "force")
         self.displacement_guard = StreamGuard(config.displacement_limit, rejected, "displacement")
-        self._forces: deque[Sample] = deque()
-        self._displacements: deque[Sample] = deque()
+        self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
         self._passed: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
-        self._behind_since_ns: int | None = None
+        self._surfaces_passed: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
+        self._displacements = Join[None](
+            self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
+            self.force_guard,
+            self.displacement_guard,
+            self._on_displacement,
+            self._passed,
+        )
+        self._surfaces = Join[Pair](
+            self._limits(config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP),
+            self.force_guard,
+            self.surface_guard,
+            self._on_surface,
+            self._surfaces_passed,
+        )
+
+    def _limits(self, delay: float, unpaired: str, gap: str) -> JoinLimits:
+        return JoinLimits(
+            max_gap_ns=round(self._config.max_gap * NANOSECONDS),
+            window_ns=round(self._config.pairing_window * NANOSECONDS),
+            delay_ns=round(delay * NANOSECONDS),
+            unpaired=unpaired,
+            gap=gap,
+        )
+
+    @property
+    def waiting(self) -> int:
+        """How many samples of all streams are kept for others to come."""
+        return self._displacements.waiting + self._surfaces.waiting
 
     def motion_noise(self) -> float:
         """Variance of the displacement's noise per sample times the time between samples [m^2 s].
 
         From the distances of the last 256 samples from the lines between their neighbours; 0 while
-        there are fewer than 32.
+        there are fewer than 32. That of the surface adds to it.
         """
-        if len(self._passed) < _NOISE_SAMPLES // 8:
-            return 0.0
-        time = np.array([sample.stamp_ns - self._passed[0].stamp_ns for sample in self._passed])
-        value = np.array([sample.value for sample in self._passed])
-        step = np.diff(time) / NANOSECONDS
-        share = step[:-1] / (step[:-1] + step[1:])
-        apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
-        scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-        deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
-        return deviation**2 * float(np.median(step))
+        return _noise_of(self._passed) + _noise_of(self._surfaces_passed)
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
         for sample in self.force_guard.accept(stamp_ns, force):
-            self._forces.append(sample)
-            self._bound_memory(self._forces, self.force_guard)
-            self._pair()
+            self._displacements.lead(sample, None)
 
     def add_displacement(
         self,
@@ -127,82 +142,40 @@ class Synchronizer:
 
         `load` [N] is what the sensor measures there without any contact.
         """
-        for sample in self.displacement_guard.accept(stamp_ns, displacement, position, load):
-            if self._delay_ns:
-                sample = sample._replace(stamp_ns=sample.stamp_ns - self._delay_ns)
-            self._displacements.append(sample)
-            self._pair()
-            self._bound_memory(self._displacements, self.displacement_guard)
+        self._displacements.follow(
+            self.displacement_guard.accept(stamp_ns, displacement, position, load)
+        )
 
-    def _pair(self) -> None:
-        forces, displacements = self._forces, self._displacements
-        while forces and displacements:
-            force = forces[0]
-            key = (force.epoch, force.stamp_ns)
-            while len(displacements) > 1 and displacements[1][:2] <= key:
-                self._passed.append(displacements.popleft())
-            before = displacements[0]
-            if before[:2] > key:
-                self._reject_oldest_force(Reason.UNPAIRED)
-                self._follow_displacement(force, before)
-            elif before[:2] == key:
-                forces.popleft()
-                net = force.value - before.load
-                self._on_pair(Pair(*key, net, before.value, before.position))
-            elif len(displacements) == 1:
-                return
-            else:
-                self._interpolate(force, before, displacements[1])
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Add a place of the tissue's surface, along the way of the displacement [m]."""
+        if self._config.takes_surface:
+            self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
 
-    def _interpolate(self, force: Sample, before: Sample, after: Sample) -> None:
-        if before.epoch != force.epoch or after.epoch != force.epoch:
-            self._reject_oldest_force(Reason.UNPAIRED)
-            return
-        gap_ns = after.stamp_ns - before.stamp_ns
-        if gap_ns > max(self._max_gap_ns, _GAP_STEPS * force.usual_ns):
-            self._reject_oldest_force(Reason.DISPLACEMENT_GAP)
-            return
-        share = (force.stamp_ns - before.stamp_ns) / gap_ns
-        displacement = before.value + share * (after.value - before.value)
-        position = None
-        if before.position is not None and after.position is not None:
-            (x0, y0, z0), (x1, y1, z1) = before.position, after.position
-            position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
-        self._forces.popleft()
-        net = force.value - (before.load + share * (after.load - before.load))
-        self._on_pair(Pair(force.epoch, force.stamp_ns, net, displacement, position))
+    def _on_displacement(self, force: Sample, _: None, around: Around) -> None:
+        pair = Pair(
+            force.epoch,
+            force.stamp_ns,
+            force.value - around.load,
+            around.value,
+            around.position,
+        )
+        if self._config.takes_surface:
+            self._surfaces.lead(force, pair)
+        else:
+            self._on_pair(pair)
 
-    def _follow_displacement(self, force: Sample, displacement: Sample) -> None:
-        """Let the force join an epoch that only the displacement entered, after a window."""
-        if displacement.epoch <= self.force_guard.epoch:
-            self._behind_since_ns = None
-        elif self._behind_since_ns is None:
-            self._behind_since_ns = force.stamp_ns
-        elif force.stamp_ns - self._behind_since_ns > self._window_ns:
-            self.force_guard.join_epoch(displacement.epoch, force.stamp_ns)
-            self._behind_since_ns = None
+    def _on_surface(self, _: Sample, pair: Pair, around: Around) -> None:
+        self._on_pair(pair._replace(displacement=pair.displacement - around.value))
 
-    def _reject_oldest_force(self, reason: str) -> None:
-        self._forces.popleft()
-        self.force_guard.reject(reason)
 
-    def _bound_memory(self, samples: deque[Sample], guard: StreamGuard) -> None:
-        """Drop samples that have waited for longer than the pairing window.
-
-        If a force was dropped after its clock jumped back, the other stream's clock did not jump:
-        that stream is then taken to be in the same epoch.
-        """
-        newest = samples[-1]
-        window_ns = max(self._window_ns, _WINDOW_STEPS * newest.usual_ns)
-        while self._waited_ns(samples[0], newest, guard) > window_ns:
-            samples.popleft()
-            if guard is self.force_guard:
-                guard.reject(Reason.UNPAIRED)
-                if self.displacement_guard.epoch < newest.epoch:
-                    self.displacement_guard.join_epoch(newest.epoch, newest.stamp_ns)
-
-    @staticmethod
-    def _waited_ns(oldest: Sample, newest: Sample, guard: StreamGuard) -> int:
-        if oldest.epoch == newest.epoch:
-            return newest.stamp_ns - oldest.stamp_ns
-        return newest.stamp_ns - guard.epoch_start_ns
+def _noise_of(samples: deque[Sample]) -> float:
+    if len(samples) < _NOISE_SAMPLES // 8:
+        return 0.0
+    time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
+    value = np.array([sample.value for sample in samples])
+    step = np.diff(time) / NANOSECONDS
+    share = step[:-1] / (step[:-1] + step[1:])
+    apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+    scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+    return deviation**2 * float(np.median(step))
