@@ -535,7 +535,8 @@ def test_the_page_of_the_interface_has_every_topic_and_service_of_the_node() -> 
 
     context = rclpy.Context()
     rclpy.init(context=context)
-    node = Identifier(context=context)
+    overrides = [rclpy.parameter.Parameter("surface.message", value="pose")]
+    node = Identifier(context=context, parameter_overrides=overrides)
     try:
         node.trigger_configure()
         node.trigger_activate()
