@@ -50,7 +50,9 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import Plausibility, of_stream, stands_against
 from fden_ros.core.press import Press
 from fden_ros.core.site import Site, prepare
+from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
+from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason
 from fden_ros.core.streams.synchronize import Synchronizer
 
@@ -126,6 +128,8 @@ class Pipeline:
         self._listener_error: Exception | None = None
         self._clock_jumps = 0
         self._tare_offset = 0.0
+        # They come once, and outlive a reset.
+        self._statics = StaticLinks()
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._observes_stress = config.estimator.observation is Observation.STRESS
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
@@ -177,7 +181,9 @@ class Pipeline:
             self._restart_streams()
 
     def _restart_streams(self) -> None:
-        self._synchronizer = Synchronizer(self.config.synchronize, self._on_pair, self.rejected)
+        self._synchronizer = Synchronizer(
+            self.config.synchronize, self._on_pair, self.rejected, self._statics
+        )
         self._epoch = 0
 
     # Inputs
@@ -185,7 +191,9 @@ class Pipeline:
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Take a force sample [N], positive when pressing; with torsion a torque [N m]."""
         try:
-            self._synchronizer.add_force(stamp_ns, force - self._tare_offset)
+            # Where frames move, the force is tared once it is in the base.
+            offset = 0.0 if self.config.synchronize.frames is not None else self._tare_offset
+            self._synchronizer.add_force(stamp_ns, force - offset)
         except Exception as error:
             self._fail(stamp_ns, error)
             self._restart_streams()
@@ -207,10 +215,36 @@ class Pipeline:
             self._fail(stamp_ns, error)
             self._restart_streams()
 
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
+        """Take a force [N], or with torsion a torque [N m], in a frame that moves."""
+        self._feed(stamp_ns, lambda: self._synchronizer.add_force_vector(stamp_ns, frame, force))
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Vector,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        """Take where a frame is in its parent [m], and its rotation as a quaternion."""
+        place = Transform(translation, rotation)
+        self._feed(
+            stamp_ns,
+            lambda: self._synchronizer.add_transform(
+                stamp_ns, parent, child, place, is_static=is_static
+            ),
+        )
+
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         """Take a place of the tissue's surface [m], positive into the tissue; it is taken off."""
+        self._feed(stamp_ns, lambda: self._synchronizer.add_surface(stamp_ns, surface))
+
+    def _feed(self, stamp_ns: int, add: Callable[[], None]) -> None:
         try:
-            self._synchronizer.add_surface(stamp_ns, surface)
+            add()
         except Exception as error:
             self._fail(stamp_ns, error)
             self._restart_streams()
@@ -255,6 +289,19 @@ class Pipeline:
             self._fail(self.newest_ns, error)
 
     @property
+    def transform_problem(self) -> str:
+        """Why no force has found its transforms yet, in words; empty: there is nothing to say."""
+        frames = self._synchronizer.frames
+        if self.pair_count or frames is None or not frames.missing:
+            return ""
+        known = ", ".join(frames.known) or "none"
+        base = self.config.synchronize.frames.base if self.config.synchronize.frames else ""
+        return (
+            f"no chain of transforms leads from {frames.missing} to {base}: /tf and /tf_static "
+            f"name {known}; set frames.base and frames.probe to frames that are connected"
+        )
+
+    @property
     def is_failed(self) -> bool:
         """Whether the newest failure is that of the present site, or came without one."""
         if not self.failures:
@@ -293,6 +340,9 @@ class Pipeline:
     # Pairs
 
     def _on_pair(self, pair: Pair) -> None:
+        if self.config.synchronize.frames is not None and self._tare_offset:
+            # Only here the force is along the axis.
+            pair = pair._replace(force=pair.force - self._tare_offset)
         try:
             self._take(pair)
         except Exception as error:

@@ -45,6 +45,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
 
 from fden_ros.core.outputs import Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
@@ -65,9 +66,9 @@ from fden_ros.parameters import (
 )
 from fden_ros.parameters.files import identifier_values
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs
+from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs, stream_of
 from fden_ros.ros.status import type_name
-from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, OutputMessages
+from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, STATIC_QOS, OutputMessages
 
 _STALE_CHECK_PERIOD = 0.05
 #: A stale estimate is published again and again at this period [s].
@@ -236,6 +237,8 @@ class Identifier(LifecycleNode):
         for name in self._inputs.names:
             kind = getattr(parameters, name).message
             self._subscribe(INPUT_MESSAGES[name][kind], name, self._inputs)
+        for name in self._inputs.transform_topics:
+            self._subscribe(TFMessage, name, self._inputs)
         self._stale_timer = self.create_timer(
             _STALE_CHECK_PERIOD, self._check_stale, clock=self._steady
         )
@@ -259,7 +262,7 @@ class Identifier(LifecycleNode):
             kind,
             topic,
             on_message,
-            copy.copy(INPUT_QOS),
+            copy.copy(STATIC_QOS if topic == "/tf_static" else INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
                 # The diagnostics say it, with the override that mends it.
                 incompatible_qos=lambda event: None,
@@ -275,19 +278,19 @@ class Identifier(LifecycleNode):
 
     def _reader(self, kind: type, topic: str, inputs: Inputs) -> Callable[[bytes], None]:
         fast = fast_handler(topic, type_name(kind), inputs)
-        assert fast is not None
 
         def read(data: bytes) -> None:
             try:
-                fast(data)
-                return
+                if fast is not None:
+                    fast(data)
+                    return
             except (UnusualError, struct.error):
                 pass
             try:
                 message = deserialize_message(data, kind)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(topic, DAMAGED)
+                inputs.reject(stream_of(topic), DAMAGED)
                 return
             inputs.add(topic, message)
 

@@ -339,6 +339,13 @@ class _Collector:
     ) -> None:
         self.displacements.append((stamp_ns, displacement))
 
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        """Refuse it: nothing is calibrated in frames that move."""
+        raise InputError("calibrate takes signals in fixed frames: unset frames.base")
+
+    def add_transform(self, *transform: object, is_static: bool) -> None:
+        """Leave it out."""
+
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         """Leave it out: what is rigid does not breathe."""
 

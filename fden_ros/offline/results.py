@@ -23,6 +23,7 @@ from sensor_msgs.msg import JointState
 
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position, Sink
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
@@ -151,6 +152,23 @@ class _RowCopy:
         self._displacement.position = [self._displacement_sign * displacement]
         self._write(_DISPLACEMENT_TOPIC, self._displacement, stamp_ns)
         self._sink.add_displacement(stamp_ns, displacement, position, load)
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        self._sink.add_force_vector(stamp_ns, frame, force)
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Position,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        self._sink.add_transform(
+            stamp_ns, parent, child, translation, rotation, is_static=is_static
+        )
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         self._surface.position = [surface / self._surface_scale]

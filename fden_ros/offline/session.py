@@ -36,6 +36,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sink
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
@@ -315,6 +316,25 @@ class _Tap:
         self._gatherer.see(stamp_ns)
         self._gatherer.displacement.add(stamp_ns, displacement)
         self._sink.add_displacement(stamp_ns, displacement, position, load)
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        self._gatherer.see(stamp_ns)
+        self._gatherer.force.add(stamp_ns, math.hypot(*force))
+        self._sink.add_force_vector(stamp_ns, frame, force)
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Position,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        self._sink.add_transform(
+            stamp_ns, parent, child, translation, rotation, is_static=is_static
+        )
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         self._sink.add_surface(stamp_ns, surface)

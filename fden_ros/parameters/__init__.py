@@ -25,7 +25,9 @@ parameter files and the documentation. :func:`check` turns names and values into
 from fden_ros.parameters.files import read_parameter_file, read_parameter_files
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
+    frames_config,
     geometry_of,
+    moves_probe,
     pipeline_config,
     surface_axis,
     takes_surface,
@@ -49,7 +51,9 @@ __all__ = [
     "Parameters",
     "Value",
     "check",
+    "frames_config",
     "geometry_of",
+    "moves_probe",
     "pipeline_config",
     "read_parameter_file",
     "read_parameter_files",

@@ -32,6 +32,7 @@ from fden_ros.core.estimation.estimate import (
 from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.plausibility import PlausibilityConfig
+from fden_ros.core.streams.frames import FramesConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.errors import InputError
@@ -84,6 +85,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             displacement_limit=parameters.displacement.limit,
             takes_surface=takes_surface(parameters),
             surface_delay=parameters.surface.delay,
+            frames=frames_config(parameters),
         ),
         contact=ContactConfig(
             force_threshold=parameters.force.threshold,
@@ -160,6 +162,38 @@ def _friction(parameters: Parameters) -> float:
             "only with a standard deviation, 0.001 say"
         )
     return force.friction
+
+
+def frames_config(parameters: Parameters) -> FramesConfig | None:
+    """Return which frames count; None where no transform is used.
+
+    Raises
+    ------
+    InputError
+        If a frame is missing.
+    """
+    base, probe = parameters.frames.base, parameters.frames.probe
+    by_transform = moves_probe(parameters)
+    if by_transform and not (base and probe):
+        raise InputError(
+            "displacement.message is tf: name the frame of the probe's tip and that of the tissue "
+            "in frames.probe and frames.base"
+        )
+    if not base:
+        return None
+    return FramesConfig(
+        base,
+        probe,
+        unit_vector(parameters.force.axis),
+        unit_vector(parameters.displacement.axis),
+        by_transform,
+        tool_weight(parameters),
+    )
+
+
+def moves_probe(parameters: Parameters) -> bool:
+    """Return whether the displacement is that of a frame, by transforms."""
+    return parameters.displacement.message == "tf"
 
 
 def takes_surface(parameters: Parameters) -> bool:

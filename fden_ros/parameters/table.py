@@ -135,8 +135,9 @@ class DisplacementParameters:
     message: str = text(
         "joint_state",
         "Type of the live displacement topic: sensor_msgs/JointState, or "
-        "geometry_msgs/PoseStamped, TransformStamped or PointStamped. A bag says its own.",
-        choices=("joint_state", "pose", "transform", "point"),
+        "geometry_msgs/PoseStamped, TransformStamped or PointStamped. A bag says its own. tf: "
+        "there is none, the displacement is the way of frames.probe in frames.base.",
+        choices=("joint_state", "pose", "transform", "point", "tf"),
     )
     name: str = text(
         "",
@@ -231,6 +232,22 @@ class SurfaceParameters:
         "measured; 0: it rests.",
         0.0,
         0.1,
+    )
+
+
+@dataclass(frozen=True)
+class FramesParameters:
+    """Frames that move, by /tf and /tf_static, where force or displacement are given in them."""
+
+    base: str = text(
+        "",
+        "Frame in which force.axis is given: forces are turned into it from the frame of their "
+        "messages, by the transforms at their stamps. Empty: no transform is used.",
+    )
+    probe: str = text(
+        "",
+        "Frame of the probe's tip, whose way in frames.base is the displacement where "
+        "displacement.message is tf; also of forces whose messages name no frame.",
     )
 
 
@@ -664,6 +681,7 @@ class Parameters:
     force: ForceParameters = ForceParameters()
     displacement: DisplacementParameters = DisplacementParameters()
     surface: SurfaceParameters = SurfaceParameters()
+    frames: FramesParameters = FramesParameters()
     rig: RigParameters = RigParameters()
     model_error: ModelErrorParameters = ModelErrorParameters()
     tool: ToolParameters = ToolParameters()

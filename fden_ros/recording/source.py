@@ -24,16 +24,17 @@ from typing import Any, Protocol
 
 from fden_ros.core.streams.samples import Sink
 from fden_ros.errors import InputError
-from fden_ros.parameters import Parameters, takes_surface
+from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, headings_of, looks_like_a_table
 from fden_ros.recording.topics import find_topic, named_topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, Inputs, NumberOrVector
+from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, NumberOrVector, stream_of
 from fden_ros.ros.messages import stamp_ns
 
 _ALWAYS = ("force", "displacement")
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(frozen=True)
@@ -132,11 +133,28 @@ class BagSource:
         self.topics: dict[str, Topic] = {}
         # The surface first: what carries it could be taken for the displacement.
         measures_surface = takes_surface(parameters)
-        for what in ("surface", "force", "displacement") if measures_surface else _ALWAYS:
+        wanted = ["surface"] if measures_surface else []
+        wanted += ["force"] if moves_probe(parameters) else _ALWAYS
+        for what in wanted:
             self._fields[what] = getattr(selection, f"{what}_field")
             self.topics[what] = self._find(what, getattr(selection, f"{what}_topic"))
+        self._frames = frames_config(parameters)
+        if self._frames is not None:
+            self._find_transforms()
         self._notes: list[str] = []
         self._inputs: Inputs | None = None
+
+    def _find_transforms(self) -> None:
+        for topic in self.reader.topics:
+            what = "/" + topic.name.rpartition("/")[2]
+            if what in TRANSFORM_TOPICS and topic.type_name == _TRANSFORMS:
+                self._fields[what] = None
+                self.topics[what] = topic
+        if not set(self.topics) & set(TRANSFORM_TOPICS):
+            raise InputError(
+                f"{self.reader.path}: frames.base is set, but the bag has no transforms: record "
+                "/tf and /tf_static too, or unset frames.base"
+            )
 
     def _find(self, what: str, topic: str | None) -> Topic:
         if self._fields[what] is not None and topic is not None:
@@ -163,7 +181,10 @@ class BagSource:
         """Topic of each quantity, with the field where one is configured."""
         fields = {what: f" {field}" if field else "" for what, field in self._fields.items()}
         names = {what: topic.name + fields[what] for what, topic in self.topics.items()}
-        return {what: names[what] for what in (*_ALWAYS, "surface") if what in names}
+        if self._frames is not None and self._frames.moves_probe:
+            names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
+        order = (*_ALWAYS, "surface", *TRANSFORM_TOPICS)
+        return {what.lstrip("/"): names[what] for what in order if what in names}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -204,7 +225,7 @@ class BagSource:
                 sample = decode(message.data)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(what, DAMAGED)
+                inputs.reject(stream_of(what), DAMAGED)
                 return
             inputs.add(what, sample)
 
@@ -311,6 +332,11 @@ class TableSource:
             raise InputError(
                 "tool.mass takes off the weight by the tool's orientation, which a table does "
                 "not hold: set tool.mass to 0, or replay a bag with poses"
+            )
+        if parameters.frames.base:
+            raise InputError(
+                "frames.base asks for transforms, which a table does not hold: unset it, or "
+                "replay a bag"
             )
         self._columns = selection.columns
         if takes_surface(parameters) != (self._columns.surface is not None):

@@ -27,7 +27,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.ros.inputs import Inputs, Places
+from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs, Places
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -62,6 +62,8 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     callable
         Raises `UnusualError` or ``struct.error`` where the class has to decode instead.
     """
+    if what in TRANSFORM_TOPICS:
+        return None
     if type_name == "sensor_msgs/msg/JointState":
         return _joint_handler(what, inputs)
     if what == "force":
@@ -131,6 +133,7 @@ class _Layout:
 
 def _wrench_handler(inputs: Inputs) -> Handler:
     along, take, unpack = inputs.along_force, inputs.take_force, _VECTOR.unpack_from
+    turns, take_vector = inputs.turns_force, inputs.take_force_vector
     offset = _VECTOR.size if inputs.takes_torque else 0
     layout: _Layout | None = None
 
@@ -143,7 +146,11 @@ def _wrench_handler(inputs: Inputs) -> Handler:
             if start + 48 > len(data):
                 raise UnusualError
             layout = _Layout(data, frame, start)
-        take(layout.frame, stamp, along(*unpack(data, layout.start + offset)))
+        vector = unpack(data, layout.start + offset)
+        if turns:
+            take_vector(layout.frame, stamp, vector)
+        else:
+            take(layout.frame, stamp, along(*vector))
 
     return handle
 

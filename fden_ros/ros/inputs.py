@@ -25,11 +25,13 @@ from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
 from sensor_msgs.msg import JointState
+from tf2_msgs.msg import TFMessage
 
 from fden_ros.core.streams.samples import Position, Reason, Sink
 from fden_ros.core.streams.tool_weight import Quaternion
 from fden_ros.parameters import (
     Parameters,
+    frames_config,
     surface_axis,
     takes_surface,
     tool_weight,
@@ -50,10 +52,21 @@ INPUT_MESSAGES: Mapping[str, Mapping[str, type]] = {
     "force": FORCE_MESSAGES,
     "displacement": DISPLACEMENT_MESSAGES,
     "surface": DISPLACEMENT_MESSAGES,
+    "/tf": {"transforms": TFMessage},
+    "/tf_static": {"transforms": TFMessage},
 }
+
+#: Of transforms, by names that are the same in every namespace.
+TRANSFORM_TOPICS = ("/tf", "/tf_static")
 
 #: Count of the messages whose bytes are no message of their type.
 DAMAGED = "damaged"
+
+
+def stream_of(name: str) -> str:
+    """Return the stream that rejected messages of an input are counted under."""
+    return "transform" if name in TRANSFORM_TOPICS else name
+
 
 #: A number, or a vector that is projected on the configured axis.
 NumberOrVector = float | Position
@@ -192,14 +205,16 @@ class Inputs:
         self._force_axis = unit_vector(parameters.force.axis)
         self.force_joint = parameters.force.name
         self._force_sign = -1.0 if parameters.force.inverted else 1.0
-        self._read_force: dict[type, Callable[[Any], float | None]] = {
-            WrenchStamped: self._wrench_force,
-            JointState: self._joint_force,
-        }
         self.takes_torque = parameters.geometry.kind == "torsional_rheometer"
-        self._tool = tool_weight(parameters)
-        self.places = {
-            "displacement": Places(
+        frames = frames_config(parameters)
+        # Where forces are turned, the weight is taken off where that is done.
+        self._tool = tool_weight(parameters) if frames is None else None
+        self._base = frames.base if frames is not None and frames.moves_probe else ""
+        self.turns_force = frames is not None
+        self.transform_topics = TRANSFORM_TOPICS if frames is not None else ()
+        self.places: dict[str, Places] = {}
+        if not self._base:
+            self.places["displacement"] = Places(
                 "displacement",
                 unit_vector(parameters.displacement.axis),
                 -1.0 if parameters.displacement.inverted else 1.0,
@@ -208,7 +223,6 @@ class Inputs:
                 self._take_displacement,
                 takes_orientation=self._tool is not None,
             )
-        }
         if takes_surface(parameters):
             scale = parameters.surface.scale
             x, y, z = surface_axis(parameters)
@@ -231,13 +245,13 @@ class Inputs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the inputs, force first."""
+        """Return the names of the inputs but for transforms, force first."""
         return ("force", *self.places)
 
     @property
     def displacement_frame(self) -> str:
         """Return the frame_id of the positions; empty before the first."""
-        return self.places["displacement"].frame or ""
+        return self._base or self.places["displacement"].frame or ""
 
     def has_come(self, name: str) -> bool:
         """Return whether a message of an input has come that could be read."""
@@ -249,32 +263,64 @@ class Inputs:
 
     def add(self, name: str, message: Any) -> None:
         """Take a message of an input."""
+        if name in TRANSFORM_TOPICS:
+            self._add_transforms(message, is_static=name == "/tf_static")
+            return
         if name != "force":
             self.places[name].add(message)
             return
         header = message.header
-        force = self._read_force[type(message)](message)
-        self.take_force(header.frame_id, stamp_ns(header.stamp), force)
+        stamp = stamp_ns(header.stamp)
+        if isinstance(message, WrenchStamped):
+            wrench = message.wrench
+            vector = wrench.torque if self.takes_torque else wrench.force
+            self.take_force_vector(header.frame_id, stamp, (vector.x, vector.y, vector.z))
+            return
+        effort = _joint_value(message.name, message.effort, self.force_joint)
+        self.take_force(header.frame_id, stamp, self.signed_effort(effort))
 
     def add_force_value(self, frame_id: str, stamp: int, value: NumberOrVector | None) -> None:
         """Take a force [N] that is a number or a vector; None where there is none."""
         if value is None or isinstance(value, float):
             self.take_force(frame_id, stamp, self.signed_effort(value))
         else:
-            self.take_force(frame_id, stamp, self.along_force(*value))
+            self.take_force_vector(frame_id, stamp, value)
 
     def take_force(self, frame_id: str, stamp: int, force: float | None) -> None:
         """Take a force along the axis [N]; None where the message does not hold it."""
-        if frame_id != self.force_frame:
-            if self._force_frame_known:
-                self._sink.reject("force", Reason.WRONG_FRAME)
-                return
-            self.force_frame = frame_id
-        self._force_frame_known = True
+        if not self._is_force_frame(frame_id):
+            return
         if force is None:
             self._sink.reject("force", Reason.MISSING_FIELD)
             return
         self._sink.add_force(stamp, force)
+
+    def take_force_vector(self, frame_id: str, stamp: int, force: Position) -> None:
+        """Take a force [N] in a frame, which may move."""
+        if not self.turns_force:
+            self.take_force(frame_id, stamp, self.along_force(*force))
+        elif self._is_force_frame(frame_id):
+            self._sink.add_force_vector(stamp, frame_id.lstrip("/"), force)
+
+    def _is_force_frame(self, frame_id: str) -> bool:
+        if frame_id != self.force_frame:
+            if self._force_frame_known:
+                self._sink.reject("force", Reason.WRONG_FRAME)
+                return False
+            self.force_frame = frame_id
+        self._force_frame_known = True
+        return True
+
+    def _add_transforms(self, message: Any, *, is_static: bool) -> None:
+        for one in message.transforms:
+            self._sink.add_transform(
+                stamp_ns(one.header.stamp),
+                one.header.frame_id.lstrip("/"),
+                one.child_frame_id.lstrip("/"),
+                _transform_position(one),
+                _orientation(one) or (0.0, 0.0, 0.0, 0.0),
+                is_static=is_static,
+            )
 
     def along_force(self, x: float, y: float, z: float) -> float:
         """Return the part of a force along the axis [N]."""
@@ -302,14 +348,6 @@ class Inputs:
             self._sink.reject("displacement", Reason.MISSING_FIELD)
             return
         self._sink.add_displacement(stamp, displacement, position, load)
-
-    def _wrench_force(self, message: WrenchStamped) -> float:
-        wrench = message.wrench
-        vector = wrench.torque if self.takes_torque else wrench.force
-        return self.along_force(vector.x, vector.y, vector.z)
-
-    def _joint_force(self, message: JointState) -> float | None:
-        return self.signed_effort(_joint_value(message.name, message.effort, self.force_joint))
 
 
 def _joint_value(names: list[str], values: Any, joint: str) -> float | None:

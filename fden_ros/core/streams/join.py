@@ -29,6 +29,8 @@ from typing import Generic, NamedTuple, TypeVar
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.samples import Position, Sample
 
+#: The noise of a stream is measured over its last 256 samples.
+NOISE_SAMPLES = 256
 #: In a slow stream samples up to 2 usual steps of the leading stream apart are interpolated
 #: between, and a sample waits for up to 4 usual steps of its stream.
 _GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0

@@ -26,13 +26,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import Around, Join, JoinLimits
+from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
+from fden_ros.core.streams.rotation import Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 
-#: The displacement's noise is measured over its last 256 samples by the median of its magnitude,
-#: which is 0.6745 standard deviations of a normal variable.
-_NOISE_SAMPLES = 256
+#: The median of the magnitude of a normal variable, by which noise is measured, in standard
+#: deviations.
 _MEDIAN_OF_NORMAL = 0.6745
 
 
@@ -56,6 +57,8 @@ class SynchronizeConfig:
         A force waits for the surface around it too, which is taken off the displacement.
     surface_delay : float
         The surface's stamps lag the force's by this much [s]; may be negative.
+    frames : FramesConfig, optional
+        A force waits for the transforms around it too, whose stamps lag like the displacement's.
     """
 
     displacement_delay: float = 0.0
@@ -65,6 +68,7 @@ class SynchronizeConfig:
     displacement_limit: float = 10.0
     takes_surface: bool = False
     surface_delay: float = 0.0
+    frames: FramesConfig | None = None
 
 
 class Synchronizer:
@@ -77,18 +81,27 @@ class Synchronizer:
         Called with each :class:`Pair`, in order.
     rejected : collections.Counter
         Counts of rejected samples, keyed ``"<stream>.<reason>"``; added to.
+    statics : StaticLinks, optional
+        Static transforms that are known by now; added to.
     """
 
     def __init__(
-        self, config: SynchronizeConfig, on_pair: Callable[[Pair], None], rejected: Counter[str]
+        self,
+        config: SynchronizeConfig,
+        on_pair: Callable[[Pair], None],
+        rejected: Counter[str],
+        statics: StaticLinks | None = None,
     ) -> None:
         self._config = config
         self._on_pair = on_pair
-        self.force_guard = StreamGuard(config.force_limit, rejected, "force")
+        self._rejected = rejected
+        self.force_guard = StreamGuard(
+            config.force_limit, rejected, "force", is_vector=config.frames is not None
+        )
         self.displacement_guard = StreamGuard(config.displacement_limit, rejected, "displacement")
         self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
-        self._passed: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
-        self._surfaces_passed: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
+        self._passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._surfaces_passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
         self._displacements = Join[None](
             self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
             self.force_guard,
@@ -104,6 +117,22 @@ class Synchronizer:
             self._surfaces_passed,
         )
 
+        self._force_frame = ""
+        self.frames: Frames | None = None
+        if config.frames is not None:
+            self.frames = Frames(
+                config.frames,
+                self._limits(config.displacement_delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP),
+                self.force_guard,
+                self._transform_guard,
+                statics if statics is not None else StaticLinks(),
+                self._in_base,
+            )
+
+    def _transform_guard(self) -> StreamGuard:
+        limit = self._config.displacement_limit
+        return StreamGuard(limit, self._rejected, "transform", is_vector=True)
+
     def _limits(self, delay: float, unpaired: str, gap: str) -> JoinLimits:
         return JoinLimits(
             max_gap_ns=round(self._config.max_gap * NANOSECONDS),
@@ -116,20 +145,39 @@ class Synchronizer:
     @property
     def waiting(self) -> int:
         """How many samples of all streams are kept for others to come."""
-        return self._displacements.waiting + self._surfaces.waiting
+        in_frames = self.frames.waiting if self.frames is not None else 0
+        return self._displacements.waiting + self._surfaces.waiting + in_frames
 
     def motion_noise(self) -> float:
         """Variance of the displacement's noise per sample times the time between samples [m^2 s].
 
         From the distances of the last 256 samples from the lines between their neighbours; 0 while
-        there are fewer than 32. That of the surface adds to it.
+        there are fewer than 32. Those of the surface and of transforms add to it.
         """
-        return _noise_of(self._passed) + _noise_of(self._surfaces_passed)
+        noise = _noise_of(self._passed) + _noise_of(self._surfaces_passed)
+        return noise + _noise_of(self.frames.passed) if self.frames is not None else noise
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
-        for sample in self.force_guard.accept(stamp_ns, force):
-            self._displacements.lead(sample, None)
+        self._lead(self.force_guard.accept(stamp_ns, force))
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
+        """Add a force [N] or torque [N m] in a frame that moves."""
+        self._force_frame = frame
+        x, y, z = force
+        self._lead(self.force_guard.accept(stamp_ns, x + y + z, force))
+
+    def add_transform(
+        self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
+    ) -> None:
+        """Add where a frame is in its parent; a static one holds at all times."""
+        if self.frames is None:
+            return
+        problem = self.frames.add_transform(
+            stamp_ns, parent, child, transform, is_static=is_static
+        )
+        if problem is not None:
+            self._rejected[f"transform.{problem}"] += 1
 
     def add_displacement(
         self,
@@ -151,6 +199,15 @@ class Synchronizer:
         if self._config.takes_surface:
             self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
 
+    def _lead(self, forces: tuple[Sample, ...]) -> None:
+        frames = self._config.frames
+        for force in forces:
+            if frames is None or not frames.moves_probe:
+                self._displacements.lead(force, None)
+            else:
+                # The transforms give the displacement.
+                self._on_force(force, Pair(force.epoch, force.stamp_ns, force.value, 0.0, None))
+
     def _on_displacement(self, force: Sample, _: None, around: Around) -> None:
         pair = Pair(
             force.epoch,
@@ -159,6 +216,15 @@ class Synchronizer:
             around.value,
             around.position,
         )
+        self._on_force(force, pair)
+
+    def _on_force(self, force: Sample, pair: Pair) -> None:
+        if self.frames is not None:
+            self.frames.lead(force, pair, self._force_frame)
+        else:
+            self._in_base(force, pair)
+
+    def _in_base(self, force: Sample, pair: Pair) -> None:
         if self._config.takes_surface:
             self._surfaces.lead(force, pair)
         else:
@@ -169,7 +235,7 @@ class Synchronizer:
 
 
 def _noise_of(samples: deque[Sample]) -> float:
-    if len(samples) < _NOISE_SAMPLES // 8:
+    if len(samples) < NOISE_SAMPLES // 8:
         return 0.0
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
     value = np.array([sample.value for sample in samples])
