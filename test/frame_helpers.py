@@ -22,15 +22,23 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import yaml
 from fault_helpers import Shift, shift, turn_of
+from geometry_msgs.msg import TransformStamped, WrenchStamped
 from pipeline_helpers import FORCE
 from scipy.spatial.transform import Rotation
+from tf2_msgs.msg import TFMessage
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.recording.qos import LATCHED, RELIABLE
+from fden_ros.recording.synthetic import PARAMETER_FILE
+from fden_ros.recording.writer import BagWriter
+from fden_ros.ros.messages import to_stamp
 
 FRAMES = {"frames.base": "base", "frames.probe": "tip", "displacement.message": "tf"}
 #: Of the sensor in the arm's flange, and of the tip in the sensor's frame.
@@ -154,3 +162,41 @@ def arm(s: Shift, moving: Iterable[Place] | None = None) -> list[Vector | Place]
     timed = [(one.stamp_ns, k, one) for k, one in enumerate(links)]
     timed += [(one.stamp_ns, len(links), one) for one in forces(s)]
     return [*statics(), *(one for *_, one in sorted(timed, key=lambda entry: entry[:2]))]
+
+
+def write_bag(folder: Path, samples: list[Vector | Place]) -> Path:
+    """Write what arrives of an arm as a robot records it, with the parameters beside."""
+    first = next(one.stamp_ns for one in samples if isinstance(one, Vector))
+    fixed = TFMessage(transforms=[stamped(one) for one in samples if is_static(one)])
+    with BagWriter(folder) as bag:
+        bag.add_topic("/ft/wrench", "geometry_msgs/msg/WrenchStamped", RELIABLE)
+        bag.add_topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE)
+        bag.add_topic("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
+        bag.write("/tf_static", fixed, first)
+        for one in samples:
+            if isinstance(one, Vector):
+                message = WrenchStamped()
+                message.header.stamp, message.header.frame_id = to_stamp(one.stamp_ns), one.frame
+                force = message.wrench.force
+                force.x, force.y, force.z = one.force
+                bag.write("/ft/wrench", message, max(one.stamp_ns, first))
+            elif not one.is_static:
+                message = TFMessage(transforms=[stamped(one)])
+                bag.write("/tf", message, max(one.stamp_ns, first))
+        parameters = {"/**": {"ros__parameters": shift().parameters | FRAMES}}
+        (bag.folder / PARAMETER_FILE).write_text(yaml.safe_dump(parameters))
+    return folder
+
+
+def is_static(one: Vector | Place) -> bool:
+    return isinstance(one, Place) and one.is_static
+
+
+def stamped(one: Vector | Place) -> TransformStamped:
+    assert isinstance(one, Place)
+    message = TransformStamped(child_frame_id=one.child)
+    message.header.stamp, message.header.frame_id = to_stamp(one.stamp_ns), one.parent
+    at, turn = message.transform.translation, message.transform.rotation
+    at.x, at.y, at.z = one.translation
+    turn.x, turn.y, turn.z, turn.w = one.rotation
+    return message

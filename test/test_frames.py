@@ -18,18 +18,45 @@ from __future__ import annotations
 
 import math
 import random
+from collections import Counter
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fault_helpers import Outcome, outcome_of, shift, turn_of
-from frame_helpers import FRAMES, MOUNT, TIP, arm, forces, place, statics, tip_position, transforms
+from fden_msgs.msg import TissueEstimate
+from frame_helpers import (
+    FRAMES,
+    MOUNT,
+    TIP,
+    arm,
+    forces,
+    place,
+    statics,
+    tip_position,
+    transforms,
+    write_bag,
+)
+from ros_helpers import LOSSLESS, Bench, identifier
 from scipy.spatial.transform import Rotation, Slerp
 
+from fden_ros.cli import main
+from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.rotation import Transform, angle, slerp
+from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.errors import InputError
-from fden_ros.parameters import check, pipeline_config
+from fden_ros.nodes.player import Player
+from fden_ros.offline.replay import Replay, replay
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.recording.cdr import serialize
+from fden_ros.recording.definitions import type_hash
+from fden_ros.recording.source import Selection
+from fden_ros.recording.synthetic import PARAMETER_FILE
+from fden_ros.recording.table import Columns
+from fden_ros.ros.topics import OutputMessages
+from fden_ros.simulation.simulate import START_NS
 
 
 def test_slerp_is_that_of_scipy() -> None:
@@ -138,10 +165,6 @@ def test_the_weight_of_a_tool_that_turns_is_taken_off_along_the_axis_of_the_base
     config = pipeline_config(check(values | {"geometry.kind": "torsional_rheometer"}))
     assert config.synchronize.frames is not None and config.synchronize.frames.tool is not None
     pairs: list[Any] = []
-    from collections import Counter
-
-    from fden_ros.core.streams.synchronize import Synchronizer
-
     synchronizer = Synchronizer(config.synchronize, pairs.append, Counter())
     for one in [*statics(), *stamped]:
         one(_Bare(synchronizer))  # type: ignore[arg-type]
@@ -230,3 +253,106 @@ def test_a_frame_that_gets_another_parent_is_counted_and_stays_where_it_was(
 def test_a_displacement_by_transforms_needs_both_frames() -> None:
     with pytest.raises(InputError, match=r"frames\.probe"):
         pipeline_config(check({"displacement.message": "tf", "frames.base": "base"}))
+
+
+# Recordings and the node
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first press."""
+    s = shift()
+    _, end = s.press(0)
+    samples = [one for one in arm(s) if one.stamp_ns < s.at(end + 0.5)]
+    return write_bag(tmp_path_factory.mktemp("arm") / "bag", samples)
+
+
+def outputs_of(bag: Path) -> tuple[Replay, list[bytes]]:
+    heard: list[bytes] = []
+
+    def keep(output: Any, frame: str) -> None:
+        if isinstance(output, TissueState | ContactSummary):
+            _, message = next(OutputMessages().of(output, frame))
+            heard.append(serialize(message))
+
+    return replay(bag, read_parameter_file(bag / PARAMETER_FILE), on_output=keep), heard
+
+
+def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
+    result, _ = outputs_of(bag)
+    assert result.inputs == {
+        "force": "/ft/wrench",
+        "displacement": "tip in base",
+        "tf": "/tf",
+        "tf_static": "/tf_static",
+    }
+    (summary,), expected = result.summaries, still.summaries[0]
+    assert summary.estimate is not None and expected.estimate is not None
+    assert summary.position_frame == "base" and summary.converged
+    sd = float(np.sqrt(expected.estimate.covariance[0, 0]))
+    assert abs(summary.estimate.mean[0] - expected.estimate.mean[0]) < sd / 3.0
+    out = bag.parent / "out"
+    config = ["--config", str(bag / PARAMETER_FILE)]
+    assert main(["replay", str(bag), *config, "-o", str(out), "--with-inputs"]) == 0
+    (out / PARAMETER_FILE).write_text((bag / PARAMETER_FILE).read_text())
+    assert outputs_of(out)[1] == outputs_of(bag)[1]
+    assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
+
+
+def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: Path) -> None:
+    golden = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
+    parameters = check(FRAMES)
+    with pytest.raises(InputError, match="record /tf and /tf_static too"):
+        replay(golden, parameters)
+    (tmp_path / "a.csv").write_text("t,f,d\n0,0,0\n")
+    with pytest.raises(InputError, match="a table does not hold"):
+        replay(tmp_path / "a.csv", parameters, Selection(columns=Columns.parse("t,f,d")))
+
+
+def live_of(bench: Bench) -> list[bytes]:
+    """What the node said but that the estimate is stale."""
+    states = [m for m in bench.estimates if m.status != TissueEstimate.STATUS_STALE]
+    return [serialize(message) for message in (*states, *bench.summaries)]
+
+
+def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
+    _, expected = outputs_of(bag)
+    lossless = {
+        name.replace("/displacement", topic): value
+        for topic in ("/ft/wrench", "/tf")
+        for name, value in LOSSLESS.items()
+        if "/force" not in name
+    }
+    with (
+        Bench() as bench,
+        identifier(
+            {"autostart": True, **lossless},
+            file=bag / PARAMETER_FILE,
+            remap={"force": "/ft/wrench"},
+        ),
+    ):
+        bench.wait_until_connected()
+        with Player(bag, rate=2.0) as player:
+            player.wait_for_subscribers()
+            player.play()
+            player.wait_until_acknowledged()
+        bench.wait_for(lambda: len(live_of(bench)) >= len(expected), "all outputs")
+    assert sorted(live_of(bench)) == sorted(expected)
+
+
+def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
+    words = "no chain of transforms leads from s to base: /tf and /tf_static name none"
+    with Bench() as bench, identifier({"autostart": True, **FRAMES}) as node:
+        now = iter(range(START_NS, 2 * START_NS, 4_000_000))
+        bench.wait_for(
+            lambda: bench.publish(next(now), 0.0, 0.0) or len(bench.diagnostics) >= 4,
+            "four diagnostics",
+        )
+        assert words in bench.diagnostic()["message"]
+    assert any("[WARN]" in line and words in line for line in node.output.splitlines())  # type: ignore[attr-defined]
+
+
+def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs() -> None:
+    """The hash of Jazzy's tf2_msgs, by which DDS tells types apart."""
+    known = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+    assert type_hash("tf2_msgs/msg/TFMessage") == known
