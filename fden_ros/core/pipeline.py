@@ -47,7 +47,7 @@ from fden_ros.core.outputs import (
     failure_of,
     order_source,
 )
-from fden_ros.core.plausibility import Plausibility, of_stream, stands_against
+from fden_ros.core.plausibility import Plausibility, Tilt, of_stream, stands_against
 from fden_ros.core.press import Press
 from fden_ros.core.site import Site, prepare
 from fden_ros.core.streams.frames import StaticLinks
@@ -151,6 +151,7 @@ class Pipeline:
             is_stated = config.geometry.is_stated
             self.standing_flags = Flag.IMPLAUSIBLE if is_stated else Flag.GEOMETRY_UNSTATED
         self._forget(_Forget.STREAMS)
+        self._tilt = Tilt(config.geometry)
         self.forget_rig()
         prepare(config)
 
@@ -204,13 +205,15 @@ class Pipeline:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         """Take a displacement [m], positive into the tissue, and the position where known [m].
 
-        `load` is the part of the tool's weight in the force at this orientation [N].
+        `load` is the part of the tool's weight in the force at this orientation [N], `turn` the
+        probe's orientation where it advances along its own axis.
         """
         try:
-            self._synchronizer.add_displacement(stamp_ns, displacement, position, load)
+            self._synchronizer.add_displacement(stamp_ns, displacement, position, load, turn)
         except Exception as error:
             self._fail(stamp_ns, error)
             self._restart_streams()
@@ -331,6 +334,7 @@ class Pipeline:
             "the force fell below its value in the air: does it have the wrong sign (force.axis, "
             "force.inverted), or did the data begin in contact?": detector.below_baseline,
             "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
+            self._tilt.words: self._tilt.count,
             "the force repeated one value: is the sensor dead, or at its end?": self.rejected[
                 f"force.{Reason.STUCK}"
             ],
@@ -402,6 +406,7 @@ class Pipeline:
         first = onset.samples[0]
         self._judge_ended(self.newest_ns, before_ns=first.stamp_ns)
         self._onset = onset
+        self._tilt.see(onset.samples[-1].tilt)
         site = self._site
         if site is None or site.is_elsewhere(first):
             self.site_count += 1

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import find_peaks
 
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters
@@ -336,6 +337,7 @@ class _Collector:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         self.displacements.append((stamp_ns, displacement))
 

@@ -148,6 +148,7 @@ class _RowCopy:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         self._displacement.position = [self._displacement_sign * displacement]
         self._write(_DISPLACEMENT_TOPIC, self._displacement, stamp_ns)

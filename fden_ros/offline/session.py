@@ -312,10 +312,11 @@ class _Tap:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         self._gatherer.see(stamp_ns)
         self._gatherer.displacement.add(stamp_ns, displacement)
-        self._sink.add_displacement(stamp_ns, displacement, position, load)
+        self._sink.add_displacement(stamp_ns, displacement, position, load, turn)
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
         self._gatherer.see(stamp_ns)

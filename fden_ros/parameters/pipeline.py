@@ -34,6 +34,7 @@ from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere,
 from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.frames import FramesConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
+from fden_ros.core.streams.tool_path import ToolPathConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.table import Parameters
@@ -86,6 +87,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             takes_surface=takes_surface(parameters),
             surface_delay=parameters.surface.delay,
             frames=frames_config(parameters),
+            tool_path=_tool_path(parameters),
         ),
         contact=ContactConfig(
             force_threshold=parameters.force.threshold,
@@ -95,7 +97,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             lookback=parameters.contact.lookback,
             site_distance=parameters.site.distance or _site_distance(parameters),
             site_timeout=parameters.site.timeout,
-            approach_axis=unit_vector(parameters.displacement.axis),
+            approach_axis=_approach_axis(parameters),
             series_compliance=parameters.displacement.compliance,
         ),
         estimator=EstimatorConfig(
@@ -189,6 +191,23 @@ def frames_config(parameters: Parameters) -> FramesConfig | None:
         by_transform,
         tool_weight(parameters),
     )
+
+
+def _tool_path(parameters: Parameters) -> ToolPathConfig | None:
+    if not parameters.displacement.along_tool:
+        return None
+    normal = parameters.surface.normal
+    return ToolPathConfig(
+        unit_vector(parameters.displacement.axis), unit_vector(normal) if any(normal) else None
+    )
+
+
+def _approach_axis(parameters: Parameters) -> tuple[float, float, float]:
+    """Return the direction along which two touches may differ and be of one site; zeros: none."""
+    if not parameters.displacement.along_tool:
+        return unit_vector(parameters.displacement.axis)
+    normal = parameters.surface.normal
+    return unit_vector(normal) if any(normal) else (0.0, 0.0, 0.0)
 
 
 def moves_probe(parameters: Parameters) -> bool:

@@ -130,7 +130,13 @@ class DisplacementParameters:
     axis: tuple[float, float, float] = vector(
         (0.0, 0.0, 1.0),
         "1",
-        "Direction into the tissue, in the frame of the position messages; normalised.",
+        "Direction into the tissue, in the frame of the position messages, or, along the tool, in "
+        "the probe's own; normalised.",
+    )
+    along_tool: bool = flag(
+        False,
+        "The probe advances along its own axis: displacement.axis and force.axis are fixed in the "
+        "tool and turn with it, by the orientation of its poses, transforms or of frames.probe.",
     )
     message: str = text(
         "joint_state",
@@ -202,6 +208,14 @@ class SurfaceParameters:
         "1",
         "Direction into the tissue, in the frame of the surface's positions; normalised; zeros: "
         "displacement.axis.",
+        may_be_zero=True,
+    )
+    normal: tuple[float, float, float] = vector(
+        (0.0, 0.0, 0.0),
+        "1",
+        "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
+        "frames.base; counts along the tool: depth is its part of the tool's way; normalised; "
+        "zeros: not known, the probe stands upright.",
         may_be_zero=True,
     )
     name: str = text(

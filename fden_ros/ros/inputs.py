@@ -27,8 +27,8 @@ from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, Wrenc
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
+from fden_ros.core.streams.rotation import Quaternion, normalised
 from fden_ros.core.streams.samples import Position, Reason, Sink
-from fden_ros.core.streams.tool_weight import Quaternion
 from fden_ros.parameters import (
     Parameters,
     frames_config,
@@ -210,7 +210,8 @@ class Inputs:
         # Where forces are turned, the weight is taken off where that is done.
         self._tool = tool_weight(parameters) if frames is None else None
         self._base = frames.base if frames is not None and frames.moves_probe else ""
-        self.turns_force = frames is not None
+        self._is_along_tool = parameters.displacement.along_tool
+        self.turns_force = frames is not None and not self._is_along_tool
         self.transform_topics = TRANSFORM_TOPICS if frames is not None else ()
         self.places: dict[str, Places] = {}
         if not self._base:
@@ -221,7 +222,7 @@ class Inputs:
                 parameters.displacement.name,
                 sink,
                 self._take_displacement,
-                takes_orientation=self._tool is not None,
+                takes_orientation=self._tool is not None or self._is_along_tool,
             )
         if takes_surface(parameters):
             scale = parameters.surface.scale
@@ -338,16 +339,21 @@ class Inputs:
         position: Position | None,
         orientation: Quaternion | None,
     ) -> None:
-        if self._tool is None:
+        if not self.places["displacement"].takes_orientation:
             self._sink.add_displacement(stamp, displacement, position)
             return
         try:
-            load = self._tool.load(orientation or (0.0, 0.0, 0.0, 0.0))
+            turn = orientation or (0.0, 0.0, 0.0, 0.0)
+            load = self._tool.load(turn) if self._tool is not None else 0.0
+            turn = normalised(turn)
         except ValueError:
-            # Without an orientation the weight cannot be told from the tissue.
+            # Without an orientation neither the weight nor the way along the tool is known.
             self._sink.reject("displacement", Reason.MISSING_FIELD)
             return
-        self._sink.add_displacement(stamp, displacement, position, load)
+        if self._is_along_tool:
+            self._sink.add_displacement(stamp, displacement, position, load, turn)
+        else:
+            self._sink.add_displacement(stamp, displacement, position, load)
 
 
 def _joint_value(names: list[str], values: Any, joint: str) -> float | None:

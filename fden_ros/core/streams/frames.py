@@ -28,7 +28,6 @@ from typing import NamedTuple
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
 from fden_ros.core.streams.rotation import (
-    IDENTITY,
     Quaternion,
     Transform,
     Vector,
@@ -38,6 +37,7 @@ from fden_ros.core.streams.rotation import (
     slerp,
 )
 from fden_ros.core.streams.samples import Pair, Reason, Sample
+from fden_ros.core.streams.tool_path import ToolPath
 from fden_ros.core.streams.tool_weight import ToolWeight
 
 #: Samples of a link are kept up to this number, the newest, while it is not known which links
@@ -108,6 +108,8 @@ class Frames:
         Those known by now; added to.
     on_pair : callable
         Called with the force's sample and each pair whose force and displacement are in the base.
+    path : ToolPath, optional
+        The displacement is the way along the probe's axis.
     """
 
     def __init__(
@@ -118,8 +120,10 @@ class Frames:
         make_guard: Callable[[], StreamGuard],
         statics: StaticLinks,
         on_pair: Callable[[Sample, Pair], None],
+        path: ToolPath | None = None,
     ) -> None:
         self._config = config
+        self._path = path
         self._limits = limits
         self._force_guard, self._make_guard = force_guard, make_guard
         self._statics = statics
@@ -250,7 +254,7 @@ class Frames:
         guard = link.guard = self._make_guard()
 
         def on_match(force: Sample, waiting: _Waiting, around: Around) -> None:
-            transforms = (*waiting.transforms, _between(around))
+            transforms = (*waiting.transforms, between(around))
             self._next(force, _Waiting(waiting.pair, transforms, around.before.stamp_ns))
 
         link.join = Join[_Waiting](self._limits, self._force_guard, guard, on_match)
@@ -281,9 +285,13 @@ class Frames:
             turn = self._in_base(self._force_frame, moving).rotation
             pair = pair._replace(force=self._along(force.position, turn))
         if config.moves_probe:
-            position = self._in_base(config.probe, moving).translation
-            displacement = dot(config.displacement_axis, position)
-            pair = pair._replace(displacement=displacement, position=position)
+            probe = self._in_base(config.probe, moving)
+            displacement, tilt = dot(config.displacement_axis, probe.translation), 0.0
+            if self._path is not None:
+                displacement, tilt = self._path.add(probe)
+                if config.tool is not None:
+                    pair = pair._replace(force=pair.force - config.tool.load(probe.rotation))
+            pair = pair._replace(displacement=displacement, position=probe.translation, tilt=tilt)
             # One per transform, for its noise.
             if waiting.since_ns != self._since_ns:
                 self._since_ns = waiting.since_ns
@@ -305,15 +313,15 @@ class Frames:
         return base.inverse().then(own)
 
     def _up(self, way: list[str], moving: dict[str, Transform]) -> Transform:
-        found = IDENTITY
+        found = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         for child in way:
             link = moving[child] if child in moving else self._statics[child][1]
             found = link.then(found)
         return found
 
 
-def _between(around: Around) -> Transform:
-    """Return the transform at an instant: linear along the way, the turn at a constant rate."""
+def between(around: Around) -> Transform:
+    """Return place and turn at an instant: linear along the way, the turn at a constant rate."""
     position, before, after = around.position, around.before.turn, around.after.turn
     assert position is not None and before is not None and after is not None
     if around.after is around.before:

@@ -51,9 +51,6 @@ class Transform(NamedTuple):
         return Transform((-x, -y, -z), back)
 
 
-IDENTITY = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-
-
 def normalised(quaternion: Quaternion) -> Quaternion:
     """Return a quaternion of length 1.
 

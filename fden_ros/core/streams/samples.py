@@ -59,7 +59,7 @@ class Sample(NamedTuple):
     position: Position | None = None
     load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
     usual_ns: float = 0.0  #: usual step of its stream before it [ns]; 0: not known
-    turn: Quaternion | None = None  #: of a transform
+    turn: Quaternion | None = None  #: of a transform, or of the probe
 
 
 class Pair(NamedTuple):
@@ -70,6 +70,7 @@ class Pair(NamedTuple):
     force: float  #: [N]
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
+    tilt: float = 0.0  #: of its axis against the surface's normal, where both are known [rad]
 
 
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:
@@ -91,8 +92,9 @@ class Sink(Protocol):
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
-        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
+        """Take a displacement [m], the tool's weight [N]; position [m] and turn where known."""
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
         """Take a force [N] or torque [N m] in a frame that moves."""

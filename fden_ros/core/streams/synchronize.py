@@ -26,11 +26,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks
+from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
-from fden_ros.core.streams.rotation import Transform, Vector
+from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
+from fden_ros.core.streams.tool_path import ToolPath, ToolPathConfig
 
 #: The median of the magnitude of a normal variable, by which noise is measured, in standard
 #: deviations.
@@ -59,6 +60,8 @@ class SynchronizeConfig:
         The surface's stamps lag the force's by this much [s]; may be negative.
     frames : FramesConfig, optional
         A force waits for the transforms around it too, whose stamps lag like the displacement's.
+    tool_path : ToolPathConfig, optional
+        The displacement is the probe's way along its own axis.
     """
 
     displacement_delay: float = 0.0
@@ -69,6 +72,7 @@ class SynchronizeConfig:
     takes_surface: bool = False
     surface_delay: float = 0.0
     frames: FramesConfig | None = None
+    tool_path: ToolPathConfig | None = None
 
 
 class Synchronizer:
@@ -98,7 +102,13 @@ class Synchronizer:
         self.force_guard = StreamGuard(
             config.force_limit, rejected, "force", is_vector=config.frames is not None
         )
-        self.displacement_guard = StreamGuard(config.displacement_limit, rejected, "displacement")
+        self._path = ToolPath(config.tool_path) if config.tool_path is not None else None
+        self.displacement_guard = StreamGuard(
+            config.displacement_limit,
+            rejected,
+            "displacement",
+            is_vector=config.tool_path is not None,
+        )
         self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
         self._passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
         self._surfaces_passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
@@ -127,6 +137,7 @@ class Synchronizer:
                 self._transform_guard,
                 statics if statics is not None else StaticLinks(),
                 self._in_base,
+                self._path,
             )
 
     def _transform_guard(self) -> StreamGuard:
@@ -185,13 +196,14 @@ class Synchronizer:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
-        """Add a displacement sample [m], and the probe's position [m] where it is known.
+        """Add a displacement sample [m], and the probe's position [m] and turn where known.
 
         `load` [N] is what the sensor measures there without any contact.
         """
         self._displacements.follow(
-            self.displacement_guard.accept(stamp_ns, displacement, position, load)
+            self.displacement_guard.accept(stamp_ns, displacement, position, load, turn)
         )
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
@@ -216,6 +228,9 @@ class Synchronizer:
             around.value,
             around.position,
         )
+        if self._path is not None:
+            displacement, tilt = self._path.add(between(around))
+            pair = pair._replace(displacement=displacement, tilt=tilt)
         self._on_force(force, pair)
 
     def _on_force(self, force: Sample, pair: Pair) -> None:
