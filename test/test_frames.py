@@ -51,6 +51,7 @@ from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.cdr import serialize
+from fden_ros.recording.contents import inspect
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import PARAMETER_FILE
@@ -296,6 +297,8 @@ def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
     assert main(["replay", str(bag), *config, "-o", str(out), "--with-inputs"]) == 0
     (out / PARAMETER_FILE).write_text((bag / PARAMETER_FILE).read_text())
     assert outputs_of(out)[1] == outputs_of(bag)[1]
+    contents = inspect(bag, read_parameter_file(bag / PARAMETER_FILE))
+    assert not contents.problems and not contents.warnings
     assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
 
 

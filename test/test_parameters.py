@@ -377,10 +377,12 @@ def test_parameter_says_what_of_a_message_counts(name):
 #: Shown with the running node, in test_parameter_files.py.
 LIVE = {"force.message", "displacement.message"}
 TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
+#: In test_frames.py and test_along_tool.py.
+FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.normal"}
 
 
 def test_no_parameter_is_without_a_test():
-    shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, "classifier.library"}
+    shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, *FRAMES, "classifier.library"}
     assert shown == {parameter.name for parameter in PARAMETERS}
     live = "".join(
         (Path(__file__).parent / name).read_text(encoding="utf-8")

@@ -34,7 +34,7 @@ from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, NumberOrVecto
 from fden_ros.ros.messages import stamp_ns
 
 _ALWAYS = ("force", "displacement")
-_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class BagSource:
     def _find_transforms(self) -> None:
         for topic in self.reader.topics:
             what = "/" + topic.name.rpartition("/")[2]
-            if what in TRANSFORM_TOPICS and topic.type_name == _TRANSFORMS:
+            if what in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
                 self._fields[what] = None
                 self.topics[what] = topic
         if not set(self.topics) & set(TRANSFORM_TOPICS):
