@@ -210,9 +210,8 @@ def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> lis
         start = max(topic.start_ns for topic in chosen)
         end = min(topic.end_ns for topic in chosen)
         if start >= end:
-            warnings.append(
-                f"the stamps of {' and '.join(t.name for t in chosen)} do not overlap: are they of one clock?"
-            )
+            listed = " and ".join(topic.name for topic in chosen)
+            warnings.append(f"the stamps of {listed} do not overlap: are they of one clock?")
     return warnings
 
 

@@ -48,26 +48,29 @@ class Around(NamedTuple):
     @property
     def value(self) -> float:
         """Value at the instant, linear in between."""
-        return self.linear(self.before.value, self.after.value)
+        before, after, share = self
+        if after is before:
+            return before.value
+        return before.value + share * (after.value - before.value)
 
     @property
     def load(self) -> float:
         """Load at the instant, linear in between."""
-        return self.linear(self.before.load, self.after.load)
+        before, after, share = self
+        if after is before:
+            return before.load
+        return before.load + share * (after.load - before.load)
 
     @property
     def position(self) -> Position | None:
         """Position at the instant, linear in between; None where one of the two is not known."""
-        a, b = self.before.position, self.after.position
-        if a is None or b is None:
+        before, after, share = self
+        if after is before:
+            return before.position
+        if before.position is None or after.position is None:
             return None
-        return self.linear(a[0], b[0]), self.linear(a[1], b[1]), self.linear(a[2], b[2])
-
-    def linear(self, before: float, after: float) -> float:
-        """Return the number at the instant between those of the two samples."""
-        if self.after is self.before:
-            return before
-        return before + self.share * (after - before)
+        (x0, y0, z0), (x1, y1, z1) = before.position, after.position
+        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0)
 
 
 @dataclass(frozen=True)
@@ -211,6 +214,8 @@ class Join(Generic[Payload]):
             self._following.popleft()
 
     def _has_waited(self, oldest: Sample, newest: Sample, guard: StreamGuard) -> bool:
+        if oldest is newest:
+            return False
         start_ns = oldest.stamp_ns if oldest.epoch == newest.epoch else guard.epoch_start_ns
         window_ns = max(self._limits.window_ns, _WINDOW_STEPS * newest.usual_ns)
         return newest.stamp_ns - start_ns > window_ns
