@@ -60,7 +60,7 @@ class Run:
 
     @property
     def waiting(self):
-        return len(self.synchronizer._forces) + len(self.synchronizer._displacements)
+        return self.synchronizer.waiting
 
 
 def steps():

@@ -73,7 +73,7 @@ def turning(mass: float, told: float, fast: bool) -> tuple[Pipeline, list[Contac
             message = WrenchStamped()
             message.wrench.force.x, message.wrench.force.y = map(float, weight[:2])
             message.wrench.force.z = item.value + float(weight[2])
-            name, take = "force", inputs.add_force
+            name = "force"
         else:
             message = PoseStamped()
             assert item.position is not None
@@ -82,13 +82,13 @@ def turning(mass: float, told: float, fast: bool) -> tuple[Pipeline, list[Contac
             )
             orientation = message.pose.orientation
             orientation.x, orientation.y, orientation.z, orientation.w = turn.as_quat().tolist()
-            name, take = "displacement", inputs.add_displacement
+            name = "displacement"
         message.header.stamp = to_stamp(item.stamp_ns)
         message.header.frame_id = "s"
         if fast:
             handlers[name](serialize(message))  # type: ignore[misc]
         else:
-            take(message)
+            inputs.add(name, message)
     pipeline.finish()
     return pipeline, [output for output in outputs if isinstance(output, ContactSummary)]
 
@@ -110,5 +110,5 @@ def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gi
 def test_a_joint_tells_no_orientation_and_is_counted() -> None:
     values = check({"tool.mass": 0.1})
     pipeline = Pipeline(pipeline_config(values), lambda output: None)
-    Inputs(values, pipeline).take_joint("", 1, 0.0)
+    Inputs(values, pipeline).places["displacement"].take_joint("", 1, 0.0)
     assert pipeline.rejected == {"displacement.missing_field": 1}

@@ -519,13 +519,16 @@ def test_the_page_of_the_interface_has_every_topic_and_service_of_the_node() -> 
 
     context = rclpy.Context()
     rclpy.init(context=context)
-    node = Identifier(context=context)
+    inputs = {"surface.message": "pose", "frames.base": "base"}
+    overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in inputs.items()]
+    node = Identifier(context=context, parameter_overrides=overrides)
     try:
         node.trigger_configure()
         node.trigger_activate()
         me, own = node.get_name(), f"/{node.get_name()}/"
+        absolute = ("/diagnostics", "/tf", "/tf_static")
         topics = {
-            name.replace(own, "~/").removeprefix("/" if "diagnostics" not in name else ""): types
+            name.replace(own, "~/").removeprefix("" if name in absolute else "/"): types
             for find in (
                 node.get_publisher_names_and_types_by_node,
                 node.get_subscriber_names_and_types_by_node,

@@ -42,7 +42,9 @@ from fault_helpers import (
     outcome_of,
     shift,
 )
+from frame_helpers import FRAMES, Place, arm, transforms
 from pipeline_helpers import Item, feed
+from scipy.spatial.transform import Rotation
 
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
@@ -268,6 +270,51 @@ def break_estimator(pipeline: Pipeline) -> None:
     pipeline._site._estimator.update = update  # type: ignore[method-assign, assignment]
 
 
+def arm_with(change: Callable[[Shift, list[Place]], list[Place]]) -> Callable[[Shift], list[Step]]:
+    """Let an arm that turns carry the probe, and something happen to its transforms."""
+    return lambda s: list(arm(s, change(s, transforms(s))))
+
+
+def some_places(change: Callable[[Place], Place]) -> Callable[[Shift], list[Step]]:
+    """Change a few transforms of one link in the second contact, never two in a row."""
+
+    def changed(s: Shift, moving: list[Place]) -> list[Place]:
+        near = [k for k, one in enumerate(moving) if s.at(BEGIN) <= one.stamp_ns < s.at(END)]
+        chosen = set(near[10::33])
+        return [change(one) if k in chosen else one for k, one in enumerate(moving)]
+
+    return arm_with(changed)
+
+
+def no_places(begin: float, end: float, child: str = "flange") -> Callable[[Shift], list[Step]]:
+    return arm_with(
+        lambda s, moving: [
+            one
+            for one in moving
+            if one.child != child or not s.at(begin) <= one.stamp_ns < s.at(end)
+        ]
+    )
+
+
+def late_arm(s: Shift) -> list[Step]:
+    """The transforms of 0.1 s before, each with its own stamp, after the newer ones."""
+    moving = transforms(s)
+    late = [one for one in moving if s.at(BEGIN) <= one.stamp_ns < s.at(END)][::7]
+    out: list[Step] = list(arm(s, moving))
+    for one in late:
+        newer = one.stamp_ns + NANOSECONDS // 10
+        out.insert(next(k for k, other in enumerate(out) if other.stamp_ns > newer), one)  # type: ignore[union-attr]
+    return out
+
+
+def turned(one: Place) -> Place:
+    """Off by 5 mm and a tenth of a radian."""
+    x, y, z = one.translation
+    turn = Rotation.from_quat(one.rotation) * Rotation.from_rotvec([0.1, 0.0, 0.0])
+    a, b, c, d = map(float, turn.as_quat())
+    return one._replace(translation=(x, y, z + 0.005), rotation=(a, b, c, d))
+
+
 GAP, SATURATED, FAILED = Flag.GAP, Flag.SATURATED, Flag.ESTIMATION_FAILED
 UNKNOWN = Status.UNKNOWN
 BELOW, DRIFTS, JUMPED = "fell below", "drifts", "clock jumped back"
@@ -400,6 +447,30 @@ ROWS = [
         warned=BELOW,
     ),
     Row("bias_steps", from_then(13.0, plus(0.05), (FORCE,)), good_from=15.0, warned=""),
+    # transforms
+    Row("transform_turns", arm_with(lambda s, moving: moving), parameters=FRAMES),
+    Row("transform_late", late_arm, ("transform.late_stamp",), parameters=FRAMES),
+    Row("transform_jumps", some_places(turned), ("transform.spike",), parameters=FRAMES),
+    Row(
+        "transform_unset",
+        some_places(lambda one: one._replace(rotation=(0.0, 0.0, 0.0, 0.0))),
+        ("transform.non_finite",),
+        parameters=FRAMES,
+    ),
+    Row(
+        "transform_dropout_300_ms",
+        no_places(10.0, 10.3),
+        ("force.transform_gap",),
+        parameters=FRAMES,
+        flags=GAP,
+    ),
+    Row(
+        "transform_starts_late",
+        no_places(-1.0, 8.0),
+        ("force.no_transform",),
+        parameters=FRAMES,
+        good_from=8.0,
+    ),
     # contact
     Row("contact_at_start", without(0.0, 10.0), good_from=11.5, warned=BELOW),
     Row("reset_in_contact", called(lambda p: p.reset(), 9.3, 9.6, 10.0, 10.5)),
@@ -447,7 +518,8 @@ def assert_counted(row: Row, outcome: Outcome) -> None:
         assert any(counter.startswith(name) for counter in rejected), (name, rejected)
     for counter in rejected:
         # A sample that is dropped may leave another without its partner.
-        known = counter.startswith((*row.counted, "force.unpaired", "force.displacement_gap"))
+        partner = "force.unpaired", "force.displacement_gap", "force.no_transform"
+        known = counter.startswith((*row.counted, *partner))
         assert known, counter
     if row.warned:
         assert any(row.warned in words for words in outcome.pipeline.warnings)

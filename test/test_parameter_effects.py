@@ -36,7 +36,7 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.disturbance import Disturbances
+from fden_ros.simulation.disturbance import Disturbances, SurfaceMotion
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
     Dropout,
@@ -44,6 +44,7 @@ from fden_ros.simulation.scenario import (
     Geometry,
     Scenario,
     Site,
+    SurfaceSensor,
     Tissue,
 )
 from fden_ros.simulation.simulate import Recording, simulate
@@ -68,6 +69,7 @@ def recording(name: str) -> Recording:
     force, moved = ForceSensor(200.0, noise_n=2e-4), DisplacementSensor(200.0, noise_m=1e-6)
     distance, pause, disturbances = 0.004, 1.0, Disturbances()
     dropouts: tuple[Dropout, ...] = ()
+    surface: SurfaceSensor | None = None
     if name == "silent":
         force = ForceSensor(200.0)
     elif name == "biased":
@@ -76,6 +78,9 @@ def recording(name: str) -> Recording:
         moved = DisplacementSensor(200.0, delay_s=0.02)
     elif name == "yielding":
         disturbances = Disturbances(compliance_m_per_n=2e-3)
+    elif name == "breathing":
+        disturbances = Disturbances(breathing=SurfaceMotion(1e-3))
+        surface = SurfaceSensor(100.0, noise_m=1e-6, message="joint_state")
     elif name == "gap":
         dropouts = (Dropout("displacement", 2.0, 0.15),)
     elif name == "slow":
@@ -106,6 +111,7 @@ def recording(name: str) -> Recording:
             displacement=moved,
             disturbances=disturbances,
             dropouts=dropouts,
+            surface=surface,
         )
     )
 
@@ -137,6 +143,12 @@ class Heard:
                 made.force.stamp_ns.tolist(), made.force.value.tolist(), strict=True
             )
         ]
+        if made.surface is not None:
+            for stamp, value in zip(
+                made.surface.stamp_ns.tolist(), made.surface.value.tolist(), strict=True
+            ):
+                # Before all others: the recording is shorter than the window.
+                pipeline.add_surface(stamp, value)
         for stamp, is_force, sample in sorted(events, key=lambda event: event[:2]):
             if is_force:
                 pipeline.add_force(stamp, *sample)
@@ -268,6 +280,18 @@ EFFECTS: dict[str, Effect] = {
     "displacement.compliance_sd": ("plain", RIGID, 0.1, wider),
     "displacement.delay_sd": ("plain", RIGID, 0.1, wider),
     "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
+    "surface.message": (
+        "breathing",
+        RIGID,
+        "joint_state",
+        lambda a, b: truth_error(b) < 0.2 * truth_error(a),
+    ),
+    "surface.delay": (
+        "breathing",
+        RIGID | {"surface.message": "joint_state"},
+        -0.2,
+        lambda a, b: truth_error(b) > 2.0 * truth_error(a),
+    ),
     "model_error.sd": (
         "plain",
         RIGID,

@@ -339,6 +339,9 @@ class Samples:
     def add_displacement(self, stamp_ns, displacement, position=None, load=0.0):
         self.heard.append(("displacement", displacement))
 
+    def add_surface(self, stamp_ns, surface):
+        self.heard.append(("surface", surface))
+
     def reject(self, stream, reason):
         self.heard.append((stream, reason))
 
@@ -355,6 +358,9 @@ READ = {
     "displacement.axis": ([2.0, 0.0, 0.0], "displacement", POINT, 0.3, 0.1),
     "displacement.name": ("b", "displacement", JOINTS, 0.1, 0.2),
     "displacement.inverted": (True, "displacement", JOINTS, 0.1, -0.1),
+    "surface.axis": ([-2.0, 0.0, 0.0], "surface", POINT, 0.3, -0.1),
+    "surface.name": ("b", "surface", JOINTS, 0.1, 0.2),
+    "surface.scale": (-0.5, "surface", JOINTS, 0.1, -0.05),
 }
 
 
@@ -363,18 +369,20 @@ def test_parameter_says_what_of_a_message_counts(name):
     value, stream, message, usual, expected = READ[name]
     for parameters, number in (({}, usual), ({name: value}, expected)):
         samples = Samples()
-        inputs = Inputs(check(parameters), samples)
-        (inputs.add_force if stream == "force" else inputs.add_displacement)(message)
+        inputs = Inputs(check({"surface.message": "point"} | parameters), samples)
+        inputs.add(stream, message)
         assert samples.heard == [(stream, number)]
 
 
 #: Shown with the running node, in test_parameter_files.py.
 LIVE = {"force.message", "displacement.message"}
 TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
+#: In test_frames.py and test_along_tool.py.
+FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.normal"}
 
 
 def test_no_parameter_is_without_a_test():
-    shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, "classifier.library"}
+    shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, *FRAMES, "classifier.library"}
     assert shown == {parameter.name for parameter in PARAMETERS}
     live = "".join(
         (Path(__file__).parent / name).read_text(encoding="utf-8")

@@ -48,6 +48,9 @@ class Heard:
     def add_displacement(self, *arguments: Any) -> None:
         self.calls.append(("displacement", *arguments))
 
+    def add_surface(self, *arguments: Any) -> None:
+        self.calls.append(("surface", *arguments))
+
     def reject(self, *arguments: Any) -> None:
         self.calls.append(("reject", *arguments))
 
@@ -62,14 +65,15 @@ def both_ways(
             "displacement.axis": [0.0, 0.2, -1.0],
             "force.inverted": True,
             "displacement.inverted": True,
+            "surface.message": "pose",
+            "surface.scale": -0.3,
             f"{what}.name": joint,
         }
     )
     data = serialize(message)
     slow, quick = Heard(), Heard()
     inputs = Inputs(parameters, slow)  # type: ignore[arg-type]
-    take = inputs.add_force if what == "force" else inputs.add_displacement
-    take(deserialize_message(data, type(message)))
+    inputs.add(what, deserialize_message(data, type(message)))
     handler = fast_handler(what, type_name, Inputs(parameters, quick))  # type: ignore[arg-type]
     assert handler is not None
     try:
@@ -92,6 +96,7 @@ def fill(message: Any, frame: str, seconds: int, nanoseconds: int) -> Any:
         ("displacement", PoseStamped, lambda m: m.pose.position),
         ("displacement", PointStamped, lambda m: m.point),
         ("displacement", TransformStamped, lambda m: m.transform.translation),
+        ("surface", PointStamped, lambda m: m.point),
     ],
 )
 @given(frame=texts, child=texts, value=vectors, seconds=st.integers(-(2**31), 2**31 - 1))
@@ -111,7 +116,7 @@ def test_vectors_are_the_same_bit_for_bit(
 
 
 @given(
-    what=st.sampled_from(["force", "displacement"]),
+    what=st.sampled_from(["force", "displacement", "surface"]),
     names=st.lists(texts, max_size=5),
     lengths=st.tuples(*[st.integers(0, 6)] * 3),
     joint=st.integers(-1, 5),
@@ -151,7 +156,6 @@ def test_a_stream_whose_messages_change_in_between_is_the_same_bit_for_bit(
     parameters = check({f"{what}.name": joint})
     slow, quick = Heard(), Heard()
     inputs = Inputs(parameters, slow)  # type: ignore[arg-type]
-    take = inputs.add_force if what == "force" else inputs.add_displacement
     handler = fast_handler(what, "sensor_msgs/msg/JointState", Inputs(parameters, quick))  # type: ignore[arg-type]
     assert handler is not None
     for number, (frame, names, lengths) in enumerate(stream):
@@ -160,7 +164,7 @@ def test_a_stream_whose_messages_change_in_between_is_the_same_bit_for_bit(
         message.position, message.velocity, message.effort = (
             [0.1 + i + 7 * k + 100 * number for i in range(n)] for k, n in enumerate(lengths)
         )
-        take(message)
+        inputs.add(what, message)
         handler(serialize(message))
     assert repr(quick.calls) == repr(slow.calls)
 

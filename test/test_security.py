@@ -50,6 +50,8 @@ def test_the_policy_names_what_the_running_node_has_and_nothing_else() -> None:
     parameters = {
         "autostart": True,
         "use_sim_time": True,
+        "surface.message": "pose",
+        "frames.base": "base",
         "start_type_description_service": True,
     }
     with Bench() as bench, identifier(parameters):

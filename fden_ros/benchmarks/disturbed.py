@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -40,6 +41,7 @@ from fden_ros.simulation.scenario import (
     Press,
     Scenario,
     Site,
+    SurfaceSensor,
     Tissue,
 )
 from fden_ros.simulation.simulate import EXACT, START_NS, Recording, simulate
@@ -112,6 +114,8 @@ class Case:
         Of the lower table.
     reference : bool
         Nothing is disturbed: the row of the sharpness.
+    surface : SurfaceSensor, optional
+        Measures the surface's place.
     beyond : bool
         Far beyond what a rig is expected to do: may be told as changed tissue.
     """
@@ -130,6 +134,7 @@ class Case:
     detection: bool = False
     reference: bool = False
     beyond: bool = False
+    surface: SurfaceSensor | None = None
 
     @property
     def press_count(self) -> int:
@@ -156,6 +161,12 @@ CASES = (
     Case("breathing_1mm_press", "breathing 1 mm, 8 mm/s", (_FAST,), _breathing(1e-3), beyond=True),
     Case("breathing_0.3mm", "breathing 0.3 mm, hold", disturbances=_breathing(3e-4)),
     Case("breathing_1mm", "breathing 1 mm, hold", disturbances=_breathing(1e-3), beyond=True),
+    Case(
+        "breathing_1mm_measured",
+        "breathing 1 mm, hold, measured",
+        disturbances=_breathing(1e-3),
+        surface=SurfaceSensor(60.0, noise_m=2e-5, jitter_s=1e-3, delay_s=0.02, offset_m=0.3),
+    ),
     Case(
         "heartbeat_0.2mm",
         "heartbeat 0.2 mm, hold",
@@ -355,6 +366,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
         ),
         disturbances=case.disturbances,
         preload=case.preload,
+        surface=case.surface,
     )
 
 
@@ -384,7 +396,13 @@ def _identified(
         own.pop(name, None)
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check({**parameters, **own})), outputs.append)
+    surfaces = deque[tuple[int, float]]()
+    if recording.surface is not None:
+        values = recording.surface.value.tolist()
+        surfaces.extend(zip(recording.surface.stamp_ns.tolist(), values, strict=True))
     for is_force, stamp_ns, value, place in streams_of(recording):
+        while surfaces and surfaces[0][0] <= stamp_ns:
+            pipeline.add_surface(*surfaces.popleft())
         if is_force:
             pipeline.add_force(stamp_ns, value)
         else:

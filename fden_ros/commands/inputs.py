@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Options that several commands share: what of a recording is force and displacement."""
+"""Options that several commands share: what of a recording is force, displacement, surface."""
 
 from __future__ import annotations
 
@@ -30,19 +30,22 @@ _Value = TypeVar("_Value")
 
 
 def add_input_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--config`` and the options that say where force and displacement are."""
+    """Add ``--config`` and the options that say where each quantity is."""
     add_config_options(parser)
     add_selection_options(parser)
 
 
 def add_selection_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say where in a recording force and displacement are."""
+    """Add the options that say where in a recording force, displacement and surface are."""
     group = parser.add_argument_group(
         "what is force, what is displacement (found where it can be)"
     )
     group.add_argument("--force-topic", metavar="T", help="topic of the force")
     group.add_argument("--displacement-topic", metavar="T", help="topic of the displacement")
-    for what in ("force", "displacement"):
+    group.add_argument(
+        "--surface-topic", metavar="T", help="topic of the surface, where surface.message is set"
+    )
+    for what in ("force", "displacement", "surface"):
         group.add_argument(
             f"--{what}-field",
             type=as_argument(_field_path),
@@ -53,9 +56,9 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--columns",
         type=as_argument(_columns),
-        metavar="T,F,D",
+        metavar="T,F,D[,S]",
         help="the recording is a table (CSV): headings or numbers of the columns of time, force "
-        "and displacement, each with an optional factor to s, N and m: "
+        "and displacement, and perhaps surface, each with an optional factor to s, N and m: "
         "time_s,force_N,depth_mm*1e-3. @500 as time: rows at 500 Hz. Not needed where headings "
         "name them with their units",
     )
@@ -106,6 +109,8 @@ def selection_of(args: argparse.Namespace) -> Any:
         displacement_field=args.displacement_field,
         columns=args.columns,
         where=args.rows,
+        surface_topic=args.surface_topic,
+        surface_field=args.surface_field,
     )
 
 

@@ -45,10 +45,12 @@ from fden_ros.core.outputs import (
     failure_of,
     order_source,
 )
-from fden_ros.core.plausibility import Plausibility
+from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Press
 from fden_ros.core.site import Site, prepare
+from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
+from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 from fden_ros.core.streams.synchronize import Synchronizer
 
@@ -105,6 +107,8 @@ class Pipeline:
         self._listener_error: Exception | None = None
         self._clock_jumps = 0
         self._tare_offset = 0.0
+        # They come once, and outlive a reset.
+        self._statics = StaticLinks()
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
         self._labeller = labeller_of(config)
@@ -122,6 +126,7 @@ class Pipeline:
         self._hindsight = Hindsight(config)
         self._in_contact = InContact(config, self._plausibility)
         self._forget(_Forget.STREAMS)
+        self._tilt = Tilt(config.geometry)
         self.forget_rig()
         prepare(config)
 
@@ -151,7 +156,9 @@ class Pipeline:
             self._restart_streams()
 
     def _restart_streams(self) -> None:
-        self._synchronizer = Synchronizer(self.config.synchronize, self._on_pair, self.rejected)
+        self._synchronizer = Synchronizer(
+            self.config.synchronize, self._on_pair, self.rejected, self._statics
+        )
         self._epoch = 0
 
     # Inputs
@@ -159,7 +166,9 @@ class Pipeline:
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Take a force sample [N], positive when pressing; with torsion a torque [N m]."""
         try:
-            self._synchronizer.add_force(stamp_ns, force - self._tare_offset)
+            # Where frames move, the force is tared once it is in the base.
+            offset = 0.0 if self.config.synchronize.frames is not None else self._tare_offset
+            self._synchronizer.add_force(stamp_ns, force - offset)
         except Exception as error:
             self._fail(stamp_ns, error)
             self._restart_streams()
@@ -170,13 +179,49 @@ class Pipeline:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         """Take a displacement [m], positive into the tissue, and the position where known [m].
 
-        `load` is the part of the tool's weight in the force at this orientation [N].
+        `load` is the part of the tool's weight in the force at this orientation [N], `turn` the
+        probe's orientation where it advances along its own axis.
         """
         try:
-            self._synchronizer.add_displacement(stamp_ns, displacement, position, load)
+            self._synchronizer.add_displacement(stamp_ns, displacement, position, load, turn)
+        except Exception as error:
+            self._fail(stamp_ns, error)
+            self._restart_streams()
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
+        """Take a force [N], or with torsion a torque [N m], in a frame that moves."""
+        self._feed(stamp_ns, lambda: self._synchronizer.add_force_vector(stamp_ns, frame, force))
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Vector,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        """Take where a frame is in its parent [m], and its rotation as a quaternion."""
+        place = Transform(translation, rotation)
+        self._feed(
+            stamp_ns,
+            lambda: self._synchronizer.add_transform(
+                stamp_ns, parent, child, place, is_static=is_static
+            ),
+        )
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Take a place of the tissue's surface [m], positive into the tissue; it is taken off."""
+        self._feed(stamp_ns, lambda: self._synchronizer.add_surface(stamp_ns, surface))
+
+    def _feed(self, stamp_ns: int, add: Callable[[], None]) -> None:
+        try:
+            add()
         except Exception as error:
             self._fail(stamp_ns, error)
             self._restart_streams()
@@ -225,6 +270,19 @@ class Pipeline:
             self._fail(self.newest_ns, error)
 
     @property
+    def transform_problem(self) -> str:
+        """Why no force has found its transforms yet, in words; empty: there is nothing to say."""
+        frames = self._synchronizer.frames
+        if self.pair_count or frames is None or not frames.missing:
+            return ""
+        known = ", ".join(frames.known) or "none"
+        base = self.config.synchronize.frames.base if self.config.synchronize.frames else ""
+        return (
+            f"no chain of transforms leads from {frames.missing} to {base}: /tf and /tf_static "
+            f"name {known}; set frames.base and frames.probe to frames that are connected"
+        )
+
+    @property
     def is_failed(self) -> bool:
         """Whether the newest failure is that of the present site, or came without one."""
         if not self.failures:
@@ -251,12 +309,16 @@ class Pipeline:
         )
         found = {words: count for words, count in self._plausibility.found.items() if count}
         along = self._continuous.warnings if self._continuous is not None else {}
-        said = {words: count for words, count in along.items() if words and count}
+        tilted = {self._tilt.words: self._tilt.count}
+        said = {words: n for words, n in {**along, **tilted}.items() if words and n}
         return {**dict.fromkeys(self.problems, 1), **found, **said, **odd}
 
     # Pairs
 
     def _on_pair(self, pair: Pair) -> None:
+        if self.config.synchronize.frames is not None and self._tare_offset:
+            # Only here the force is along the axis.
+            pair = pair._replace(force=pair.force - self._tare_offset)
         try:
             self._take(pair)
         except Exception as error:
@@ -331,6 +393,7 @@ class Pipeline:
         first = onset.samples[0]
         self._say_again(self._hindsight.judge(self.newest_ns, before_ns=first.stamp_ns))
         self._onset = onset
+        self._tilt.see(onset.samples[-1].tilt)
         site = self._site
         if site is None or site.is_elsewhere(onset):
             before = site

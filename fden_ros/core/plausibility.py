@@ -63,6 +63,9 @@ _LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 _NONLINEAR_DEVIATIONS = 2.0
 #: Strain from which on a contact is judged before it is over [1]: at less the origin counts.
 _LEAST_STRAIN = 0.05
+#: A probe is askew from this angle against the surface's normal [rad]: 5 degrees, of which the
+#: cosine is 0.996.
+_TILTED = 0.087
 #: Samples farther apart than this are slow, and closer than this are of no force sensor [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.
@@ -103,6 +106,35 @@ def _too_large(name: str, value: float, unit: str, other: str, factor: float) ->
         f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: was "
         f"{other} meant? With the factor {factor:g} it would be {factor * value:.3g} {unit}"
     )
+
+
+class Tilt:
+    """Tells of probes that touch askew, and what it costs.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    """
+
+    def __init__(self, geometry: Geometry) -> None:
+        self._geometry = geometry
+        self._largest = 0.0
+        self.count = 0  #: of the touches that were
+
+    def see(self, tilt: float) -> None:
+        """Take the angle between axis and normal at a touch [rad]."""
+        self._largest = max(self._largest, tilt)
+        self.count += tilt > _TILTED
+
+    @property
+    def words(self) -> str:
+        """What it is and costs, in one sentence."""
+        cost = f"the way along the tool is taken for {math.cos(self._largest):.3f} of it in depth"
+        if isinstance(self._geometry, FlatPunch):
+            width = 2.0 * math.sqrt(self._geometry.area / math.pi)
+            depth = width * math.tan(min(self._largest, 1.5))
+            cost += f", and the flat face touches by its edge first, over {1e3 * depth:.1f} mm"
+        return f"the probe touched up to {math.degrees(self._largest):.0f} degrees askew: {cost}"
 
 
 class Plausibility:

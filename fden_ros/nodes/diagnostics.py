@@ -27,7 +27,7 @@ from rclpy.lifecycle import LifecycleNode
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import Backlog
 from fden_ros.nodes.input_problems import ListenedTo, clock_problem, pairing_problem
-from fden_ros.ros.inputs import Inputs
+from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs
 from fden_ros.ros.status import PipelineProblems, diagnostic_status
 
 _PERIOD = 1.0
@@ -135,20 +135,21 @@ class Diagnostics:
         """Return what is wrong with the inputs; log it once while nothing has come of them."""
         if self._is_collecting():
             return ["identify_tool is collecting: nothing is estimated until it has answered"]
-        has_come = {"force": self._inputs.has_force, "displacement": self._inputs.has_displacement}
-        inputs = [
-            problem
-            for one in self._listened_to
-            for problem in one.problems(self._node, has_come=has_come[one.what])
-        ]
+        inputs = [problem for one in self._listened_to for problem in self._problems_of(one)]
         clock = clock_problem(self._node)
-        pairing = pairing_problem(pipeline, self._inputs)
+        pairing = pipeline.transform_problem or pairing_problem(pipeline, self._inputs)
         always = [clock] if clock else []
         first = [*inputs, pairing] if pairing else inputs
         self._looks += 1
         if self._looks >= _FIRST_LOGGED:
             self._tell(always if pipeline.pair_count else [*first, *always])
         return [*first, *always]
+
+    def _problems_of(self, one: ListenedTo) -> list[str]:
+        if one.what in TRANSFORM_TOPICS:
+            # Many publish them, or none: what counts is whether they connect the frames.
+            return one.wrong_publishers(self._node)
+        return one.problems(self._node, has_come=self._inputs.has_come(one.what))
 
     def _tell(self, problems: Sequence[str]) -> None:
         for problem in problems:

@@ -14,9 +14,9 @@
 
 """The lifecycle node ``identifier``: the pipeline on live topics.
 
-Subscribes to ``force`` and ``displacement``; publishes ``~/estimate``, ``~/classification``,
-``~/palpation`` and ``/diagnostics``; offers ``~/reset``, ``~/forget_rig``, ``~/tare`` and
-``~/identify_tool``.
+Subscribes to ``force``, ``displacement`` and, where it is measured, ``surface``; publishes
+``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``,
+``~/forget_rig``, ``~/tare`` and ``~/identify_tool``.
 Everything that computes is in :mod:`fden_ros.core`.
 """
 
@@ -41,6 +41,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
 
 from fden_ros.configure.tool import ToolCollection
 from fden_ros.core.outputs import Output, TissueState, placed, stale
@@ -65,15 +66,17 @@ from fden_ros.parameters import (
 from fden_ros.parameters.files import identifier_values
 from fden_ros.recording.reader import Topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
+from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs, stream_of
 from fden_ros.ros.status import type_name
-from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, OutputMessages
+from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS, STATIC_QOS, OutputMessages
 
 _STALE_CHECK_PERIOD = 0.05
 #: A stale estimate is published again and again at this period [s].
 _STALE_PERIOD = 1.0
 _ACKNOWLEDGE_TIMEOUT = 1.0
 _INACTIVE = "the node is not active: activate it first"
+#: What ``~/identify_tool`` reads.
+_TURNS_OF_THE_TOOL = ("force", "displacement")
 
 
 class Identifier(LifecycleNode):
@@ -125,7 +128,7 @@ class Identifier(LifecycleNode):
         for name in given:
             if name in values:
                 self._parameter_overrides[name] = RosParameter(name, value=values[name])
-        inputs = [self.resolve_topic_name(name) for name in ("force", "displacement")]
+        inputs = [self.resolve_topic_name(name) for name in INPUT_MESSAGES]
         outputs = [self.resolve_topic_name(f"~/{topic.name}") for topic in OUTPUT_TOPICS]
         check_qos_overrides(given, inputs, outputs)
 
@@ -244,17 +247,18 @@ class Identifier(LifecycleNode):
             self._backlog,
             lambda: self._tool.is_collecting,
         )
-        self._subscribe(FORCE_MESSAGES[parameters.force.message], "force", self._inputs)
-        self._subscribe(
-            DISPLACEMENT_MESSAGES[parameters.displacement.message], "displacement", self._inputs
-        )
+        for name in self._inputs.names:
+            kind = getattr(parameters, name).message
+            self._subscribe(INPUT_MESSAGES[name][kind], name, self._inputs)
+        for name in self._inputs.transform_topics:
+            self._subscribe(TFMessage, name, self._inputs)
         self._stale_timer = self.create_timer(
             _STALE_CHECK_PERIOD, self._check_stale, clock=self._steady
         )
         self._listening_timers = [self._stale_timer]
         # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
-        topics = " and ".join(one.subscription.topic_name for one in self._listened_to)
-        self.get_logger().info(f"listening to {topics}")
+        *first, last = (one.subscription.topic_name for one in self._listened_to)
+        self.get_logger().info(f"listening to {', '.join(first)} and {last}")
         for problem in self._pipeline.problems:
             self.get_logger().warning(problem)
 
@@ -271,7 +275,7 @@ class Identifier(LifecycleNode):
             kind,
             topic,
             on_message,
-            copy.copy(INPUT_QOS),
+            copy.copy(STATIC_QOS if topic == "/tf_static" else INPUT_QOS),
             event_callbacks=SubscriptionEventCallbacks(
                 # The diagnostics say it, with the override that mends it.
                 incompatible_qos=lambda event: None,
@@ -286,26 +290,25 @@ class Identifier(LifecycleNode):
         self._backlog.inputs.append(source)
 
     def _reader(self, kind: type, topic: str, inputs: Inputs) -> Callable[[bytes], None]:
-        add = inputs.add_force if topic == "force" else inputs.add_displacement
         fast = fast_handler(topic, type_name(kind), inputs)
-        assert fast is not None
 
         def read(data: bytes) -> None:
-            if self._tool.is_collecting:
+            if self._tool.is_collecting and topic in _TURNS_OF_THE_TOOL:
                 self._tool.add(topic, data)
                 return
             try:
-                fast(data)
-                return
+                if fast is not None:
+                    fast(data)
+                    return
             except (UnusualError, struct.error):
                 pass
             try:
                 message = deserialize_message(data, kind)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(topic, DAMAGED)
+                inputs.reject(stream_of(topic), DAMAGED)
                 return
-            add(message)
+            inputs.add(topic, message)
 
         return read
 
@@ -459,9 +462,11 @@ class Identifier(LifecycleNode):
         """Return an empty collection; the pipeline waits, and begins afresh behind it."""
         assert self._pipeline is not None and self._inputs is not None
         parameters = self._parameters_now()
+        if parameters.displacement.message not in INPUT_MESSAGES["displacement"]:
+            raise InputError("identify_tool needs the turns of a pose: displacement.message: pose")
         kinds = {
-            "force": FORCE_MESSAGES[parameters.force.message],
-            "displacement": DISPLACEMENT_MESSAGES[parameters.displacement.message],
+            name: INPUT_MESSAGES[name][getattr(parameters, name).message]
+            for name in _TURNS_OF_THE_TOOL
         }
         force, displacement = (
             Topic(self.resolve_topic_name(name), type_name(kind), 1)

@@ -26,13 +26,13 @@ from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Reason
-from fden_ros.ros.inputs import DISPLACEMENT_MESSAGES, FORCE_MESSAGES, Inputs
+from fden_ros.ros.inputs import INPUT_MESSAGES, TRANSFORM_TOPICS, Inputs
 from fden_ros.ros.status import type_name
 
 #: By the name of an input, the type that each value of its parameter ``message`` stands for.
 _KINDS: Mapping[str, Mapping[str, str]] = {
     what: {name: type_name(kind) for name, kind in kinds.items()}
-    for what, kinds in (("force", FORCE_MESSAGES), ("displacement", DISPLACEMENT_MESSAGES))
+    for what, kinds in INPUT_MESSAGES.items()
 }
 #: What a subscription can ask for that not every publisher offers: the weaker and the stronger.
 _POLICIES = (
@@ -49,7 +49,7 @@ _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 class ListenedTo:
     """One input of a node."""
 
-    what: str  #: ``force`` or ``displacement``, the name before any remapping
+    what: str  #: ``force``, ``displacement`` or ``surface``, the name before any remapping
     subscription: Subscription
 
     def problems(self, node: Node, *, has_come: bool) -> list[str]:
@@ -65,6 +65,18 @@ class ListenedTo:
         publishers = node.get_publishers_info_by_topic(topic)
         if not publishers:
             return [self._nothing_publishes(node, expected)]
+        problems = self.wrong_publishers(node)
+        if len(publishers) > 1:
+            problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
+        if not problems and not has_come:
+            names = ", ".join(sorted({_full_name(p) for p in publishers}))
+            problems.append(f"{topic} is published by {names}, but no message has come from it")
+        return problems
+
+    def wrong_publishers(self, node: Node) -> list[str]:
+        """Return which publishers have another type or an incompatible QoS, a sentence each."""
+        topic, expected = self.subscription.topic_name, type_name(self.subscription.msg_type)
+        publishers = node.get_publishers_info_by_topic(topic)
         problems = [
             self._other_type(kind, expected)
             for kind in sorted({p.topic_type for p in publishers} - {expected})
@@ -73,11 +85,6 @@ class ListenedTo:
         problems += dict.fromkeys(
             problem for p in fitting for problem in self._incompatible(p.qos_profile)
         )
-        if len(publishers) > 1:
-            problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
-        if not problems and not has_come:
-            names = ", ".join(sorted({_full_name(p) for p in publishers}))
-            problems.append(f"{topic} is published by {names}, but no message has come from it")
         return problems
 
     def _nothing_publishes(self, node: Node, expected: str) -> str:
@@ -109,6 +116,8 @@ class ListenedTo:
         ]
 
     def _remap(self, topic: str) -> str:
+        if self.what in TRANSFORM_TOPICS:
+            return f"-r {self.what}:={topic}"
         return f"-r {self.what}:={topic} (launch: {self.what}_topic:={topic})"
 
     def _set(self, kind: str) -> str:
@@ -117,8 +126,8 @@ class ListenedTo:
 
 
 def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
-    """Return why messages of both inputs have made no pair of samples; None while some lack."""
-    if pipeline.pair_count or not (inputs.has_force and inputs.has_displacement):
+    """Return why messages of all inputs have made no pair of samples; None while some lack."""
+    if pipeline.pair_count or not all(map(inputs.has_come, inputs.names)):
         return None
     mends = {
         f"force.{Reason.MISSING_FIELD}": "no joint of that name, or no effort: set force.name",
@@ -127,6 +136,12 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
         ),
         f"force.{Reason.ZERO_STAMP}": "the header stamps of the force are not set",
         f"displacement.{Reason.ZERO_STAMP}": "the header stamps of the displacement are not set",
+        f"surface.{Reason.MISSING_FIELD}": (
+            "no joint of that name, or no position: set surface.name"
+        ),
+        f"surface.{Reason.ZERO_STAMP}": "the header stamps of the surface are not set",
+        f"force.{Reason.NO_TRANSFORM}": "are the stamps of the transforms of the same clock?",
+        f"force.{Reason.NO_SURFACE}": "are the header stamps of the surface of the same clock?",
     }
     for reason, _ in pipeline.rejected.most_common():
         if reason in mends:

@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import find_peaks
 
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters
@@ -461,8 +462,19 @@ class _Collector:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         self.displacements.append((stamp_ns, displacement))
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        """Refuse it: nothing is calibrated in frames that move."""
+        raise InputError("calibrate takes signals in fixed frames: unset frames.base")
+
+    def add_transform(self, *transform: object, is_static: bool) -> None:
+        """Leave it out."""
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Leave it out: what is rigid does not breathe."""
 
     def reject(self, stream: str, reason: str) -> None:
         self.rejected += 1

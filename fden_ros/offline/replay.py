@@ -25,6 +25,7 @@ from typing import Any
 from fden_ros.core.estimation.estimate import KEYS
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position, Sink
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import RawMessage
@@ -140,9 +141,31 @@ class _Both:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         for sink in self._sinks:
-            sink.add_displacement(stamp_ns, displacement, position, load)
+            sink.add_displacement(stamp_ns, displacement, position, load, turn)
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        for sink in self._sinks:
+            sink.add_force_vector(stamp_ns, frame, force)
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Position,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        for sink in self._sinks:
+            sink.add_transform(stamp_ns, parent, child, translation, rotation, is_static=is_static)
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        for sink in self._sinks:
+            sink.add_surface(stamp_ns, surface)
 
     def reject(self, stream: str, reason: str) -> None:
         for sink in self._sinks:

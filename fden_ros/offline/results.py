@@ -23,10 +23,11 @@ from sensor_msgs.msg import JointState
 
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import Parameters
+from fden_ros.parameters import Parameters, takes_surface
 from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import BagReader, RawMessage
 from fden_ros.recording.source import Selection, is_table
@@ -37,7 +38,7 @@ from fden_ros.ros.topics import OUTPUT_TOPICS, OutputMessages
 
 NODE = "/identifier"
 DIAGNOSTICS_TOPIC = "/diagnostics"
-_FORCE_TOPIC, _DISPLACEMENT_TOPIC = "/force", "/displacement"
+_FORCE_TOPIC, _DISPLACEMENT_TOPIC, _SURFACE_TOPIC = "/force", "/displacement", "/surface"
 
 _DIAGNOSTICS_PERIOD_NS = 1_000_000_000
 
@@ -66,7 +67,7 @@ def replay_to_bag(
     folder : path
         The bag to make.
     with_inputs : bool
-        Copy the messages on the force and displacement topics too; the rows of a table become
+        Copy the messages on the topics that are used too; the rows of a table become
         joint states on ``/force`` and ``/displacement``, whose replay gives the same numbers.
     overwrite : bool
         Replace a bag that is there.
@@ -125,7 +126,10 @@ class _RowCopy:
         self._displacement_sign = -1.0 if parameters.displacement.inverted else 1.0
         self._force = JointState(name=[parameters.force.name or "force"])
         self._displacement = JointState(name=[parameters.displacement.name or "displacement"])
-        for topic in (_FORCE_TOPIC, _DISPLACEMENT_TOPIC):
+        self._surface_scale = parameters.surface.scale or 1.0
+        self._surface = JointState(name=[parameters.surface.name or "surface"])
+        topics = [_FORCE_TOPIC, _DISPLACEMENT_TOPIC]
+        for topic in [*topics, _SURFACE_TOPIC] if takes_surface(parameters) else topics:
             writer.add_topic(topic, type_name(JointState), Qos())
 
     def add_force(self, stamp_ns: int, force: float) -> None:
@@ -138,9 +142,29 @@ class _RowCopy:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         self._displacement.position = [self._displacement_sign * displacement]
         self._write(_DISPLACEMENT_TOPIC, self._displacement, stamp_ns)
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        pass
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Position,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        pass
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        self._surface.position = [surface / self._surface_scale]
+        self._write(_SURFACE_TOPIC, self._surface, stamp_ns)
 
     def reject(self, stream: str, reason: str) -> None:
         pass

@@ -36,6 +36,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import NANOSECONDS, Position
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
@@ -295,9 +296,29 @@ class _Gatherer:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
         self._see(stamp_ns)
         self.displacement.add(stamp_ns, displacement)
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        self._see(stamp_ns)
+        self.force.add(stamp_ns, math.hypot(*force))
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Position,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        pass
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        pass
 
     def reject(self, stream: str, reason: str) -> None:
         pass

@@ -25,8 +25,12 @@ parameter files and the documentation. :func:`check` turns names and values into
 from fden_ros.parameters.files import read_parameter_file, read_parameter_files
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
+    frames_config,
     geometry_of,
+    moves_probe,
     pipeline_config,
+    surface_axis,
+    takes_surface,
     tool_weight,
     uncertainty_of,
     unit_vector,
@@ -47,10 +51,14 @@ __all__ = [
     "Parameters",
     "Value",
     "check",
+    "frames_config",
     "geometry_of",
+    "moves_probe",
     "pipeline_config",
     "read_parameter_file",
     "read_parameter_files",
+    "surface_axis",
+    "takes_surface",
     "tool_weight",
     "uncertainty_of",
     "unit_vector",

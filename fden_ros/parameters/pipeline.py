@@ -32,7 +32,9 @@ from fden_ros.core.estimation.estimate import (
 from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.plausibility import PlausibilityConfig
+from fden_ros.core.streams.frames import FramesConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
+from fden_ros.core.streams.tool_path import ToolPathConfig
 from fden_ros.core.streams.tool_weight import ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.table import Parameters
@@ -88,6 +90,10 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             pairing_window=parameters.synchronize.window,
             force_limit=parameters.force.limit,
             displacement_limit=parameters.displacement.limit,
+            takes_surface=takes_surface(parameters),
+            surface_delay=parameters.surface.delay,
+            frames=frames_config(parameters),
+            tool_path=_tool_path(parameters),
         ),
         contact=ContactConfig(
             force_threshold=parameters.force.threshold,
@@ -97,7 +103,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             lookback=parameters.contact.lookback,
             site_distance=parameters.site.distance or _site_distance(parameters),
             site_timeout=parameters.site.timeout,
-            approach_axis=unit_vector(parameters.displacement.axis),
+            approach_axis=_approach_axis(parameters),
             series_compliance=parameters.displacement.compliance,
         ),
         estimator=EstimatorConfig(
@@ -165,6 +171,66 @@ def _friction(parameters: Parameters) -> float:
             "only with a standard deviation, 0.001 say"
         )
     return force.friction
+
+
+def frames_config(parameters: Parameters) -> FramesConfig | None:
+    """Return which frames count; None where no transform is used.
+
+    Raises
+    ------
+    InputError
+        If a frame is missing.
+    """
+    base, probe = parameters.frames.base, parameters.frames.probe
+    by_transform = moves_probe(parameters)
+    if by_transform and not (base and probe):
+        raise InputError(
+            "displacement.message is tf: name the frame of the probe's tip and that of the tissue "
+            "in frames.probe and frames.base"
+        )
+    if not base:
+        return None
+    return FramesConfig(
+        base,
+        probe,
+        unit_vector(parameters.force.axis),
+        unit_vector(parameters.displacement.axis),
+        by_transform,
+        tool_weight(parameters),
+    )
+
+
+def _tool_path(parameters: Parameters) -> ToolPathConfig | None:
+    if not parameters.displacement.along_tool:
+        return None
+    normal = parameters.surface.normal
+    return ToolPathConfig(
+        unit_vector(parameters.displacement.axis), unit_vector(normal) if any(normal) else None
+    )
+
+
+def _approach_axis(parameters: Parameters) -> tuple[float, float, float]:
+    """Return the direction along which two touches may differ and be of one site; zeros: none."""
+    if not parameters.displacement.along_tool:
+        return unit_vector(parameters.displacement.axis)
+    normal = parameters.surface.normal
+    return unit_vector(normal) if any(normal) else (0.0, 0.0, 0.0)
+
+
+def moves_probe(parameters: Parameters) -> bool:
+    """Return whether the displacement is that of a frame, by transforms."""
+    return parameters.displacement.message == "tf"
+
+
+def takes_surface(parameters: Parameters) -> bool:
+    """Return whether the place of the surface is measured."""
+    return parameters.surface.message != "none"
+
+
+def surface_axis(parameters: Parameters) -> tuple[float, float, float]:
+    """Return the direction into the tissue in the frame of the surface's positions."""
+    axis = parameters.surface.axis
+    return unit_vector(axis if any(axis) else parameters.displacement.axis)
 
 
 def tool_weight(parameters: Parameters) -> ToolWeight | None:

@@ -130,13 +130,20 @@ class DisplacementParameters:
     axis: tuple[float, float, float] = vector(
         (0.0, 0.0, 1.0),
         "1",
-        "Direction into the tissue, in the frame of the position messages; normalised.",
+        "Direction into the tissue, in the frame of the position messages, or, along the tool, in "
+        "the probe's own; normalised.",
+    )
+    along_tool: bool = flag(
+        False,
+        "The probe advances along its own axis: displacement.axis and force.axis are fixed in the "
+        "tool and turn with it, by the orientation of its poses, transforms or of frames.probe.",
     )
     message: str = text(
         "joint_state",
         "Type of the live displacement topic: sensor_msgs/JointState, or "
-        "geometry_msgs/PoseStamped, TransformStamped or PointStamped. A bag says its own.",
-        choices=("joint_state", "pose", "transform", "point"),
+        "geometry_msgs/PoseStamped, TransformStamped or PointStamped. A bag says its own. tf: "
+        "there is none, the displacement is the way of frames.probe in frames.base.",
+        choices=("joint_state", "pose", "transform", "point", "tf"),
     )
     name: str = text(
         "",
@@ -187,14 +194,74 @@ class DisplacementParameters:
 
 @dataclass(frozen=True)
 class SurfaceParameters:
-    """The tissue's surface where nobody touches it."""
+    """The tissue's surface where nobody touches it: measured, or how much it may move."""
+
+    message: str = text(
+        "none",
+        "Type of the topic surface, where the surface's place is measured and taken off the "
+        "displacement: sensor_msgs/JointState, or geometry_msgs/PoseStamped, TransformStamped or "
+        "PointStamped. A bag says its own; none: it is not measured.",
+        choices=("none", "joint_state", "pose", "transform", "point"),
+    )
+    axis: tuple[float, float, float] = vector(
+        (0.0, 0.0, 0.0),
+        "1",
+        "Direction into the tissue, in the frame of the surface's positions; normalised; zeros: "
+        "displacement.axis.",
+        may_be_zero=True,
+    )
+    normal: tuple[float, float, float] = vector(
+        (0.0, 0.0, 0.0),
+        "1",
+        "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
+        "frames.base; counts along the tool: depth is its part of the tool's way; normalised; "
+        "zeros: not known, the probe stands upright.",
+        may_be_zero=True,
+    )
+    name: str = text(
+        "",
+        "Joint whose position is the surface's place, where its topic carries joint states; "
+        "empty: the first.",
+    )
+    scale: float = number(
+        1.0,
+        "1",
+        "Motion of the surface into the tissue in m per unit of its reading; negative where the "
+        "reading falls as the surface recedes from the probe.",
+        -1000.0,
+        1000.0,
+    )
+    delay: float = number(
+        0.0,
+        "s",
+        "How much later than the force the surface is stamped for the same instant.",
+        -10.0,
+        10.0,
+    )
 
     motion_sd: float = number(
         0.0002,
         "m",
-        "Standard deviation of its motion in one second, by breathing and heartbeat; 0: it rests.",
+        "Standard deviation of its motion in one second, by breathing and heartbeat, that is not "
+        "measured; 0: it rests.",
         0.0,
         0.1,
+    )
+
+
+@dataclass(frozen=True)
+class FramesParameters:
+    """Frames that move, by /tf and /tf_static, where force or displacement are given in them."""
+
+    base: str = text(
+        "",
+        "Frame in which force.axis is given: forces are turned into it from the frame of their "
+        "messages, by the transforms at their stamps. Empty: no transform is used.",
+    )
+    probe: str = text(
+        "",
+        "Frame of the probe's tip, whose way in frames.base is the displacement where "
+        "displacement.message is tf; also of forces whose messages name no frame.",
     )
 
 
@@ -635,6 +702,7 @@ class Parameters:
     force: ForceParameters = ForceParameters()
     displacement: DisplacementParameters = DisplacementParameters()
     surface: SurfaceParameters = SurfaceParameters()
+    frames: FramesParameters = FramesParameters()
     rig: RigParameters = RigParameters()
     model_error: ModelErrorParameters = ModelErrorParameters()
     tool: ToolParameters = ToolParameters()

@@ -27,7 +27,7 @@ from typing import Any
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters
 from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.recording.source import BagSource, Selection
+from fden_ros.recording.source import TRANSFORMS, BagSource, Selection
 
 _STAMPED = 4 + 8  # CDR's header, then the stamp
 # The rule for gaps is the pipeline's own: ten usual steps, and at least 20 ms.
@@ -97,7 +97,7 @@ class BagContents:
     topics
         By name.
     used : mapping
-        ``force`` and ``displacement`` to the topic that a replay would use.
+        ``force``, ``displacement`` and ``surface`` to the topic that a replay would use.
     problems
         Why a replay could not begin, a line each.
     warnings
@@ -204,13 +204,14 @@ def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> lis
             warnings.append(
                 f"{topic.name}: {topic.gap_count} gaps, the longest of {topic.longest_gap:.3g} s"
             )
-    if len(chosen) == 2:
+    # Static transforms come once, and hold at all times.
+    chosen = [topic for topic in chosen if topic.type_name != TRANSFORMS]
+    if len(chosen) >= 2:
         start = max(topic.start_ns for topic in chosen)
         end = min(topic.end_ns for topic in chosen)
         if start >= end:
-            warnings.append(
-                "the stamps of force and displacement do not overlap: are they of one clock?"
-            )
+            listed = " and ".join(topic.name for topic in chosen)
+            warnings.append(f"the stamps of {listed} do not overlap: are they of one clock?")
     return warnings
 
 

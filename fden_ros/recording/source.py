@@ -24,25 +24,28 @@ from typing import Any, Protocol
 
 from fden_ros.core.streams.samples import Sink
 from fden_ros.errors import InputError
-from fden_ros.parameters import Parameters
+from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
 from fden_ros.recording.topics import find_topic, named_topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, Inputs, NumberOrVector
+from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, NumberOrVector, stream_of
 from fden_ros.ros.messages import stamp_ns
+
+_ALWAYS = ("force", "displacement")
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Where in a recording force and displacement are; what is None is found.
+    """Where in a recording force, displacement and surface are; what is None is found.
 
     Parameters
     ----------
-    force_topic, displacement_topic : str, optional
+    force_topic, displacement_topic, surface_topic : str, optional
         Topics of a bag.
-    force_field, displacement_field : str, optional
+    force_field, displacement_field, surface_field : str, optional
         Field in that topic's messages, of whatever type they are: a number, or a vector that is
         projected on the configured axis.
     columns : Columns, optional
@@ -57,6 +60,8 @@ class Selection:
     displacement_field: str | None = None
     columns: Columns | None = None
     where: tuple[str, str] | None = None
+    surface_topic: str | None = None
+    surface_field: str | None = None
 
 
 class Source(Protocol):
@@ -68,7 +73,7 @@ class Source(Protocol):
 
     @property
     def inputs(self) -> dict[str, str]:
-        """Topic or column of ``force`` and ``displacement``."""
+        """Topic or column of each quantity."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -113,7 +118,7 @@ def open_source(
 
 
 class BagSource:
-    """A bag whose force and displacement topics are known.
+    """A bag whose topics of force, displacement and, where it is measured, surface are known.
 
     Raises
     ------
@@ -124,35 +129,62 @@ class BagSource:
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
         self._parameters = parameters
-        self.force = self._find("force", selection.force_topic, selection.force_field)
-        self.displacement = self._find(
-            "displacement", selection.displacement_topic, selection.displacement_field, self.force
-        )
-        self._fields = {"force": selection.force_field, "displacement": None}
-        self._fields["displacement"] = selection.displacement_field
+        self._fields: dict[str, str | None] = {}
+        self.topics: dict[str, Topic] = {}
+        # The surface first: what carries it could be taken for the displacement.
+        measures_surface = takes_surface(parameters)
+        wanted = ["surface"] if measures_surface else []
+        wanted += ["force"] if moves_probe(parameters) else _ALWAYS
+        for what in wanted:
+            self._fields[what] = getattr(selection, f"{what}_field")
+            self.topics[what] = self._find(what, getattr(selection, f"{what}_topic"))
+        self._frames = frames_config(parameters)
+        if self._frames is not None:
+            self._find_transforms()
         self._notes: list[str] = []
         self._inputs: Inputs | None = None
 
-    def _find(
-        self, what: str, topic: str | None, field: str | None, other: Topic | None = None
-    ) -> Topic:
-        if field is not None and topic is not None:
+    def _find_transforms(self) -> None:
+        for topic in self.reader.topics:
+            what = "/" + topic.name.rpartition("/")[2]
+            if what in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
+                self._fields[what] = None
+                self.topics[what] = topic
+        if not set(self.topics) & set(TRANSFORM_TOPICS):
+            raise InputError(
+                f"{self.reader.path}: frames.base is set, but the bag has no transforms: record "
+                "/tf and /tf_static too, or unset frames.base"
+            )
+
+    def _find(self, what: str, topic: str | None) -> Topic:
+        if self._fields[what] is not None and topic is not None:
             return named_topic(self.reader, topic)
-        return find_topic(self.reader, topic, what, other)
+        return find_topic(self.reader, topic, what, self.topics.values())
+
+    @property
+    def force(self) -> Topic:
+        """Topic of the force."""
+        return self.topics["force"]
+
+    @property
+    def displacement(self) -> Topic:
+        """Topic of the displacement."""
+        return self.topics["displacement"]
 
     @property
     def total(self) -> int:
         """Messages on the topics used."""
-        return sum(topic.message_count for topic in {self.force, self.displacement})
+        return sum(topic.message_count for topic in set(self.topics.values()))
 
     @property
     def inputs(self) -> dict[str, str]:
         """Topic of each quantity, with the field where one is configured."""
-        topics = {"force": self.force.name, "displacement": self.displacement.name}
-        return {
-            what: f"{name} {self._fields[what]}" if self._fields[what] else name
-            for what, name in topics.items()
-        }
+        fields = {what: f" {field}" if field else "" for what, field in self._fields.items()}
+        names = {what: topic.name + fields[what] for what, topic in self.topics.items()}
+        if self._frames is not None and self._frames.moves_probe:
+            names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
+        order = (*_ALWAYS, "surface", *TRANSFORM_TOPICS)
+        return {what.lstrip("/"): names[what] for what in order if what in names}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -173,7 +205,7 @@ class BagSource:
         """Feed the messages in the order of their recording."""
         self._inputs = Inputs(self._parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
-        for what, topic in (("force", self.force), ("displacement", self.displacement)):
+        for what, topic in self.topics.items():
             handlers.setdefault(topic.name, []).append(self._handler(what, topic))
         for done, message in enumerate(self.reader.messages(handlers), start=1):
             before(message.log_time_ns, message)
@@ -187,16 +219,15 @@ class BagSource:
         if field is not None:
             return _FieldHandler(what, topic, FieldPath(field), inputs, self.note)
         decode = decoder_of_class(topic)
-        take = inputs.add_force if what == "force" else inputs.add_displacement
 
         def handle(message: RawMessage) -> None:
             try:
                 sample = decode(message.data)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(what, DAMAGED)
+                inputs.reject(stream_of(what), DAMAGED)
                 return
-            take(sample)
+            inputs.add(what, sample)
 
         fast = fast_handler(what, topic.type_name, inputs)
         if fast is None:
@@ -255,7 +286,7 @@ class _FieldHandler:
             self._inputs.add_force_value(frame, stamp, value)
         else:
             turn = self._path.orientation_beside(sample)
-            self._inputs.add_displacement_value(frame, stamp, value, turn)
+            self._inputs.places[self._what].add_value(frame, stamp, value, turn)
 
     def _value(self, sample: Any) -> NumberOrVector | None:
         try:
@@ -302,7 +333,20 @@ class TableSource:
                 "tool.mass takes off the weight by the tool's orientation, which a table does "
                 "not hold: set tool.mass to 0, or replay a bag with poses"
             )
+        if parameters.frames.base:
+            raise InputError(
+                "frames.base asks for transforms, which a table does not hold: unset it, or "
+                "replay a bag"
+            )
         self._columns = selection.columns
+        if takes_surface(parameters) != (self._columns.surface is not None):
+            raise InputError(
+                "surface.message says that the surface is measured: name its column as the fourth "
+                "of --columns, or set surface.message to none"
+                if self._columns.surface is None
+                else "the fourth of --columns is the surface's place: set surface.message to "
+                "joint_state, so that it is taken off the displacement"
+            )
         self._table = TableReader(path, selection.columns, selection.where)
         self._parameters = parameters
 
@@ -314,10 +358,12 @@ class TableSource:
     @property
     def inputs(self) -> dict[str, str]:
         """Column of each quantity."""
-        return {
-            "force": f"column {self._columns.force.name}",
-            "displacement": f"column {self._columns.displacement.name}",
+        columns = {
+            "force": self._columns.force,
+            "displacement": self._columns.displacement,
+            "surface": self._columns.surface,
         }
+        return {what: f"column {column.name}" for what, column in columns.items() if column}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -329,6 +375,8 @@ class TableSource:
         inputs = Inputs(self._parameters, sink)
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
-            inputs.add_displacement_value("", row.stamp_ns, row.displacement)
+            if row.surface is not None:
+                inputs.places["surface"].add_value("", row.stamp_ns, row.surface)
+            inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
             inputs.add_force_value("", row.stamp_ns, row.force)
             yield done

@@ -69,13 +69,16 @@ def write_recording(
     InputError
         When the folder cannot be made.
     """
-    streams = (recording.force, recording.displacement)
+    streams = recording.streams
     for stream in streams:
         if stream.stamp_ns.size == 0:
             raise InputError(f"the recording has no sample for {stream.topic}: make it longer")
     with BagWriter(folder, overwrite=overwrite) as bag:
         bag.add_topic(TRUTH_TOPIC, _STRING, LATCHED)
-        makers = [_maker(recording.force, _FORCE), _maker(recording.displacement, _DISPLACEMENT)]
+        makers = [
+            _maker(stream, _FORCE if stream is recording.force else _DISPLACEMENT)
+            for stream in streams
+        ]
         for stream, (type_name, _) in zip(streams, makers, strict=True):
             bag.add_topic(stream.topic, type_name, RELIABLE)
         start_ns = min(int(stream.stamp_ns[0]) for stream in streams)
@@ -124,11 +127,13 @@ def _parameter_file(recording: Recording) -> str:
         for key in groups:
             group = group.setdefault(key, {})
         group[leaf] = value
+    surface = f"# Surface topic: {recording.surface.topic}\n" if recording.surface else ""
     parameters = yaml.safe_dump({"/**": {"ros__parameters": nested}}, sort_keys=False)
     return (
         f"# Parameters of the identifier that fit this recording.\n"
         f"# Force topic: {recording.force.topic}\n"
         f"# Displacement topic: {recording.displacement.topic}\n"
+        f"{surface}"
         f"{parameters}"
     )
 

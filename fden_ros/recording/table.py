@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings as text tables: columns of time, force and displacement."""
+"""Recordings as text tables: columns of time, force, displacement and perhaps surface."""
 
 from __future__ import annotations
 
@@ -59,11 +59,12 @@ _UNITS = {
 
 
 class Row(NamedTuple):
-    """One row: a stamp (ns), a force [N] and a displacement [m]."""
+    """One row: a stamp (ns), a force [N], a displacement and the surface's place [m]."""
 
     stamp_ns: int
     force: float
     displacement: float
+    surface: float | None = None
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,12 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """Where a table has time, force and displacement."""
+    """Where a table has time, force, displacement and, if it does, the surface's place."""
 
     time: Column
     force: Column
     displacement: Column
+    surface: Column | None = None
 
     @staticmethod
     def parse(text: str) -> Columns:
@@ -91,20 +93,17 @@ class Columns:
         Raises
         ------
         InputError
-            If `text` is not three columns.
+            If `text` is not three columns, or four with the surface's.
         """
         parts = [part.strip() for part in text.split(",")]
         matches = [_COLUMN.fullmatch(part) for part in parts]
-        if len(parts) != 3 or not all(matches):
+        if len(parts) not in (3, 4) or not all(matches):
             raise InputError(
                 f"{text!r} is not TIME,FORCE,DISPLACEMENT: expected headings or numbers of three "
-                "columns, each with an optional factor to s, N and m, such as "
-                "time_s,force_N,depth_mm*1e-3"
+                "columns, or four with the surface's, each with an optional factor to s, N and m, "
+                "such as time_s,force_N,depth_mm*1e-3"
             )
-        time, force, displacement = (
-            Column(m["name"], Decimal(m["factor"] or 1)) for m in matches if m is not None
-        )
-        return Columns(time, force, displacement)
+        return Columns(*(Column(m["name"], Decimal(m["factor"] or 1)) for m in matches if m))
 
 
 def guessed_columns(headings: list[str]) -> str | None:
@@ -174,6 +173,7 @@ class TableReader:
         self._time = self._index(columns.time.name) if self._rate is None else -1
         self._force = self._index(columns.force.name)
         self._displacement = self._index(columns.displacement.name)
+        self._surface = self._index(columns.surface.name) if columns.surface else None
         self._where = (self._index(where[0]), where[1]) if where is not None else None
 
     @property
@@ -193,18 +193,22 @@ class TableReader:
         shift: int | None = None
         force_factor = float(self._columns.force.factor)
         displacement_factor = float(self._columns.displacement.factor)
+        surface_factor = float(self._columns.surface.factor) if self._columns.surface else 0.0
         for number, cells in enumerate(self._cells()):
             try:
                 stamp_ns = self._stamp(number, cells)
                 force = force_factor * float(cells[self._force])
                 displacement = displacement_factor * float(cells[self._displacement])
+                surface = None
+                if self._surface is not None:
+                    surface = surface_factor * float(cells[self._surface])
             except (ValueError, ArithmeticError, IndexError):
                 self.skipped += 1
                 continue
             if shift is None:
                 # 0 stands for "no stamp" everywhere in ROS.
                 shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
-            yield Row(stamp_ns + shift, force, displacement)
+            yield Row(stamp_ns + shift, force, displacement, surface)
 
     def _stamp(self, number: int, cells: list[str]) -> int:
         if self._rate is not None:

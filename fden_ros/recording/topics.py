@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which topics of a bag are the force and the displacement."""
+"""Which topics of a bag are the force, the displacement and the surface."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from fden_ros.errors import InputError
 from fden_ros.recording.reader import BagReader, Topic
@@ -32,6 +32,7 @@ DISPLACEMENT_TYPES = (
 USABLE_TYPES: Mapping[str, Sequence[str]] = {
     "force": FORCE_TYPES,
     "displacement": DISPLACEMENT_TYPES,
+    "surface": DISPLACEMENT_TYPES,
 }
 
 # Words in a topic's name: what it most likely carries, and what is wanted rather than measured.
@@ -39,12 +40,13 @@ USABLE_TYPES: Mapping[str, Sequence[str]] = {
 _WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
+    "surface": {"surface", "marker", "skin", "breathing", "respiration", "ultrasound", "laser"},
 }
 _WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
 
 
 def find_topic(
-    reader: BagReader, name: str | None, what: str, other: Topic | None = None
+    reader: BagReader, name: str | None, what: str, others: Collection[Topic] = ()
 ) -> Topic:
     """Return the topic called `name`, or the only sensible one for `what`.
 
@@ -58,9 +60,9 @@ def find_topic(
     reader : BagReader
     name : str or None
     what : str
-        ``force`` or ``displacement``.
-    other : Topic, optional
-        The topic of the other quantity, which is no candidate.
+        ``force``, ``displacement`` or ``surface``.
+    others : collection of Topic
+        The topics of the other quantities, which are no candidates.
 
     Raises
     ------
@@ -77,7 +79,7 @@ def find_topic(
             )
         return topic
     candidates = [
-        t for t in reader.topics if t.type_name in usable and t.message_count and t != other
+        t for t in reader.topics if t.type_name in usable and t.message_count and t not in others
     ]
     chosen = sensible_topics(candidates, what)
     if len(chosen) == 1:

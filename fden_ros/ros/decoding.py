@@ -27,7 +27,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.ros.inputs import Inputs
+from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs, Places
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -53,7 +53,7 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     Parameters
     ----------
     what : str
-        ``force`` or ``displacement``.
+        ``force``, ``displacement`` or ``surface``.
     type_name : str
     inputs : Inputs
 
@@ -62,6 +62,8 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     callable
         Raises `UnusualError` or ``struct.error`` where the class has to decode instead.
     """
+    if what in TRANSFORM_TOPICS:
+        return None
     if type_name == "sensor_msgs/msg/JointState":
         return _joint_handler(what, inputs)
     if what == "force":
@@ -71,7 +73,9 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     name = type_name.rpartition("/")[2]
     if name not in sizes:
         return None
-    return _position_handler(inputs, sizes[name], has_child=name == "TransformStamped")
+    return _position_handler(
+        inputs.places[what], sizes[name], has_child=name == "TransformStamped"
+    )
 
 
 def _head(data: bytes) -> tuple[str, int, int]:
@@ -129,6 +133,7 @@ class _Layout:
 
 def _wrench_handler(inputs: Inputs) -> Handler:
     along, take, unpack = inputs.along_force, inputs.take_force, _VECTOR.unpack_from
+    turns, take_vector = inputs.turns_force, inputs.take_force_vector
     offset = _VECTOR.size if inputs.takes_torque else 0
     layout: _Layout | None = None
 
@@ -141,14 +146,18 @@ def _wrench_handler(inputs: Inputs) -> Handler:
             if start + 48 > len(data):
                 raise UnusualError
             layout = _Layout(data, frame, start)
-        take(layout.frame, stamp, along(*unpack(data, layout.start + offset)))
+        vector = unpack(data, layout.start + offset)
+        if turns:
+            take_vector(layout.frame, stamp, vector)
+        else:
+            take(layout.frame, stamp, along(*vector))
 
     return handle
 
 
-def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
-    take, unpack = inputs.take_position, _VECTOR.unpack_from
-    has_turn = inputs.takes_orientation and size > _VECTOR.size
+def _position_handler(places: Places, size: int, has_child: bool) -> Handler:
+    take, unpack = places.take_position, _VECTOR.unpack_from
+    has_turn = places.takes_orientation and size > _VECTOR.size
     layout: _Layout | None = None
 
     def handle(data: bytes) -> None:
@@ -171,7 +180,8 @@ def _position_handler(inputs: Inputs, size: int, has_child: bool) -> Handler:
 
 def _joint_handler(what: str, inputs: Inputs) -> Handler:
     is_force = what == "force"
-    joint = (inputs.force_joint if is_force else inputs.displacement_joint).encode()
+    joint = (inputs.force_joint if is_force else inputs.places[what].joint).encode()
+    take = None if is_force else inputs.places[what].take_joint
     layout: _Layout | None = None
     place: int | None = None
 
@@ -200,10 +210,10 @@ def _joint_handler(what: str, inputs: Inputs) -> Handler:
             stamp = find(data)
         value = None if place is None else _DOUBLE.unpack_from(data, place)[0]
         assert layout is not None
-        if is_force:
+        if take is None:
             inputs.take_force(layout.frame, stamp, inputs.signed_effort(value))
         else:
-            inputs.take_joint(layout.frame, stamp, value)
+            take(layout.frame, stamp, value)
 
     return handle
 

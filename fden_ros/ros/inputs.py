@@ -20,15 +20,23 @@ through :class:`Inputs`, so that the same measurement is the same sample everywh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
 from sensor_msgs.msg import JointState
+from tf2_msgs.msg import TFMessage
 
+from fden_ros.core.streams.rotation import Quaternion, normalised
 from fden_ros.core.streams.samples import Position, Reason, Sink
-from fden_ros.core.streams.tool_weight import Quaternion
-from fden_ros.parameters import Parameters, tool_weight, unit_vector
+from fden_ros.parameters import (
+    Parameters,
+    frames_config,
+    surface_axis,
+    takes_surface,
+    tool_weight,
+    unit_vector,
+)
 from fden_ros.ros.messages import stamp_ns
 
 FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
@@ -39,11 +47,137 @@ DISPLACEMENT_MESSAGES: dict[str, type] = {
     "point": PointStamped,
 }
 
+#: By the name of an input, the types that its parameter ``message`` stands for.
+INPUT_MESSAGES: Mapping[str, Mapping[str, type]] = {
+    "force": FORCE_MESSAGES,
+    "displacement": DISPLACEMENT_MESSAGES,
+    "surface": DISPLACEMENT_MESSAGES,
+    "/tf": {"transforms": TFMessage},
+    "/tf_static": {"transforms": TFMessage},
+}
+
+#: Of transforms, by names that are the same in every namespace.
+TRANSFORM_TOPICS = ("/tf", "/tf_static")
+
 #: Count of the messages whose bytes are no message of their type.
 DAMAGED = "damaged"
 
+
+def stream_of(name: str) -> str:
+    """Return the stream that rejected messages of an input are counted under."""
+    return "transform" if name in TRANSFORM_TOPICS else name
+
+
 #: A number, or a vector that is projected on the configured axis.
 NumberOrVector = float | Position
+
+
+class Places:
+    """One stream of places: a joint's position, or a position along an axis [m].
+
+    Parameters
+    ----------
+    stream : str
+        ``displacement`` or ``surface``, as rejected samples are counted.
+    axis : Position
+        What positions are projected on.
+    factor : float
+        What a joint's position is multiplied by.
+    joint : str
+        Whose position counts; empty: the first.
+    sink : Sink
+        Rejected messages are counted there.
+    take : callable
+        Called with stamp (ns), place along the axis, position and orientation where they are
+        known.
+    takes_orientation : bool
+        Whether a place without an orientation is of no use.
+
+    Attributes
+    ----------
+    frame : str or None
+        frame_id of its messages; None before the first.
+    """
+
+    def __init__(
+        self,
+        stream: str,
+        axis: Position,
+        factor: float,
+        joint: str,
+        sink: Sink,
+        take: Callable[[int, float, Position | None, Quaternion | None], None],
+        *,
+        takes_orientation: bool = False,
+    ) -> None:
+        self._stream, self._axis, self._factor = stream, axis, factor
+        self.joint = joint
+        self._sink, self._take = sink, take
+        self.takes_orientation = takes_orientation
+        self.frame: str | None = None
+        self._read_position: dict[type, Callable[[Any], Position]] = {
+            PoseStamped: _pose_position,
+            TransformStamped: _transform_position,
+            PointStamped: _point_position,
+        }
+
+    def add(self, message: Any) -> None:
+        """Take a message."""
+        header = message.header
+        stamp = stamp_ns(header.stamp)
+        if isinstance(message, JointState):
+            joint = _joint_value(message.name, message.position, self.joint)
+            self.take_joint(header.frame_id, stamp, joint)
+            return
+        position = self._read_position[type(message)](message)
+        orientation = _orientation(message) if self.takes_orientation else None
+        self.take_position(header.frame_id, stamp, position, orientation)
+
+    def add_value(
+        self,
+        frame_id: str,
+        stamp: int,
+        value: NumberOrVector | None,
+        orientation: Quaternion | None = None,
+    ) -> None:
+        """Take a number or a position; None where there is none."""
+        if value is None or isinstance(value, float):
+            self.take_joint(frame_id, stamp, value)
+        else:
+            self.take_position(frame_id, stamp, value, orientation)
+
+    def take_joint(self, frame_id: str, stamp: int, joint: float | None) -> None:
+        """Take a number without a place; None where the message does not hold it."""
+        if not self._is_own_frame(frame_id):
+            return
+        # A number says nothing of the tool's orientation.
+        if joint is None or self.takes_orientation:
+            self._sink.reject(self._stream, Reason.MISSING_FIELD)
+            return
+        self._take(stamp, self._factor * joint, None, None)
+
+    def take_position(
+        self,
+        frame_id: str,
+        stamp: int,
+        position: Position,
+        orientation: Quaternion | None = None,
+    ) -> None:
+        """Take a position [m], and the orientation where it matters."""
+        if not self._is_own_frame(frame_id):
+            return
+        x, y, z = position
+        a, b, c = self._axis
+        self._take(stamp, a * x + b * y + c * z, position, orientation)
+
+    def _is_own_frame(self, frame_id: str) -> bool:
+        if frame_id == self.frame:
+            return True
+        if self.frame is not None:
+            self._sink.reject(self._stream, Reason.WRONG_FRAME)
+            return False
+        self.frame = frame_id
+        return True
 
 
 class Inputs:
@@ -59,141 +193,135 @@ class Inputs:
     ----------
     force_frame : str
         frame_id of the force messages; the outputs carry it.
-    force_joint, displacement_joint : str
-        Joints that are asked for; empty: the first.
+    force_joint : str
+        Joint that is asked for; empty: the first.
+    places : dict
+        By the name of the input, the streams of places: ``displacement``, and ``surface`` where it
+        is measured.
     """
 
     def __init__(self, parameters: Parameters, sink: Sink) -> None:
         self._sink = sink
         self._force_axis = unit_vector(parameters.force.axis)
-        self._displacement_axis = unit_vector(parameters.displacement.axis)
         self.force_joint = parameters.force.name
-        self.displacement_joint = parameters.displacement.name
         self._force_sign = -1.0 if parameters.force.inverted else 1.0
-        self._displacement_sign = -1.0 if parameters.displacement.inverted else 1.0
-        self._read_force: dict[type, Callable[[Any], float | None]] = {
-            WrenchStamped: self._wrench_force,
-            JointState: self._joint_force,
-        }
         self.takes_torque = parameters.geometry.kind == "torsional_rheometer"
-        self._tool = tool_weight(parameters)
-        self.takes_orientation = self._tool is not None
-        self._read_position: dict[type, Callable[[Any], Position]] = {
-            PoseStamped: _pose_position,
-            TransformStamped: _transform_position,
-            PointStamped: _point_position,
-        }
+        frames = frames_config(parameters)
+        # Where forces are turned, the weight is taken off where that is done.
+        self._tool = tool_weight(parameters) if frames is None else None
+        self._base = frames.base if frames is not None and frames.moves_probe else ""
+        self._is_along_tool = parameters.displacement.along_tool
+        self.turns_force = frames is not None and not self._is_along_tool
+        self.transform_topics = TRANSFORM_TOPICS if frames is not None else ()
+        self.places: dict[str, Places] = {}
+        if not self._base:
+            self.places["displacement"] = Places(
+                "displacement",
+                unit_vector(parameters.displacement.axis),
+                -1.0 if parameters.displacement.inverted else 1.0,
+                parameters.displacement.name,
+                sink,
+                self._take_displacement,
+                takes_orientation=self._tool is not None or self._is_along_tool,
+            )
+        if takes_surface(parameters):
+            scale = parameters.surface.scale
+            x, y, z = surface_axis(parameters)
+            self.places["surface"] = Places(
+                "surface",
+                (scale * x, scale * y, scale * z),
+                scale,
+                parameters.surface.name,
+                sink,
+                lambda stamp, surface, position, orientation: sink.add_surface(stamp, surface),
+            )
         self.reset()
 
     def reset(self) -> None:
         """Let the next messages say their frames anew."""
         self.force_frame = ""
         self._force_frame_known = False
-        self._displacement_frame: str | None = None
+        for places in self.places.values():
+            places.frame = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the inputs but for transforms, force first."""
+        return ("force", *self.places)
 
     @property
     def displacement_frame(self) -> str:
         """Return the frame_id of the positions; empty before the first."""
-        return self._displacement_frame or ""
+        return self._base or self.places["displacement"].frame or ""
 
-    @property
-    def has_force(self) -> bool:
-        """Return whether a force message has come that could be read."""
-        return self._force_frame_known
-
-    @property
-    def has_displacement(self) -> bool:
-        """Return whether a displacement message has come that could be read."""
-        return self._displacement_frame is not None
+    def has_come(self, name: str) -> bool:
+        """Return whether a message of an input has come that could be read."""
+        return self._force_frame_known if name == "force" else self.places[name].frame is not None
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a message that cannot be read."""
         self._sink.reject(stream, reason)
 
-    def add_force(self, message: Any) -> None:
-        """Take a force message."""
-        header = message.header
-        force = self._read_force[type(message)](message)
-        self.take_force(header.frame_id, stamp_ns(header.stamp), force)
-
-    def add_displacement(self, message: Any) -> None:
-        """Take a displacement message."""
+    def add(self, name: str, message: Any) -> None:
+        """Take a message of an input."""
+        if name in TRANSFORM_TOPICS:
+            self._add_transforms(message, is_static=name == "/tf_static")
+            return
+        if name != "force":
+            self.places[name].add(message)
+            return
         header = message.header
         stamp = stamp_ns(header.stamp)
-        if isinstance(message, JointState):
-            joint = _joint_value(message.name, message.position, self.displacement_joint)
-            self.take_joint(header.frame_id, stamp, joint)
+        if isinstance(message, WrenchStamped):
+            wrench = message.wrench
+            vector = wrench.torque if self.takes_torque else wrench.force
+            self.take_force_vector(header.frame_id, stamp, (vector.x, vector.y, vector.z))
             return
-        position = self._read_position[type(message)](message)
-        orientation = _orientation(message) if self.takes_orientation else None
-        self.take_position(header.frame_id, stamp, position, orientation)
+        effort = _joint_value(message.name, message.effort, self.force_joint)
+        self.take_force(header.frame_id, stamp, self.signed_effort(effort))
 
     def add_force_value(self, frame_id: str, stamp: int, value: NumberOrVector | None) -> None:
         """Take a force [N] that is a number or a vector; None where there is none."""
         if value is None or isinstance(value, float):
             self.take_force(frame_id, stamp, self.signed_effort(value))
         else:
-            self.take_force(frame_id, stamp, self.along_force(*value))
-
-    def add_displacement_value(
-        self,
-        frame_id: str,
-        stamp: int,
-        value: NumberOrVector | None,
-        orientation: Quaternion | None = None,
-    ) -> None:
-        """Take a displacement or a position [m]; None where there is none."""
-        if value is None or isinstance(value, float):
-            self.take_joint(frame_id, stamp, value)
-        else:
-            self.take_position(frame_id, stamp, value, orientation)
+            self.take_force_vector(frame_id, stamp, value)
 
     def take_force(self, frame_id: str, stamp: int, force: float | None) -> None:
         """Take a force along the axis [N]; None where the message does not hold it."""
-        if frame_id != self.force_frame:
-            if self._force_frame_known:
-                self._sink.reject("force", Reason.WRONG_FRAME)
-                return
-            self.force_frame = frame_id
-        self._force_frame_known = True
+        if not self._is_force_frame(frame_id):
+            return
         if force is None:
             self._sink.reject("force", Reason.MISSING_FIELD)
             return
         self._sink.add_force(stamp, force)
 
-    def take_joint(self, frame_id: str, stamp: int, joint: float | None) -> None:
-        """Take a displacement without a place [m]; None where the message does not hold it."""
-        if not self._is_displacement_frame(frame_id):
-            return
-        # A number says nothing of the tool's orientation.
-        if joint is None or self._tool is not None:
-            self._sink.reject("displacement", Reason.MISSING_FIELD)
-            return
-        self._sink.add_displacement(stamp, self._displacement_sign * joint)
+    def take_force_vector(self, frame_id: str, stamp: int, force: Position) -> None:
+        """Take a force [N] in a frame, which may move."""
+        if not self.turns_force:
+            self.take_force(frame_id, stamp, self.along_force(*force))
+        elif self._is_force_frame(frame_id):
+            self._sink.add_force_vector(stamp, frame_id.lstrip("/"), force)
 
-    def take_position(
-        self,
-        frame_id: str,
-        stamp: int,
-        position: Position,
-        orientation: Quaternion | None = None,
-    ) -> None:
-        """Take a position [m], and the sensor's orientation where the tool's weight matters."""
-        if not self._is_displacement_frame(frame_id):
-            return
-        x, y, z = position
-        a, b, c = self._displacement_axis
-        displacement = a * x + b * y + c * z
-        if self._tool is None:
-            self._sink.add_displacement(stamp, displacement, position)
-            return
-        try:
-            load = self._tool.load(orientation or (0.0, 0.0, 0.0, 0.0))
-        except ValueError:
-            # Without an orientation the weight cannot be told from the tissue.
-            self._sink.reject("displacement", Reason.MISSING_FIELD)
-            return
-        self._sink.add_displacement(stamp, displacement, position, load)
+    def _is_force_frame(self, frame_id: str) -> bool:
+        if frame_id != self.force_frame:
+            if self._force_frame_known:
+                self._sink.reject("force", Reason.WRONG_FRAME)
+                return False
+            self.force_frame = frame_id
+        self._force_frame_known = True
+        return True
+
+    def _add_transforms(self, message: Any, *, is_static: bool) -> None:
+        for one in message.transforms:
+            self._sink.add_transform(
+                stamp_ns(one.header.stamp),
+                one.header.frame_id.lstrip("/"),
+                one.child_frame_id.lstrip("/"),
+                _transform_position(one),
+                _orientation(one) or (0.0, 0.0, 0.0, 0.0),
+                is_static=is_static,
+            )
 
     def along_force(self, x: float, y: float, z: float) -> float:
         """Return the part of a force along the axis [N]."""
@@ -204,22 +332,28 @@ class Inputs:
         """Return a joint's effort, or another number, as force [N]."""
         return None if effort is None else self._force_sign * effort
 
-    def _is_displacement_frame(self, frame_id: str) -> bool:
-        if frame_id == self._displacement_frame:
-            return True
-        if self._displacement_frame is not None:
-            self._sink.reject("displacement", Reason.WRONG_FRAME)
-            return False
-        self._displacement_frame = frame_id
-        return True
-
-    def _wrench_force(self, message: WrenchStamped) -> float:
-        wrench = message.wrench
-        vector = wrench.torque if self.takes_torque else wrench.force
-        return self.along_force(vector.x, vector.y, vector.z)
-
-    def _joint_force(self, message: JointState) -> float | None:
-        return self.signed_effort(_joint_value(message.name, message.effort, self.force_joint))
+    def _take_displacement(
+        self,
+        stamp: int,
+        displacement: float,
+        position: Position | None,
+        orientation: Quaternion | None,
+    ) -> None:
+        if not self.places["displacement"].takes_orientation:
+            self._sink.add_displacement(stamp, displacement, position)
+            return
+        try:
+            turn = orientation or (0.0, 0.0, 0.0, 0.0)
+            load = self._tool.load(turn) if self._tool is not None else 0.0
+            turn = normalised(turn)
+        except ValueError:
+            # Without an orientation neither the weight nor the way along the tool is known.
+            self._sink.reject("displacement", Reason.MISSING_FIELD)
+            return
+        if self._is_along_tool:
+            self._sink.add_displacement(stamp, displacement, position, load, turn)
+        else:
+            self._sink.add_displacement(stamp, displacement, position, load)
 
 
 def _joint_value(names: list[str], values: Any, joint: str) -> float | None:

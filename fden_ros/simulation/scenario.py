@@ -299,13 +299,44 @@ class DisplacementSensor:
 
 
 @dataclass(frozen=True)
+class SurfaceSensor:
+    """What a sensor of the surface's place sees: a tracked marker, a range finder.
+
+    Attributes
+    ----------
+    rate_hz, jitter_s, noise_m, delay_s
+        As for the displacement.
+    offset_m
+        Reading where the surface is undisturbed.
+    topic, message, axis, frame_id
+        Where and as what it is published, as for the displacement; `axis` points into the tissue.
+    """
+
+    rate_hz: float = 100.0
+    noise_m: float = 0.0
+    jitter_s: float = 0.0
+    delay_s: float = 0.0
+    offset_m: float = 0.0
+    topic: str = "/surface"
+    message: str = "point"
+    axis: Axis = (0.0, 0.0, 1.0)
+    frame_id: str = "tracker"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "rate_hz")
+        require_not_negative(self, "noise_m", "jitter_s")
+        require_choice("surface: message", self.message, DISPLACEMENT_MESSAGES)
+        _require_unit_axis("surface", self.axis)
+
+
+@dataclass(frozen=True)
 class Dropout:
     """A stretch of time in which a stream has no samples.
 
     Attributes
     ----------
     stream
-        ``force``, ``displacement`` or ``both``.
+        ``force``, ``displacement``, ``both`` of these, or ``surface``.
     start_s, duration_s
         On the stamps, from the beginning of the recording.
     """
@@ -315,7 +346,9 @@ class Dropout:
     duration_s: float
 
     def __post_init__(self) -> None:
-        require_choice("dropout: stream", self.stream, ("force", "displacement", "both"))
+        require_choice(
+            "dropout: stream", self.stream, ("force", "displacement", "both", "surface")
+        )
         require_not_negative(self, "start_s")
         require_positive(self, "duration_s")
 
@@ -399,6 +432,7 @@ class Scenario:
     dropouts: tuple[Dropout, ...] = ()
     disturbances: Disturbances = field(default_factory=Disturbances)
     preload: Preload = field(default_factory=Preload)
+    surface: SurfaceSensor | None = None
 
     def __post_init__(self) -> None:
         if not self.sites:

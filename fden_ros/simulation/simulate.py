@@ -34,6 +34,7 @@ from fden_ros.simulation.scenario import (
     Preload,
     Scenario,
     Site,
+    SurfaceSensor,
 )
 from fden_ros.simulation.stepped_contact import SteppedHistory, stepped_contacts
 from fden_ros.simulation.trajectory import Approach, Path
@@ -47,7 +48,7 @@ END_PAUSE_S = 0.5
 _MAX_JITTER_PERIODS = 0.45
 
 # One generator a purpose: what one of them draws never changes the others.
-_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS = range(4)
+_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS, _SURFACE_DRAWS = range(5)
 
 
 @dataclass(frozen=True)
@@ -79,11 +80,18 @@ class Stream:
 
 @dataclass(frozen=True)
 class Recording:
-    """Both streams and the truth behind them, which is ready for JSON."""
+    """The streams and the truth behind them, which is ready for JSON."""
 
     force: Stream
     displacement: Stream
     truth: dict[str, Any]
+    surface: Stream | None = None
+
+    @property
+    def streams(self) -> tuple[Stream, ...]:
+        """All streams."""
+        both = (self.force, self.displacement)
+        return both if self.surface is None else (*both, self.surface)
 
 
 def _ratio(site: Site) -> float:
@@ -119,7 +127,8 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
     displacement = _displacement_stream(
         scenario, visits, duration, _generator(seed, _DISPLACEMENT_DRAWS)
     )
-    return Recording(force, displacement, _truth(scenario, seed, visits))
+    surface = _surface_stream(scenario, duration, _generator(seed, _SURFACE_DRAWS), phases)
+    return Recording(force, displacement, _truth(scenario, seed, visits), surface)
 
 
 #: The identifier's parameters where model and rig leave nothing out, as in `config/bench.yaml`:
@@ -156,6 +165,10 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
         "displacement.axis": list(displacement.axis),
         "displacement.delay": displacement.delay_s,
     }
+    if scenario.surface is not None:
+        parameters["surface.message"] = scenario.surface.message
+        parameters["surface.axis"] = list(scenario.surface.axis)
+        parameters["surface.delay"] = scenario.surface.delay_s
     if scenario.disturbances == Disturbances():
         parameters |= EXACT
     if scenario.sites[-1].slide is not None:
@@ -315,8 +328,26 @@ def _displacement_stream(
     return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
 
 
+def _surface_stream(
+    scenario: Scenario, duration: float, generator: np.random.Generator, phases: Phases
+) -> Stream | None:
+    sensor = scenario.surface
+    if sensor is None:
+        return None
+    elapsed_ns, times = _sampling(sensor, duration, generator)
+    reading = sensor.offset_m + scenario.disturbances.surface(times, phases)
+    noise = sensor.noise_m * generator.standard_normal((times.size, 3))
+    stamps = elapsed_ns + round(sensor.delay_s * 1e9)
+    kept = _kept(stamps, scenario.dropouts, "surface")
+    if sensor.message == "joint_state":
+        return _stream(sensor, stamps[kept], (reading + noise[:, 2])[kept], None)
+    axis = np.array(sensor.axis)
+    position = np.outer(reading, axis) + noise
+    return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
+
+
 def _stream(
-    sensor: ForceSensor | DisplacementSensor,
+    sensor: ForceSensor | DisplacementSensor | SurfaceSensor,
     elapsed_ns: StampArray,
     value: FloatArray,
     position: FloatArray | None,
@@ -333,7 +364,9 @@ def _stream(
 
 
 def _sampling(
-    sensor: ForceSensor | DisplacementSensor, duration: float, generator: np.random.Generator
+    sensor: ForceSensor | DisplacementSensor | SurfaceSensor,
+    duration: float,
+    generator: np.random.Generator,
 ) -> tuple[StampArray, FloatArray]:
     """Return when samples are taken, in whole ns and in s since the beginning."""
     count = int(duration * sensor.rate_hz)
@@ -347,7 +380,7 @@ def _sampling(
 def _kept(elapsed_ns: StampArray, dropouts: Sequence[Dropout], stream: str) -> NDArray[np.bool_]:
     kept = np.ones(elapsed_ns.shape, dtype=bool)
     for dropout in dropouts:
-        if dropout.stream in (stream, "both"):
+        if dropout.stream == stream or (dropout.stream == "both" and stream != "surface"):
             since = elapsed_ns * 1e-9 - dropout.start_s
             kept &= (since < 0.0) | (since >= dropout.duration_s)
     return kept

@@ -20,6 +20,7 @@ import math
 from collections import Counter
 
 from fden_ros.core.streams.resolution import Resolution
+from fden_ros.core.streams.rotation import Quaternion, angle
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
 
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
@@ -41,6 +42,8 @@ _GAIN = 1.0 / 32.0
 _SPIKE_CHANGES = 12.0
 #: A change enters the mean change as at most 4 times the mean, so that a spike does not move it.
 _MOST_GROWTH = 4.0
+#: A turn of a frame counts as the way of a point this far from it [m].
+_LEVER = 0.1
 #: Mean step and mean change are used for tests once they rest on 32 samples.
 _USUAL_SAMPLES = 32
 #: A force that repeats one value is stuck, and dropped until it changes, after 5 samples in a row
@@ -100,11 +103,15 @@ class StreamGuard:
     """Accept a stream's samples in order of their stamps; reject and count the others.
 
     A stamp more than 0.5 s before or 10 usual steps after its predecessor is held back until the
-    next sample tells a jump of the clock from a stray stamp.
+    next sample tells a jump of the clock from a stray stamp. Where `is_vector`, values are judged
+    by the distance of the samples' positions, and by their turns.
     """
 
-    def __init__(self, limit: float, rejected: Counter[str], name: str) -> None:
+    def __init__(
+        self, limit: float, rejected: Counter[str], name: str, *, is_vector: bool = False
+    ) -> None:
         self._limit = limit
+        self._is_vector = is_vector
         self._rejected = rejected
         self._name = name
         self.epoch = 0
@@ -115,7 +122,7 @@ class StreamGuard:
         self._late_run = 0
         self._late_newest_ns = 0
         self._usual = UsualStep(_GAIN)
-        self._values = ValueGuard(limits_runs=name == "force")
+        self._values = ValueGuard(limits_runs=name == "force", is_vector=is_vector)
         self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
         self.too_large = 0  #: samples that were
@@ -146,22 +153,29 @@ class StreamGuard:
         self._rejected[f"{self._name}.{reason}"] += 1
 
     def accept(
-        self, stamp_ns: int, value: float, position: Position | None = None, load: float = 0.0
+        self,
+        stamp_ns: int,
+        value: float,
+        position: Position | None = None,
+        load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> tuple[Sample, ...]:
         """Check a sample; return those accepted now: none, this one, or a held one and this."""
         if not math.isfinite(value + load) or not all(map(math.isfinite, position or ())):
             self.reject(Reason.NON_FINITE)
             return ()
-        if abs(value) > self._limit:
+        size = math.hypot(*position) if self._is_vector and position is not None else abs(value)
+        if size > self._limit:
             self.reject(Reason.OUT_OF_RANGE)
             self.too_large += 1
-            self.largest = max(self.largest, abs(value))
+            self.largest = max(self.largest, size)
             return ()
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
             return ()
         usual_ns = self._usual.value_ns
-        accepted = self._by_stamp(Sample(self.epoch, stamp_ns, value, position, load, usual_ns))
+        sample = Sample(self.epoch, stamp_ns, value, position, load, usual_ns, turn)
+        accepted = self._by_stamp(sample)
         return self._by_value(accepted) if accepted else ()
 
     def _by_stamp(self, sample: Sample) -> tuple[Sample, ...]:
@@ -256,10 +270,13 @@ class ValueGuard:
     ----------
     limits_runs : bool
         Whether a signal that stands still is suspicious; a displacement may well.
+    is_vector : bool
+        Whether positions and turns count, not values.
     """
 
-    def __init__(self, limits_runs: bool) -> None:
+    def __init__(self, limits_runs: bool, is_vector: bool = False) -> None:
         self._limits_runs = limits_runs
+        self._is_vector = is_vector
         self._last: Sample | None = None
         self._held: Sample | None = None
         self._usual_change = 0.0
@@ -291,10 +308,10 @@ class ValueGuard:
             self._last = sample
             self._run = 1
             return [(held, None), (sample, None)] if held is not None else [(sample, None)]
-        change = abs(sample.value - last.value)
+        change = self._distance(last, sample)
         if held is not None:
             self._held = None
-            if change >= 0.5 * abs(held.value - last.value):
+            if change >= 0.5 * self._distance(last, held):
                 return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
             judged.append((held, Reason.SPIKE))
         if self._changes >= _USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
@@ -306,7 +323,7 @@ class ValueGuard:
     def _follow(self, last: Sample, sample: Sample) -> str | None:
         self._last = sample
         self._resolution.add(sample.value)
-        change = abs(sample.value - last.value)
+        change = self._distance(last, sample)
         if change > 0.0:
             self._changes += 1
             self._learn(change)
@@ -316,6 +333,14 @@ class ValueGuard:
             return None
         self._run += 1
         return Reason.STUCK if self.is_stuck else None
+
+    def _distance(self, a: Sample, b: Sample) -> float:
+        if not self._is_vector or a.position is None or b.position is None:
+            return abs(b.value - a.value)
+        distance = math.dist(a.position, b.position)
+        if a.turn is None or b.turn is None:
+            return distance
+        return distance + _LEVER * angle(a.turn, b.turn)
 
     def _learn(self, change: float) -> None:
         # Only of changes: a coarse signal stands still most of the time.

@@ -19,11 +19,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
+from fden_ros.core.streams.rotation import Quaternion, Vector
+
 #: In a second.
 NANOSECONDS = 1_000_000_000
 
 
-Position = tuple[float, float, float]
+Position = Vector
 
 
 class Reason:
@@ -37,6 +39,11 @@ class Reason:
     FUTURE_STAMP = "future_stamp"
     UNPAIRED = "unpaired"
     DISPLACEMENT_GAP = "displacement_gap"
+    NO_SURFACE = "no_surface"
+    SURFACE_GAP = "surface_gap"
+    NO_TRANSFORM = "no_transform"
+    TRANSFORM_GAP = "transform_gap"
+    OTHER_PARENT = "other_parent"
     WRONG_FRAME = "wrong_frame"
     MISSING_FIELD = "missing_field"
     SPIKE = "spike"
@@ -52,6 +59,7 @@ class Sample(NamedTuple):
     position: Position | None = None
     load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
     usual_ns: float = 0.0  #: usual step of its stream before it [ns]; 0: not known
+    turn: Quaternion | None = None  #: of a transform, or of the probe
 
 
 class Pair(NamedTuple):
@@ -62,6 +70,7 @@ class Pair(NamedTuple):
     force: float  #: [N]
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
+    tilt: float = 0.0  #: of its axis against the surface's normal, where both are known [rad]
 
 
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:
@@ -83,8 +92,27 @@ class Sink(Protocol):
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
-        """Take a displacement [m], the position where known [m] and the tool's weight [N]."""
+        """Take a displacement [m], the tool's weight [N]; position [m] and turn where known."""
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
+        """Take a force [N] or torque [N m] in a frame that moves."""
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Vector,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        """Take where a frame is in its parent [m], and its rotation as a quaternion."""
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Take a place of the tissue's surface, along the way of the displacement [m]."""
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not be read."""

@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Two streams of stamped samples into pairs: displacement interpolated to the stamps of the force.
+"""Streams of stamped samples into pairs: all others interpolated to the stamps of the force.
 
-Every decision rests on stamps and on the order of samples within their own stream, never on when
-samples of the two streams arrive relative to each other. So live, replayed and batched data give
-the same pairs.
+A force waits for the displacements around its stamp and then, where the tissue's surface is
+measured too, for the surface around it: :class:`~fden_ros.core.streams.join.Join`.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
 from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
+from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
+from fden_ros.core.streams.tool_path import ToolPath, ToolPathConfig
 
-#: The displacement's noise is measured over its last 256 samples by the median of its magnitude,
-#: which is 0.6745 standard deviations of a normal variable.
-_NOISE_SAMPLES = 256
+#: The median of the magnitude of a normal variable, by which noise is measured, in standard
+#: deviations.
 _MEDIAN_OF_NORMAL = 0.6745
-#: In a slow stream displacements up to 2 usual steps of the force apart are interpolated between,
-#: and a sample waits for up to 4 usual steps of its stream.
-_GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,14 @@ class SynchronizeConfig:
         stream, where they are longer.
     force_limit, displacement_limit : float
         Larger magnitudes are rejected as out of range [N, m].
+    takes_surface : bool
+        A force waits for the surface around it too, which is taken off the displacement.
+    surface_delay : float
+        The surface's stamps lag the force's by this much [s]; may be negative.
+    frames : FramesConfig, optional
+        A force waits for the transforms around it too, whose stamps lag like the displacement's.
+    tool_path : ToolPathConfig, optional
+        The displacement is the probe's way along its own axis.
     """
 
     displacement_delay: float = 0.0
@@ -62,6 +69,10 @@ class SynchronizeConfig:
     pairing_window: float = 5.0
     force_limit: float = 1e5
     displacement_limit: float = 10.0
+    takes_surface: bool = False
+    surface_delay: float = 0.0
+    frames: FramesConfig | None = None
+    tool_path: ToolPathConfig | None = None
 
 
 class Synchronizer:
@@ -73,48 +84,111 @@ class Synchronizer:
     on_pair : callable
         Called with each :class:`Pair`, in order.
     rejected : collections.Counter
-        Counts of rejected samples, keyed ``"force.<reason>"`` or ``"displacement.<reason>"``;
-        added to.
+        Counts of rejected samples, keyed ``"<stream>.<reason>"``; added to.
+    statics : StaticLinks, optional
+        Static transforms that are known by now; added to.
     """
 
     def __init__(
-        self, config: SynchronizeConfig, on_pair: Callable[[Pair], None], rejected: Counter[str]
+        self,
+        config: SynchronizeConfig,
+        on_pair: Callable[[Pair], None],
+        rejected: Counter[str],
+        statics: StaticLinks | None = None,
     ) -> None:
         self._config = config
         self._on_pair = on_pair
-        self._delay_ns = round(config.displacement_delay * NANOSECONDS)
-        self._max_gap_ns = round(config.max_gap * NANOSECONDS)
-        self._window_ns = round(config.pairing_window * NANOSECONDS)
-        self.force_guard = StreamGuard(config.force_limit, rejected, "force")
-        self.displacement_guard = StreamGuard(config.displacement_limit, rejected, "displacement")
-        self._forces: deque[Sample] = deque()
-        self._displacements: deque[Sample] = deque()
-        self._passed: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
-        self._behind_since_ns: int | None = None
+        self._rejected = rejected
+        self.force_guard = StreamGuard(
+            config.force_limit, rejected, "force", is_vector=config.frames is not None
+        )
+        self._path = ToolPath(config.tool_path) if config.tool_path is not None else None
+        self.displacement_guard = StreamGuard(
+            config.displacement_limit,
+            rejected,
+            "displacement",
+            is_vector=config.tool_path is not None,
+        )
+        self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
+        self._passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._surfaces_passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._displacements = Join[None](
+            self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
+            self.force_guard,
+            self.displacement_guard,
+            self._on_displacement,
+            self._passed,
+        )
+        self._surfaces = Join[Pair](
+            self._limits(config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP),
+            self.force_guard,
+            self.surface_guard,
+            self._on_surface,
+            self._surfaces_passed,
+        )
+
+        self._force_frame = ""
+        self.frames: Frames | None = None
+        if config.frames is not None:
+            self.frames = Frames(
+                config.frames,
+                self._limits(config.displacement_delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP),
+                self.force_guard,
+                self._transform_guard,
+                statics if statics is not None else StaticLinks(),
+                self._in_base,
+                self._path,
+            )
+
+    def _transform_guard(self) -> StreamGuard:
+        limit = self._config.displacement_limit
+        return StreamGuard(limit, self._rejected, "transform", is_vector=True)
+
+    def _limits(self, delay: float, unpaired: str, gap: str) -> JoinLimits:
+        return JoinLimits(
+            max_gap_ns=round(self._config.max_gap * NANOSECONDS),
+            window_ns=round(self._config.pairing_window * NANOSECONDS),
+            delay_ns=round(delay * NANOSECONDS),
+            unpaired=unpaired,
+            gap=gap,
+        )
+
+    @property
+    def waiting(self) -> int:
+        """How many samples of all streams are kept for others to come."""
+        in_frames = self.frames.waiting if self.frames is not None else 0
+        return self._displacements.waiting + self._surfaces.waiting + in_frames
 
     def motion_noise(self) -> float:
         """Variance of the displacement's noise per sample times the time between samples [m^2 s].
 
         From the distances of the last 256 samples from the lines between their neighbours; 0 while
-        there are fewer than 32.
+        there are fewer than 32. Those of the surface and of transforms add to it.
         """
-        if len(self._passed) < _NOISE_SAMPLES // 8:
-            return 0.0
-        time = np.array([sample.stamp_ns - self._passed[0].stamp_ns for sample in self._passed])
-        value = np.array([sample.value for sample in self._passed])
-        step = np.diff(time) / NANOSECONDS
-        share = step[:-1] / (step[:-1] + step[1:])
-        apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
-        scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-        deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
-        return deviation**2 * float(np.median(step))
+        noise = _noise_of(self._passed) + _noise_of(self._surfaces_passed)
+        return noise + _noise_of(self.frames.passed) if self.frames is not None else noise
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
-        for sample in self.force_guard.accept(stamp_ns, force):
-            self._forces.append(sample)
-            self._bound_memory(self._forces, self.force_guard)
-            self._pair()
+        self._lead(self.force_guard.accept(stamp_ns, force))
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
+        """Add a force [N] or torque [N m] in a frame that moves."""
+        self._force_frame = frame
+        x, y, z = force
+        self._lead(self.force_guard.accept(stamp_ns, x + y + z, force))
+
+    def add_transform(
+        self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
+    ) -> None:
+        """Add where a frame is in its parent; a static one holds at all times."""
+        if self.frames is None:
+            return
+        problem = self.frames.add_transform(
+            stamp_ns, parent, child, transform, is_static=is_static
+        )
+        if problem is not None:
+            self._rejected[f"transform.{problem}"] += 1
 
     def add_displacement(
         self,
@@ -122,87 +196,67 @@ class Synchronizer:
         displacement: float,
         position: Position | None = None,
         load: float = 0.0,
+        turn: Quaternion | None = None,
     ) -> None:
-        """Add a displacement sample [m], and the probe's position [m] where it is known.
+        """Add a displacement sample [m], and the probe's position [m] and turn where known.
 
         `load` [N] is what the sensor measures there without any contact.
         """
-        for sample in self.displacement_guard.accept(stamp_ns, displacement, position, load):
-            if self._delay_ns:
-                sample = sample._replace(stamp_ns=sample.stamp_ns - self._delay_ns)
-            self._displacements.append(sample)
-            self._pair()
-            self._bound_memory(self._displacements, self.displacement_guard)
+        self._displacements.follow(
+            self.displacement_guard.accept(stamp_ns, displacement, position, load, turn)
+        )
 
-    def _pair(self) -> None:
-        forces, displacements = self._forces, self._displacements
-        while forces and displacements:
-            force = forces[0]
-            key = (force.epoch, force.stamp_ns)
-            while len(displacements) > 1 and displacements[1][:2] <= key:
-                self._passed.append(displacements.popleft())
-            before = displacements[0]
-            if before[:2] > key:
-                self._reject_oldest_force(Reason.UNPAIRED)
-                self._follow_displacement(force, before)
-            elif before[:2] == key:
-                forces.popleft()
-                net = force.value - before.load
-                self._on_pair(Pair(*key, net, before.value, before.position))
-            elif len(displacements) == 1:
-                return
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Add a place of the tissue's surface, along the way of the displacement [m]."""
+        if self._config.takes_surface:
+            self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
+
+    def _lead(self, forces: tuple[Sample, ...]) -> None:
+        frames = self._config.frames
+        for force in forces:
+            if frames is None or not frames.moves_probe:
+                self._displacements.lead(force, None)
             else:
-                self._interpolate(force, before, displacements[1])
+                # The transforms give the displacement.
+                self._on_force(force, Pair(force.epoch, force.stamp_ns, force.value, 0.0, None))
 
-    def _interpolate(self, force: Sample, before: Sample, after: Sample) -> None:
-        if before.epoch != force.epoch or after.epoch != force.epoch:
-            self._reject_oldest_force(Reason.UNPAIRED)
-            return
-        gap_ns = after.stamp_ns - before.stamp_ns
-        if gap_ns > max(self._max_gap_ns, _GAP_STEPS * force.usual_ns):
-            self._reject_oldest_force(Reason.DISPLACEMENT_GAP)
-            return
-        share = (force.stamp_ns - before.stamp_ns) / gap_ns
-        displacement = before.value + share * (after.value - before.value)
-        position = None
-        if before.position is not None and after.position is not None:
-            (x0, y0, z0), (x1, y1, z1) = before.position, after.position
-            position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
-        self._forces.popleft()
-        net = force.value - (before.load + share * (after.load - before.load))
-        self._on_pair(Pair(force.epoch, force.stamp_ns, net, displacement, position))
+    def _on_displacement(self, force: Sample, _: None, around: Around) -> None:
+        pair = Pair(
+            force.epoch,
+            force.stamp_ns,
+            force.value - around.load,
+            around.value,
+            around.position,
+        )
+        if self._path is not None:
+            displacement, tilt = self._path.add(between(around))
+            pair = pair._replace(displacement=displacement, tilt=tilt)
+        self._on_force(force, pair)
 
-    def _follow_displacement(self, force: Sample, displacement: Sample) -> None:
-        """Let the force join an epoch that only the displacement entered, after a window."""
-        if displacement.epoch <= self.force_guard.epoch:
-            self._behind_since_ns = None
-        elif self._behind_since_ns is None:
-            self._behind_since_ns = force.stamp_ns
-        elif force.stamp_ns - self._behind_since_ns > self._window_ns:
-            self.force_guard.join_epoch(displacement.epoch, force.stamp_ns)
-            self._behind_since_ns = None
+    def _on_force(self, force: Sample, pair: Pair) -> None:
+        if self.frames is not None:
+            self.frames.lead(force, pair, self._force_frame)
+        else:
+            self._in_base(force, pair)
 
-    def _reject_oldest_force(self, reason: str) -> None:
-        self._forces.popleft()
-        self.force_guard.reject(reason)
+    def _in_base(self, force: Sample, pair: Pair) -> None:
+        if self._config.takes_surface:
+            self._surfaces.lead(force, pair)
+        else:
+            self._on_pair(pair)
 
-    def _bound_memory(self, samples: deque[Sample], guard: StreamGuard) -> None:
-        """Drop samples that have waited for longer than the pairing window.
+    def _on_surface(self, _: Sample, pair: Pair, around: Around) -> None:
+        self._on_pair(pair._replace(displacement=pair.displacement - around.value))
 
-        If a force was dropped after its clock jumped back, the other stream's clock did not jump:
-        that stream is then taken to be in the same epoch.
-        """
-        newest = samples[-1]
-        window_ns = max(self._window_ns, _WINDOW_STEPS * newest.usual_ns)
-        while self._waited_ns(samples[0], newest, guard) > window_ns:
-            samples.popleft()
-            if guard is self.force_guard:
-                guard.reject(Reason.UNPAIRED)
-                if self.displacement_guard.epoch < newest.epoch:
-                    self.displacement_guard.join_epoch(newest.epoch, newest.stamp_ns)
 
-    @staticmethod
-    def _waited_ns(oldest: Sample, newest: Sample, guard: StreamGuard) -> int:
-        if oldest.epoch == newest.epoch:
-            return newest.stamp_ns - oldest.stamp_ns
-        return newest.stamp_ns - guard.epoch_start_ns
+def _noise_of(samples: deque[Sample]) -> float:
+    if len(samples) < NOISE_SAMPLES // 8:
+        return 0.0
+    time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
+    value = np.array([sample.value for sample in samples])
+    step = np.diff(time) / NANOSECONDS
+    share = step[:-1] / (step[:-1] + step[1:])
+    apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
+    scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+    return deviation**2 * float(np.median(step))

@@ -22,14 +22,16 @@ and looks like drift or contact if it is not taken off.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-#: A quaternion whose length differs from 1 by more than this was never set, or is damaged.
-_UNIT_TOLERANCE = 0.01
+from fden_ros.core.streams.rotation import (
+    Quaternion,
+    Vector,
+    conjugate,
+    cross,
+    normalised,
+    rotate,
+)
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ class ToolWeight:
     axis: Vector
     is_torque: bool = False
 
-    def load(self, orientation: Quaternion) -> float:
-        """Return force [N] or torque [N m] of the weight along the axis.
+    def load(self, orientation: Quaternion, axis: Vector | None = None) -> float:
+        """Return force [N] or torque [N m] of the weight along the axis, or another `axis`.
 
         Parameters
         ----------
@@ -79,26 +81,6 @@ class ToolWeight:
         ValueError
             If `orientation` is no rotation.
         """
-        length = math.hypot(*orientation)
-        if not abs(length - 1.0) <= _UNIT_TOLERANCE:
-            raise ValueError(f"the quaternion {orientation} has length {length:g}, must be 1")
-        x, y, z, w = (part / length for part in orientation)
-        weight = _rotate((-x, -y, -z, w), self.gravity)
-        vector = _cross(self.centre_of_mass, weight) if self.is_torque else weight
-        return self.mass * sum(a * v for a, v in zip(self.axis, vector, strict=True))
-
-
-def _rotate(quaternion: Quaternion, vector: Vector) -> Vector:
-    x, y, z, w = quaternion
-    twice = [2.0 * part for part in _cross((x, y, z), vector)]
-    turned = _cross((x, y, z), (twice[0], twice[1], twice[2]))
-    a, b, c = (v + w * t + u for v, t, u in zip(vector, twice, turned, strict=True))
-    return a, b, c
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+        weight = rotate(conjugate(normalised(orientation)), self.gravity)
+        vector = cross(self.centre_of_mass, weight) if self.is_torque else weight
+        return self.mass * sum(a * v for a, v in zip(axis or self.axis, vector, strict=True))

@@ -1,0 +1,221 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""One stream waits for another: the samples around each of its stamps, between which to go.
+
+Every decision rests on stamps and on the order of samples within their own stream, never on when
+samples of the two streams arrive relative to each other. So live, replayed and batched data give
+the same matches.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
+
+from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.samples import Position, Sample
+
+#: The noise of a stream is measured over its last 256 samples.
+NOISE_SAMPLES = 256
+#: In a slow stream samples up to 2 usual steps of the leading stream apart are interpolated
+#: between, and a sample waits for up to 4 usual steps of its stream.
+_GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
+
+Payload = TypeVar("Payload")
+
+
+class Around(NamedTuple):
+    """The samples of a stream before and after an instant; the same one twice at its own stamp."""
+
+    before: Sample
+    after: Sample
+    share: float  #: of the way from the one to the other [1]
+
+    @property
+    def value(self) -> float:
+        """Value at the instant, linear in between."""
+        before, after, share = self
+        if after is before:
+            return before.value
+        return before.value + share * (after.value - before.value)
+
+    @property
+    def load(self) -> float:
+        """Load at the instant, linear in between."""
+        before, after, share = self
+        if after is before:
+            return before.load
+        return before.load + share * (after.load - before.load)
+
+    @property
+    def position(self) -> Position | None:
+        """Position at the instant, linear in between; None where one of the two is not known."""
+        before, after, share = self
+        if after is before:
+            return before.position
+        if before.position is None or after.position is None:
+            return None
+        (x0, y0, z0), (x1, y1, z1) = before.position, after.position
+        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0)
+
+
+@dataclass(frozen=True)
+class JoinLimits:
+    """How far a join looks; times in ns.
+
+    Parameters
+    ----------
+    max_gap_ns : int
+        Samples further apart than this, and than 2 usual steps of the leading stream, are not
+        interpolated between.
+    window_ns : int
+        A sample waits at most this long, in stamps; or 4 usual steps of its stream, where they
+        are longer.
+    delay_ns : int
+        The following stream's stamps lag the leading one's by this much.
+    unpaired, gap : str
+        Reasons to reject a leading sample: without a sample around it; in a gap.
+    """
+
+    max_gap_ns: int
+    window_ns: int
+    delay_ns: int
+    unpaired: str
+    gap: str
+
+
+class Join(Generic[Payload]):
+    """Match samples of a leading stream with those of a following one around their stamps.
+
+    Parameters
+    ----------
+    limits : JoinLimits
+    lead_guard, follow_guard : StreamGuard
+        Have accepted the samples; rejected leading samples are counted by theirs.
+    on_match : callable
+        Called with each leading sample, its payload, and the :class:`Around` of the other stream,
+        in order.
+    passed : deque of Sample, optional
+        The newest samples of the following stream that nothing waits for any more; added to.
+    """
+
+    def __init__(
+        self,
+        limits: JoinLimits,
+        lead_guard: StreamGuard,
+        follow_guard: StreamGuard,
+        on_match: Callable[[Sample, Payload, Around], None],
+        passed: deque[Sample] | None = None,
+    ) -> None:
+        self._limits = limits
+        self._lead_guard, self._follow_guard = lead_guard, follow_guard
+        self._on_match = on_match
+        self._leading: deque[tuple[Sample, Payload]] = deque()
+        self._following: deque[Sample] = deque()
+        self._passed = passed
+        self._behind_since_ns: int | None = None
+
+    @property
+    def waiting(self) -> int:
+        """How many samples of both streams are kept."""
+        return len(self._leading) + len(self._following)
+
+    def lead(self, sample: Sample, payload: Payload) -> None:
+        """Take an accepted sample of the leading stream, and what goes with it to the match."""
+        self._leading.append((sample, payload))
+        self._bound_leading(sample)
+        self._match()
+
+    def follow(self, samples: Iterable[Sample]) -> None:
+        """Take accepted samples of the following stream."""
+        delay_ns = self._limits.delay_ns
+        for sample in samples:
+            if delay_ns:
+                sample = sample._replace(stamp_ns=sample.stamp_ns - delay_ns)
+            self._following.append(sample)
+            self._match()
+            self._bound_following()
+
+    def _match(self) -> None:
+        leading, following = self._leading, self._following
+        while leading and following:
+            lead, payload = leading[0]
+            key = (lead.epoch, lead.stamp_ns)
+            while len(following) > 1 and following[1][:2] <= key:
+                passed = following.popleft()
+                if self._passed is not None:
+                    self._passed.append(passed)
+            before = following[0]
+            if before[:2] > key:
+                self._reject_oldest(self._limits.unpaired)
+                self._join_epoch(lead, before)
+            elif before[:2] == key:
+                leading.popleft()
+                self._on_match(lead, payload, Around(before, before, 0.0))
+            elif len(following) == 1:
+                return
+            else:
+                self._between(lead, payload, before, following[1])
+
+    def _between(self, lead: Sample, payload: Payload, before: Sample, after: Sample) -> None:
+        if before.epoch != lead.epoch or after.epoch != lead.epoch:
+            self._reject_oldest(self._limits.unpaired)
+            return
+        gap_ns = after.stamp_ns - before.stamp_ns
+        if gap_ns > max(self._limits.max_gap_ns, _GAP_STEPS * lead.usual_ns):
+            self._reject_oldest(self._limits.gap)
+            return
+        self._leading.popleft()
+        share = (lead.stamp_ns - before.stamp_ns) / gap_ns
+        self._on_match(lead, payload, Around(before, after, share))
+
+    def _join_epoch(self, lead: Sample, follower: Sample) -> None:
+        """Let the leading stream join an epoch that only the other entered, after a window."""
+        if follower.epoch <= self._lead_guard.epoch:
+            self._behind_since_ns = None
+        elif self._behind_since_ns is None:
+            self._behind_since_ns = lead.stamp_ns
+        elif lead.stamp_ns - self._behind_since_ns > self._limits.window_ns:
+            self._lead_guard.join_epoch(follower.epoch, lead.stamp_ns)
+            self._behind_since_ns = None
+
+    def _reject_oldest(self, reason: str) -> None:
+        self._leading.popleft()
+        self._lead_guard.reject(reason)
+
+    def _bound_leading(self, newest: Sample) -> None:
+        """Drop samples that have waited for longer than the window.
+
+        If one was dropped after its clock jumped back, the other stream's clock did not jump: that
+        stream is then taken to be in the same epoch.
+        """
+        while self._has_waited(self._leading[0][0], newest, self._lead_guard):
+            self._reject_oldest(self._limits.unpaired)
+            if self._follow_guard.epoch < newest.epoch:
+                self._follow_guard.join_epoch(newest.epoch, newest.stamp_ns)
+
+    def _bound_following(self) -> None:
+        newest = self._following[-1]
+        while self._has_waited(self._following[0], newest, self._follow_guard):
+            self._following.popleft()
+
+    def _has_waited(self, oldest: Sample, newest: Sample, guard: StreamGuard) -> bool:
+        if oldest is newest:
+            return False
+        start_ns = oldest.stamp_ns if oldest.epoch == newest.epoch else guard.epoch_start_ns
+        window_ns = max(self._limits.window_ns, _WINDOW_STEPS * newest.usual_ns)
+        return newest.stamp_ns - start_ns > window_ns
