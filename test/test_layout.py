@@ -111,3 +111,14 @@ def test_imports_run_one_way() -> None:
 def test_arrows_are_found() -> None:
     found = {(user, used) for _, user, used in arrows()}
     assert {("core.pipeline", "core.site"), ("recording", "ros"), ("commands", "errors")} <= found
+
+
+def drawn() -> str:
+    """The rooms and the imports between them, for the program dot of GraphViz."""
+    pairs = sorted({(used, user) for _, user, used in arrows() if user and used})
+    lines = [f'  "{used}" -> "{user}";' for used, user in pairs]
+    return "\n".join([f"// {len(ROOMS)} rooms, {len(pairs)} arrows", "digraph {", *lines, "}"])
+
+
+if __name__ == "__main__":
+    print(drawn())

@@ -100,7 +100,7 @@ _MACHINE = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
 _TWO_SIDED_95 = 1.96
 _NANOSECONDS = 1_000_000_000
 #: Tests of each material, and simulated contacts, with --quick and without.
-_QUICK_TESTS, _QUICK_SIMULATED, _SIMULATED = 6, 20, 300
+_QUICK_TESTS, _QUICK_SIMULATED, _SIMULATED = 4, 20, 300
 #: The mismatch is told where the model is right at most so often.
 FALSE_ALARMS = 0.01
 #: Forgetting of the estimators that forget: a time constant of 1 s.
