@@ -101,6 +101,18 @@ def outcome(data: Presses, items: Sequence[Any] | None = None, **parameters: obj
     return outcome_of(data.items if items is None else items, data.parameters | own)
 
 
+@pytest.mark.parametrize(("sites", "expected"), [(1, [1, 1]), (2, [1, 2])])
+def test_without_positions_the_surface_tells_a_second_press_of_one_place(sites, expected):
+    press = Palpation(0.3, 0.26, 2.0, presses=3 - sites, lift_m=0.002, pause_s=2.2)
+    data = presses((press,), sites)
+    summaries = outcome(data).summaries
+    air_s = 1e-9 * (data.contacts[1]["start_ns"] - data.contacts[0]["end_ns"])
+    assert air_s > 2.0  # `site.timeout`
+    assert [summary.site_id for summary in summaries] == expected
+    error = summaries[-1].estimate.log_linear_stiffness - math.log(data.site["linear_stiffness"])
+    assert abs(error) < 3.0 * math.sqrt(summaries[-1].estimate.covariance[0, 0])
+
+
 def with_call(data: Presses, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:
     return [*data.between(0, stamp_ns), call, *data.between(stamp_ns, math.inf)]
 

@@ -91,11 +91,11 @@ def test_a_block_that_is_amended_counts_as_if_it_had_come_so(is_in_sums):
     for sums, second in ((late, 1.0), (early, 1.5)):
         for k in range(2):
             linear = [2.0, second if k else 3.0]
-            noise = 0.5 + (0.25 if sums is early and k else 0.0)
+            noise = 0.5 + (0.25 if sums is early and k and not is_in_sums else 0.0)
             sums.add(sums.respond(law[k], free[k], linear, 1.0), noise, 2)
     if is_in_sums:
         late.at_state(state)
-    late.amend_newest(1.0, late.index("second"), 0.5)
+    late.amend_newest(0.0 if is_in_sums else 1.0, late.index("second"), 0.5)
     assert late.at_state(state) == pytest.approx(early.at_state(state), rel=1e-9)
     assert late.at_nodes(np.tile(state, (grid.nodes.size, 1))) == pytest.approx(
         early.at_nodes(np.tile(state, (grid.nodes.size, 1))), rel=1e-9

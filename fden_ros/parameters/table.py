@@ -470,7 +470,8 @@ class SiteParameters:
     timeout: float = number(
         2.0,
         "s",
-        "A touch after a longer time in the air is a new site, where no positions are known.",
+        "A touch after a longer time in the air is a new site, where no positions are known, "
+        "unless it meets just what the last contact left.",
         0.0,
         100000.0,
     )

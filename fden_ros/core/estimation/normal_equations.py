@@ -111,7 +111,7 @@ class NormalEquations:
         self._columns = np.zeros((self._column_count, self._column_count))
         self._pending: list[_Pending] = []
         self._deferred: list[Callable[[], None]] = []
-        #: None: the sums have changed since, or will.
+        #: Added to the sums last; None: these have changed since, or will.
         self._newest: _Pending | None = None
         self._node_products: Array | None = None
         self._log_normalisation = 0.0
@@ -142,8 +142,7 @@ class NormalEquations:
 
     def add(self, response: BlockResponse, noise: float, size: int) -> None:
         """Take a block whose mean stress of `size` samples has the variance `noise` [Pa^2]."""
-        self._newest = _Pending(response, 1.0 / noise, size)
-        self._pending.append(self._newest)
+        self._pending.append(_Pending(response, 1.0 / noise, size))
         if len(self._pending) >= _MOST_PENDING:
             self._add_up()
 
@@ -153,26 +152,28 @@ class NormalEquations:
         Parameters
         ----------
         variance : float
-            By which one of its samples is further off [Pa^2].
+            By which one of its samples is further off [Pa^2]; too late for a block that has been
+            added to the sums already.
         index : int
             Place in the state of a linear column's parameter.
         change : float
             Added to that column.
         """
-        newest = self._newest
-        if newest is None or not (variance > 0.0 or change):
-            return
-        law, columns = newest.response
-        columns = columns.copy()
-        columns[self._column(index)] += change
-        weight = 1.0 / (1.0 / newest.weight + variance / newest.size**2)
-        amended = _Pending(BlockResponse(law, columns), weight, newest.size)
-        if self._pending:
-            self._pending[-1] = amended
-        else:
-            self._add_blocks([newest._replace(weight=-newest.weight), amended])
+        if self._pending and (variance > 0.0 or change):
+            (law, columns), weight, size = self._pending[-1]
+            columns = columns.copy()
+            columns[self._column(index)] += change
+            weight = 1.0 / (1.0 / weight + variance / size**2)
+            self._pending[-1] = _Pending(BlockResponse(law, columns), weight, size)
+        elif self._newest is not None and change:
+            (law, columns), weight, _ = self._newest
+            place = self._column(index)
+            self._cross[:, :, place] += weight * change * law
+            by_column = weight * change * columns
+            self._columns[place, :] += by_column
+            self._columns[:, place] += by_column
+            self._columns[place, place] += weight * change**2
             self._node_products = None
-        self._newest = amended
 
     def clear(self) -> None:
         """Forget all blocks."""
@@ -214,6 +215,7 @@ class NormalEquations:
         self._deferred.clear()
         if self._pending:
             self._add_blocks(self._pending)
+            self._newest = self._pending[-1]
             self._pending = []
         self._node_products = None
 
