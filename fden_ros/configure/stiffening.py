@@ -21,8 +21,8 @@ Relaxation is the same both ways, so it is taken out first: the force is
 
 with a cubic :math:`\phi` of the displacement x, a drift, and what the tissue remembers from
 before the recording; and with one breath, a sine that moves the surface, at the frequency that
-fits best. Real tissue relaxes by no single power: the linear part has further orders. All but the order :math:`\alpha`, the delay of the displacement and that
-frequency is linear.
+fits best. Real tissue relaxes by no single power: the linear part has further orders.
+All but the order :math:`\alpha`, the delay of the displacement and that frequency is linear.
 """
 
 from __future__ import annotations
