@@ -367,3 +367,6 @@ def test_measured_presses_of_a_test_machine_claim_neither_delay_nor_compliance(
     found = {finding["subject"]: finding for finding in answer["findings"]}
     assert not found["compliance"]["claim"]
     assert not found["delay"]["claim"]
+    # Loading alone, and the law is not its own: the sign must not come from how it relaxes.
+    for what in ("force axis", "displacement axis"):
+        assert not found[what]["claim"] or found[what]["value"] == 1.0

@@ -21,8 +21,8 @@ Relaxation is the same both ways, so it is taken out first: the force is
 
 with a cubic :math:`\phi` of the displacement x, a drift, and what the tissue remembers from
 before the recording; and with one breath, a sine that moves the surface, at the frequency that
-fits best. All but the order :math:`\alpha`, the delay of the displacement and that frequency is
-linear.
+fits best. Real tissue relaxes by no single power: the linear part has further orders.
+All but the order :math:`\alpha`, the delay of the displacement and that frequency is linear.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ _STEP, _MOST = 5e-3, 20_000
 _MARGIN, _DELAYS = 0.1, (-5e-3, 20e-3)
 _LARGEST_ORDER = 0.7
 _CUBIC = 3
+#: Real tissue relaxes by no single power: the linear part has a sum of these orders, too.
+_ORDERS = (0.0, 0.3, 0.6, 0.9)
 #: How long before the recording the tissue was loaded [s]: just now, and some while ago.
 _BEFORE = (0.1, 2.0)
 #: Frequencies of a breath or a heart [Hz], and the most of them that are tried.
@@ -91,12 +93,11 @@ def stiffening(session: Session, into: Array, grows: Array) -> float:
     )
     best = search.fitted(*search.nearest(breath), breath)
     low, high = np.quantile((way - centre) / scale, [0.02, 0.98])
-    rise, middle = np.zeros(best.solution.size), 0.0
-    for power in range(1, _CUBIC + 1):
+    rise = np.zeros(best.solution.size)
+    for power in range(2, _CUBIC + 1):
         rise[power - 1] = power * (high ** (power - 1) - low ** (power - 1))
-        middle += power * best.solution[power - 1] * (0.5 * (low + high)) ** (power - 1)
     sd = float(np.sqrt(rise @ best.covariance @ rise))
-    return float(rise @ best.solution) * float(np.sign(middle)) / max(sd, 1e-300)
+    return float(rise @ best.solution) / max(sd, 1e-300)
 
 
 @dataclass(frozen=True)
@@ -156,9 +157,11 @@ def _columns(step: float, depth: Array, order: float) -> Array:
     kernel = np.diff(edges) / (1.0 - order) * step**-order
     rises = [np.diff(depth**power, prepend=depth[0] ** power) for power in range(1, _CUBIC + 1)]
     since = step * np.arange(count)
+    others = [np.diff(np.arange(count + 1.0) ** (1.0 - o)) * step**-o for o in _ORDERS]
     return np.stack(
         [
             *(fftconvolve(rise, kernel)[:count] for rise in rises),
+            *(fftconvolve(rises[0], other)[:count] for other in others),
             np.ones(count),
             since / since[-1],
             *((since + before) ** -order for before in _BEFORE),
