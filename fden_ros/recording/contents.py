@@ -188,7 +188,8 @@ def _used(
 
 def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> list[str]:
     names = {name.partition(" ")[0] for name in used.values()}
-    chosen = [topic for topic in topics if topic.name in names]
+    # Transforms of several frames share a topic, and static ones come once.
+    chosen = [t for t in topics if t.name in names and t.type_name != TRANSFORMS]
     warnings = []
     for topic in chosen:
         if topic.zero_count:
@@ -204,8 +205,6 @@ def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> lis
             warnings.append(
                 f"{topic.name}: {topic.gap_count} gaps, the longest of {topic.longest_gap:.3g} s"
             )
-    # Static transforms come once, and hold at all times.
-    chosen = [topic for topic in chosen if topic.type_name != TRANSFORMS]
     if len(chosen) >= 2:
         start = max(topic.start_ns for topic in chosen)
         end = min(topic.end_ns for topic in chosen)
