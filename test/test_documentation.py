@@ -235,6 +235,10 @@ def stiffness(result: Replay) -> list[float]:
     return [math.exp(estimate.log_linear_stiffness) for estimate in estimates(result)]
 
 
+def nonlinear(result: Replay) -> list[float]:
+    return [math.exp(estimate.log_nonlinear_stiffness) for estimate in estimates(result)]
+
+
 def test_a_bag_that_leaves_nothing_open_is_ten_times_sharper_as_the_readme_says() -> None:
     for arm, exact in zip(estimates(identified({})), estimates(identified(EXACT)), strict=True):
         assert arm.covariance[0, 0] > 10**2 * exact.covariance[0, 0]
@@ -258,7 +262,7 @@ def test_a_geometry_that_is_not_stated_shows_as_the_readme_says() -> None:
     result = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
     assert not any(converged(result))
     assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in result.summaries)
-    assert stiffness(result) == pytest.approx([1443.0, 2156.0], rel=0.01)
+    assert stiffness(result) == pytest.approx([1452.0, 2178.0], rel=0.01)
     area = {"geometry.area": 1e-4}
     # Where nothing is left open, the prior counts nothing beside the data.
     for wrong, right in zip(
@@ -287,9 +291,8 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
     for summary in result.summaries:
         assert not summary.converged and summary.flags == Flag.ESTIMATE_AT_EDGE
         assert summary.estimate is not None and summary.classes is None
-        assert summary.estimate.at_edge == ParameterSet.NONLINEAR_STIFFNESS
-        g_n = math.exp(summary.estimate.log_nonlinear_stiffness)
-        assert g_n == pytest.approx(30.0 * math.exp(-0.8), abs=0.01)
+        assert ParameterSet.NONLINEAR_STIFFNESS in summary.estimate.at_edge
+    assert nonlinear(result) == pytest.approx([19.8, 16.9], abs=0.1)
     wide = {**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT}
     for summary, truth in zip(identified(wide).summaries, (9.0, 8.0), strict=True):
         assert summary.converged and summary.estimate is not None
@@ -301,13 +304,13 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
 def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
     result = identified({"displacement.delay": delay})
     assert all(converged(result))
-    assert all(abs(error) < 4.0 for contact in errors(result) for error in contact)
+    assert all(abs(error) < 2.0 for contact in errors(result) for error in contact)
     for estimate, truth in zip(estimates(result), TRUTH, strict=True):
-        assert math.exp(estimate[0]) == pytest.approx(truth[0], rel=0.235)
+        assert math.exp(estimate[0]) == pytest.approx(truth[0], rel=0.28)
         assert math.exp(estimate[1]) == pytest.approx(truth[1], rel=0.20)
     orders = [estimate.fractional_order for estimate in estimates(result)]
     late = delay < 0.0  # later than is stated
-    assert orders == pytest.approx([0.149, 0.145] if late else [0.171, 0.133], abs=0.012)
+    assert orders == pytest.approx([0.155, 0.153] if late else [0.115, 0.131], abs=0.012)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary in exact.summaries:
         assert not summary.converged

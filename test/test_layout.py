@@ -41,6 +41,8 @@ ROOMS = (
     "core.in_contact",
     "core.hindsight",
     "core.input_warnings",
+    "core.place",
+    "core.continuous",
     "core.pipeline",
     "core",  # its public names
     "simulation",

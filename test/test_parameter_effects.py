@@ -290,7 +290,7 @@ EFFECTS: dict[str, Effect] = {
         "breathing",
         RIGID | {"surface.message": "joint_state"},
         -0.2,
-        lambda a, b: truth_error(b) > 2.0 * truth_error(a),
+        lambda a, b: b.summary.estimate.deviations[0] > 2.0 * a.summary.estimate.deviations[0],
     ),
     "model_error.sd": (
         "plain",

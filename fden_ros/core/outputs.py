@@ -168,7 +168,11 @@ class ContactSummary:
     @property
     def is_of_path(self) -> bool:
         """Whether it is a place on the path of a continuous contact whose stiffness is known."""
-        return self.apparent_stiffness is not None and Flag.ORIGIN_UNCERTAIN in self.flags
+        if self.apparent_stiffness is None or Flag.ORIGIN_UNCERTAIN not in self.flags:
+            return False
+        # Along a path G is never determined; a press begun unseen may have it.
+        estimate = self.estimate
+        return estimate is None or not estimate.valid & ParameterSet.LINEAR_STIFFNESS
 
 
 @dataclass(frozen=True)

@@ -410,7 +410,8 @@ class StressPosterior:
             (self.state - prior.mean)[rig], share, out=np.zeros(rig.size), where=told
         )
         own = np.divide(variance, share, out=np.ones(rig.size), where=told) - variance
-        return float(np.max(np.abs(alone) / np.sqrt(self._stated_rig + own + _TINY_VARIANCE)))
+        both = self._stated_rig + np.maximum(own, 0.0) + _TINY_VARIANCE
+        return float(np.max(np.abs(alone) / np.sqrt(both)))
 
     def _solve(self) -> None:
         """Solve for the maximum of a posterior that is normal."""
