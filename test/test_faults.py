@@ -504,10 +504,6 @@ def test_fault(row: Row, clean: Outcome) -> None:
 
 
 @pytest.mark.xfail(strict=True, reason="the walk of the stress explains it: docs/faults.md")
-@pytest.mark.xfail(
-    strict=True,
-    reason="a probe that stands still is taken for tissue that moves, beyond what is stated",
-)
 def test_a_stuck_displacement_gives_no_wrong_summary_with_the_deviations_of_an_arm() -> None:
     s = shift()
     (row,) = [row for row in ROWS if row.name == "displacement_stuck"]
