@@ -76,6 +76,17 @@ def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
     + [(0, 9990, 0.0, False), (0, 10000, 5e-324, False), (0, 10000, 1.0, False)],
     {},
 )
+@example(
+    [(0, 1, 0.0, False)] * 8
+    + [(0, 9993, 5e-324, False), (0, 10000, 0.0, False), (0, 10000, 1.0, False)],
+    {},
+)
+@example(
+    [(0, 1, 0.0, False)] * 4
+    + [(0, 1000000, 5e-324, False), (0, 1_000_000_000, 0.0, False)]
+    + [(0, 5189, 0.0, False), (0, 5189, 0.9999999999999999, False)],
+    {},
+)
 @given(events, modes)
 def test_any_stream_gives_sound_and_repeatable_outputs(
     stream: list[tuple[int, int, float, bool]], parameters: dict[str, object]

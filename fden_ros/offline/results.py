@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import Position
+from fden_ros.core.streams.samples import Listener, Position
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, takes_surface
@@ -116,7 +116,7 @@ class _Copy:
         self._writer.write(message.topic, message.data, message.log_time_ns)
 
 
-class _RowCopy:
+class _RowCopy(Listener):
     """Writes the samples of a table as joint states."""
 
     def __init__(self, writer: BagWriter, parameters: Parameters) -> None:
@@ -147,27 +147,9 @@ class _RowCopy:
         self._displacement.position = [self._displacement_sign * displacement]
         self._write(_DISPLACEMENT_TOPIC, self._displacement, stamp_ns)
 
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
-        pass
-
-    def add_transform(
-        self,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        translation: Position,
-        rotation: Quaternion,
-        *,
-        is_static: bool,
-    ) -> None:
-        pass
-
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         self._surface.position = [surface / self._surface_scale]
         self._write(_SURFACE_TOPIC, self._surface, stamp_ns)
-
-    def reject(self, stream: str, reason: str) -> None:
-        pass
 
     def _write(self, topic: str, message: JointState, stamp_ns: int) -> None:
         message.header.stamp = to_stamp(stamp_ns)

@@ -37,7 +37,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import NANOSECONDS, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Listener, Position
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, geometry_of
 from fden_ros.recording.reader import BagReader
@@ -263,7 +263,7 @@ def _truth(bag: str | Path, selection: Selection | None) -> dict[int, dict[str, 
     return {site["site"]: site for site in truth["sites"]} if truth else {}
 
 
-class _Gatherer:
+class _Gatherer(Listener):
     """Listens before and after the pipeline: a sink of samples, and what takes the outputs."""
 
     def __init__(self) -> None:
@@ -304,24 +304,6 @@ class _Gatherer:
     def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
         self._see(stamp_ns)
         self.force.add(stamp_ns, math.hypot(*force))
-
-    def add_transform(
-        self,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        translation: Position,
-        rotation: Quaternion,
-        *,
-        is_static: bool,
-    ) -> None:
-        pass
-
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        pass
-
-    def reject(self, stream: str, reason: str) -> None:
-        pass
 
     def _see(self, stamp_ns: int) -> None:
         if self.start_ns is None:

@@ -116,3 +116,32 @@ class Sink(Protocol):
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not be read."""
+
+
+class Listener(Sink):
+    """A sink that lets go by what it has no method of its own for."""
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
+        """Let it go by."""
+        return
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Vector,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        """Let it go by."""
+        return
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        """Let it go by."""
+        return
+
+    def reject(self, stream: str, reason: str) -> None:
+        """Let it go by."""
+        return
