@@ -503,7 +503,6 @@ def test_fault(row: Row, clean: Outcome) -> None:
         assert_third_site(s, outcome, clean)
 
 
-@pytest.mark.xfail(strict=True, reason="the walk of the stress explains it: docs/faults.md")
 def test_a_stuck_displacement_gives_no_wrong_summary_with_the_deviations_of_an_arm() -> None:
     s = shift()
     (row,) = [row for row in ROWS if row.name == "displacement_stuck"]
