@@ -77,7 +77,7 @@ class ForceControlConfig:
     max_speed
         In contact [m/s].
     deviations
-        The stiffness in use is the estimate plus so many of its standard deviations.
+        The stiffness in use is the estimate plus this number of its standard deviations.
     force_noise
         Standard deviation of the force that is given to :meth:`ForceController.step` [N].
     """

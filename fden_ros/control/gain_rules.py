@@ -48,7 +48,7 @@ class StiffnessLimits:
         The stiffness in use falls by no more than the factor e per 1 / `softening_rate` [1/s];
         it rises at once, which makes every gain smaller.
     deviations
-        It is the estimate plus so many of its standard deviations.
+        It is the estimate plus this number of its standard deviations.
     time_scale
         Of the motion that the stiffness is for [s]: 1 / bandwidth.
     """

@@ -109,7 +109,7 @@ PARAMETERS = (
         "deviations",
         1.0,
         "1",
-        "The stiffness in use is the estimate plus so many of its standard deviations.",
+        "The stiffness in use is the estimate plus this number of its standard deviations.",
         0.0,
         10.0,
     ),

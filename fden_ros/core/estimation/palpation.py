@@ -42,14 +42,13 @@ from fden_ros.core.estimation.estimate import (
     determined,
 )
 from fden_ros.core.estimation.local_stiffness import Stiffness
+from fden_ros.core.estimation.unmodelled import KERNEL_LENGTH
 from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
 
 #: k' lies above 0 by this many standard deviations [1] where the probe is on something.
 _PRESENT = 5.0
 #: alpha lies beyond what can be represented by this many standard deviations [1].
 _BEYOND = 3.0
-#: The kernel's error loses its likeness over this difference of ln t [1]: 2 decades.
-_KERNEL_LENGTH = 2.0 * math.log(10.0)
 #: Least standard deviation of a given alpha [1], so that it can be divided by.
 _LEAST_ORDER_SD = 1e-6
 
@@ -105,7 +104,7 @@ def palpated(
     covariance = measured - np.outer(gain, measured[1])
     lag = math.log(angular_frequency * time_scale)
     slope = np.array([1.0, float(digamma(1.0 - order)) - lag])
-    kernel = 2.0 * config.uncertainty.kernel_sd**2 * -math.expm1(-abs(lag) / _KERNEL_LENGTH)
+    kernel = 2.0 * config.uncertainty.kernel_sd**2 * -math.expm1(-abs(lag) / KERNEL_LENGTH)
     apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
     variance = float(slope @ covariance @ slope) + kernel
     return Palpated(

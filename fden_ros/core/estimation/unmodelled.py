@@ -50,7 +50,7 @@ from fden_ros.core.law.geometry import Geometry
 KERNEL_SHARE = 0.25
 #: Correlation length of the kernel's deviation in ln t [1]: two decades, found by the evidence of
 #: 99 measured presses of beef.
-_KERNEL_LENGTH = 2.0 * math.log(10.0)
+KERNEL_LENGTH = 2.0 * math.log(10.0)
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.
 SURFACE_TIME = 0.25
@@ -118,7 +118,7 @@ def kernel_error_variance(kernel_sd: float, ageing: float) -> float:
     ageing : float
         Growth of the logarithm of the loading's age [1].
     """
-    return 2.0 * kernel_sd**2 / _KERNEL_LENGTH * ageing
+    return 2.0 * kernel_sd**2 / KERNEL_LENGTH * ageing
 
 
 def model_error_variance(uncertainty: Uncertainty, stress: float, growth: Growth) -> float:
