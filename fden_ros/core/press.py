@@ -189,6 +189,8 @@ class Press:
         """Flag what the site's estimator has found since the touch."""
         if self._site.change_count > self._changes_before:
             self.flags |= Flag.TISSUE_CHANGED
+        # The newest judgement counts: an earlier one had seen less of the tissue.
+        self.flags &= ~Flag.MODEL_MISMATCH
         if self._site.is_mismatch:
             self.flags |= Flag.MODEL_MISMATCH
         self.flags |= self._site.flags & Flag.HYSTERESIS
