@@ -31,6 +31,7 @@ from fden_ros.core.estimation.estimate import (
     Uncertainty,
 )
 from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit
+from fden_ros.core.estimation.nearest_curve import nearest_curve
 from fden_ros.core.law.geometry import FlatPunch
 
 Array = NDArray[np.float64]
@@ -54,6 +55,7 @@ def fitted(
     characteristic: Callable[[Array], Array],
     seed: int,
     uncertainty: Uncertainty = NOTHING_UNKNOWN,
+    relative_noise: float = 1e-3,
 ) -> LawDeviation:
     """Fit to a ramp and a hold, whose stress is a discrete convolution."""
     strains = np.minimum(STRAIN * TIMES / RAMP, STRAIN)
@@ -63,7 +65,7 @@ def fitted(
     weights = kernel(TIMES - 0.5 * STEP)
     weights[0] = kernel((np.arange(2000) + 0.5) * STEP / 2000.0).mean()
     stresses = np.convolve(change, weights)[: TIMES.size]
-    noise = 1e-3 * stresses.max()
+    noise = relative_noise * stresses.max()
     stresses += np.random.default_rng(seed).normal(0.0, noise, TIMES.size)
     record = ContactRecord()
     for time, strain, stress in zip(TIMES, strains, stresses, strict=True):
@@ -82,6 +84,20 @@ def test_a_tissue_that_is_the_law_is_no_mismatch(seed: int) -> None:
     deviation = fitted(power_law, exponential, seed)
     assert not deviation.is_mismatch
     assert deviation.kernel.error < 0.03 and deviation.characteristic.error < 0.05
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_noise_of_a_tenth_of_the_peak_is_no_mismatch(seed: int) -> None:
+    deviation = fitted(power_law, exponential, seed, relative_noise=0.1)
+    assert not deviation.is_mismatch
+    assert deviation.curve_evidence < 10.0
+
+
+def test_a_curve_that_a_line_was_fitted_to_is_nearest_to_the_exponential_that_it_is() -> None:
+    strains = np.linspace(0.15, 0.3, 30)
+    wanted = np.log(exponential(strains))
+    below_the_bend = math.log(0.8 / 0.3)
+    assert nearest_curve(strains, wanted, below_the_bend, None) == pytest.approx(math.log(8.0))
 
 
 @pytest.mark.parametrize("time_constant", [1.0, 1.5, 2.0])
