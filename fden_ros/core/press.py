@@ -47,6 +47,8 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 #: Multiples of the release force: beyond the first the probe meets the tissue (it leaves it below
 #: 1, so that noise does neither); a first contact that stays below the second is faint.
 _CLEAR, _FAINT = 2.0, 4.0
+#: A probe has moved back when it has by this share of its compression [1].
+_RETREAT = 0.02
 
 
 class Press:
@@ -150,11 +152,24 @@ class Press:
             self._is_free = self._is_left_behind(compression) or site.is_above_surface(
                 step, compression
             )
+        elif self._is_free:
+            self._is_free = force <= clear
         else:
-            self._is_free = force <= (clear if self._is_free else self._release_force)
+            self._is_free = force <= self._release_force and self._has_retreated(compression)
         if force > clear:
             self._since_pressed, self._pressed, self._left_at = 0.0, (compression, force), None
         return self._is_free
+
+    def _has_retreated(self, compression: float) -> bool:
+        """Whether the probe has moved back since a force that noise does not make.
+
+        Tissue leaves no probe that holds still; to drop the samples of a hold that noise makes
+        small would leave those that it makes large.
+        """
+        if self._pressed is None:
+            return True
+        before = self._pressed[0]
+        return compression < before - _RETREAT * abs(before)
 
     def _is_left_behind(self, compression: float) -> bool:
         """Whether the tissue would pull, from the last force that noise does not make.

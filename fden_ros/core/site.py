@@ -57,6 +57,9 @@ _DIP_TIME = 0.5
 #: filter sees those samples again.
 ORIGIN_WIDENING = 3.0
 
+#: The force where a touch is found is the mean of its last samples, as many [1].
+_DETECTED = 3
+
 #: Without positions a touch after the timeout is at the same place where the surface, more than 5
 #: of its deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the tissue
 #: has not recovered of the last contact; after 5 timeouts that is too little to tell.
@@ -116,7 +119,8 @@ class Site:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
             self.origin = onset.displacement
-            self.origin_sd = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+            found = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+            self.origin_sd = math.hypot(found, _hidden_strain(onset, config))
         self._interpolation = order_interpolation()
         self._integral = FractionalIntegral(_orders(config))
         self._integral.start(0.0)
@@ -475,3 +479,16 @@ def _checked(estimate: Estimate) -> Estimate:
 def _check_finite(*numbers: float) -> None:
     if not math.isfinite(sum(numbers)):
         raise FloatingPointError(f"the estimate is not finite: {numbers}")
+
+
+def _hidden_strain(onset: Onset, config: PipelineConfig) -> float:
+    """Return how much deeper than a line says the probe is where the force is found first [1].
+
+    The surface is found by a line. Where the force rises out of the noise beyond the boundary
+    strain 1/Gn only, the line finds it by ln(stress Gn/G)/Gn too late.
+    """
+    prior = config.estimator.prior
+    gn = prior.nonlinear_stiffness
+    force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias
+    stress = force * config.geometry.stress_per_force
+    return math.log(max(stress * gn / prior.linear_stiffness, 1.0)) / gn
