@@ -396,10 +396,13 @@ class Site:
         self.is_usable = False
         self.flags |= Flag.ORIGIN_UNCERTAIN
 
-    def relinearise(self) -> None:
-        """Do what takes long while nobody waits for an estimate."""
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Do some steps of what takes long, while nobody waits for an estimate.
+
+        `begins`: a new block does.
+        """
         if self._estimator is not None:
-            self._estimator.relinearise()
+            self._estimator.work_ahead(steps, begins=begins)
 
     def end_contact(self) -> None:
         """Bring the estimate to its best at the end of a contact."""

@@ -25,6 +25,7 @@ Steps are bounded, and a solution that has not converged says so: it is not to b
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -141,14 +142,15 @@ class GaussNewton:
     def bounded(self, states: Array) -> Array:
         """Keep states, shape (..., n), where the response is known, in place."""
         around, reach = self._prior.mean, self._reach
-        for index, lowest, highest in (
-            (_LOG_G, around[_LOG_G] - LOG_REACH, around[_LOG_G] + LOG_REACH),
-            (_ORDER, LOWEST_ORDER, HIGHEST_ORDER),
-            (_LOG_GN, self._grid.lowest, self._grid.highest),
-            (slice(_ORIGIN, None), around[_ORIGIN:] - reach, around[_ORIGIN:] + reach),
-        ):
-            states[..., index] = np.clip(states[..., index], lowest, highest)
-        return states
+        lowest, highest = np.empty_like(around), np.empty_like(around)
+        lowest[_LOG_G], highest[_LOG_G] = around[_LOG_G] - LOG_REACH, around[_LOG_G] + LOG_REACH
+        lowest[_LOG_GN], highest[_LOG_GN] = self._grid.lowest, self._grid.highest
+        lowest[_ORDER], highest[_ORDER] = LOWEST_ORDER, HIGHEST_ORDER
+        np.subtract(around[_ORIGIN:], reach, out=lowest[_ORIGIN:])
+        np.add(around[_ORIGIN:], reach, out=highest[_ORIGIN:])
+        np.maximum(states, lowest, out=states)
+        bounded: Array = np.minimum(states, highest, out=states)
+        return bounded
 
     def _bounded_nodes(self, states: Array) -> Array:
         states = self.bounded(states)
@@ -163,8 +165,10 @@ class GaussNewton:
         learned = self._prior.learned
         return learned if self._is_order_learned else learned[learned != _ORDER]
 
-    def solve(self, state: Array, covariance: Array) -> Solution:
+    def solve(self, state: Array, covariance: Array) -> Generator[None, None, Solution]:
         """Return the maximum near a state, or the state where there is no step to take.
+
+        A generator, which yields after every step: they need not be taken at once.
 
         Parameters
         ----------
@@ -192,10 +196,13 @@ class GaussNewton:
             if decrement <= _CLOSE:
                 best = best._replace(state=state)
                 break
+            yield
         return best._replace(is_converged=remaining <= _FAR)
 
-    def solve_at_nodes(self, states: Array, weights: Array) -> NodeSolution:
+    def solve_at_nodes(self, states: Array, weights: Array) -> Generator[None, None, NodeSolution]:
         """Return the maxima at every node of ln Gn, and the moments of all.
+
+        A generator, which yields after every step.
 
         Parameters
         ----------
@@ -208,7 +215,7 @@ class GaussNewton:
         free = free[free != _LOG_GN]
         before = weights
         for _ in range(_MOST_ROUNDS):
-            states, solved, quadratics = self._approach(states, before, free)
+            states, solved, quadratics = yield from self._approach(states, before, free)
             weights, evidence = self._weights(states, solved, quadratics, free)
             likely = weights > _LEAST_WEIGHT
             remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
@@ -240,10 +247,11 @@ class GaussNewton:
 
     def _approach(
         self, states: Array, weights: Array, free: Indices
-    ) -> tuple[Array, _Steps, Array]:
+    ) -> Generator[None, None, tuple[Array, _Steps, Array]]:
         """Take steps at every node; return where they lead, the last ones, the products there."""
         quadratics = self._equations.at_nodes(states)
         for _ in range(_MOST_NODE_STEPS):
+            yield
             solved = self._step(states, quadratics, free)
             states = self._bounded_nodes(states + solved.steps)
             quadratics = self._equations.at_nodes(states)
@@ -291,7 +299,9 @@ class GaussNewton:
         longest = self.longest_step[free]
         wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
         is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
-        moved = np.where(is_solved[:, None], np.clip(wanted, -longest, longest), 0.0)
+        moved = np.where(
+            is_solved[:, None], np.minimum(np.maximum(wanted, -longest), longest), 0.0
+        )
         steps = np.zeros_like(states)
         steps[:, free] = moved
         decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
@@ -351,11 +361,49 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
     is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
     if not np.all(is_finite):
         scaled[~is_finite] = np.eye(least.size)
-    values, vectors = np.linalg.eigh(scaled)
-    values = np.maximum(values, _SINGULAR)
-    vectors *= scale[:, :, None]
-    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-    log_determinants: Array = np.sum(np.log(values) + np.log(diagonal), axis=1)
+    inverses, log_determinants = _inverse_of_scaled(scaled)
+    inverses *= scale[:, :, None] * scale[:, None, :]
+    log_determinants += np.sum(np.log(diagonal), axis=1)
     inverses[~is_finite] = math.nan
     log_determinants[~is_finite] = math.nan
+    return inverses, log_determinants
+
+
+def _inverse_of_scaled(matrices: Array) -> tuple[Array, Array]:
+    """Do so for matrices whose diagonals are about 1, by Cholesky's factors.
+
+    The sum of the reciprocal eigenvalues is more than the largest of them: where it shows that
+    none is rounding, the factors serve; elsewhere the eigenvalues are bounded.
+    """
+    try:
+        factors = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return _inverse_by_eigenvalues(matrices)
+    inverse_factors = _inverse_of_lower(factors)
+    is_rounding = ~(np.sum(inverse_factors**2, axis=(1, 2)) < 1.0 / _SINGULAR)
+    inverses: Array = inverse_factors.transpose(0, 2, 1) @ inverse_factors
+    log_determinants: Array = 2.0 * np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2)), axis=1)
+    if np.any(is_rounding):
+        own = _inverse_by_eigenvalues(matrices[is_rounding])
+        inverses[is_rounding], log_determinants[is_rounding] = own
+    return inverses, log_determinants
+
+
+def _inverse_of_lower(factors: Array) -> Array:
+    """Return the inverses of lower triangular matrices, by forward substitution."""
+    inverses = np.zeros_like(factors)
+    reciprocals = 1.0 / np.diagonal(factors, axis1=1, axis2=2)
+    inverses[:, 0, 0] = reciprocals[:, 0]
+    for row in range(1, factors.shape[1]):
+        own = factors[:, row : row + 1, :row] @ inverses[:, :row, :row]
+        inverses[:, row, :row] = -reciprocals[:, row, None] * own[:, 0]
+        inverses[:, row, row] = reciprocals[:, row]
+    return inverses
+
+
+def _inverse_by_eigenvalues(matrices: Array) -> tuple[Array, Array]:
+    values, vectors = np.linalg.eigh(matrices)
+    values = np.maximum(values, _SINGULAR)
+    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+    log_determinants: Array = np.sum(np.log(values), axis=1)
     return inverses, log_determinants

@@ -36,6 +36,7 @@ each node): a Gaussian sum. The solver is :mod:`fden_ros.core.estimation.gauss_n
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -362,18 +363,18 @@ class StressPosterior:
         due = _UNIMODAL_BLOCKS if self.is_unimodal else _MULTIMODAL_BLOCKS
         return self.blocks_since_solved >= due
 
-    def relinearise(self) -> None:
-        """Solve for the posterior anew, with all blocks so far."""
+    def relinearise(self) -> Iterator[None]:
+        """Solve for the posterior anew, with all blocks so far, step by step."""
         self.blocks_since_solved = 0
-        self._solve_anew()
+        yield from self._solve_anew()
         if self.is_solved and self._widen_contradicted():
-            self._solve_anew()
+            yield from self._solve_anew()
 
-    def _solve_anew(self) -> None:
+    def _solve_anew(self) -> Iterator[None]:
         if not self.is_unimodal:
-            self._solve_at_nodes()
+            yield from self._solve_at_nodes()
         if self.is_unimodal:
-            self._solve()
+            yield from self._solve()
 
     def _widen_contradicted(self) -> bool:
         """Widen what is stated of the rig where the data contradict it; return whether they do.
@@ -413,9 +414,9 @@ class StressPosterior:
         both = self._stated_rig + np.maximum(own, 0.0) + _TINY_VARIANCE
         return float(np.max(np.abs(alone) / np.sqrt(both)))
 
-    def _solve(self) -> None:
+    def _solve(self) -> Iterator[None]:
         """Solve for the maximum of a posterior that is normal."""
-        solution = self._solver.solve(self.state, self.covariance)
+        solution = yield from self._solver.solve(self.state, self.covariance)
         self.state, self.covariance = solution.state, solution.covariance
         self.is_solved = solution.is_converged
         self._take_evidence(solution)
@@ -423,9 +424,9 @@ class StressPosterior:
             self.is_unimodal = False
             self._begin_nodes()
 
-    def _solve_at_nodes(self) -> None:
+    def _solve_at_nodes(self) -> Iterator[None]:
         """Solve at every node of ln Gn, and take the moments of all."""
-        solution = self._solver.solve_at_nodes(self._node_states, self._node_weights)
+        solution = yield from self._solver.solve_at_nodes(self._node_states, self._node_weights)
         # Where they have not converged, the nodes go on from where they are the next time.
         self._node_states = solution.states
         self.is_solved = solution.moments is not None
