@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -271,30 +271,24 @@ class NormalEquations:
     def residual(self, response: BlockResponse, state: Array) -> tuple[float, Array]:
         """Return predicted less observed stress [Pa], and its derivatives by the state (n,)."""
         g = math.exp(state[_LOG_G])
-        by_law = g * self._law_at(response.law[None], state)[:, 0]
+        first, in_gn, by_gn = self._grid.stencil(float(state[_LOG_GN]))
         in_order, by_order = self._in_order(float(state[_ORDER]))
+        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
+        law = response.law[first : first + STENCIL]
+        by_law = (in_gn @ law).reshape(-1, _ORDERS)
+        at_order = g * (by_law @ in_order)
         free = response.columns[:_ORDERS]
         columns = response.columns[_ORDERS:-1] * self._factors(g)
         stresses = columns * state[_NONLINEAR:]
+        stress = in_origin @ at_order
         gradient = np.empty(self.size)
-        gradient[:_NONLINEAR], gradient[_NONLINEAR:] = by_law, columns
-        gradient[_LOG_G] += stresses @ self._scaled
-        gradient[_ORDER] += by_order @ free
-        residual = by_law[_LOG_G] + in_order @ free + stresses.sum() - response.columns[-1]
+        gradient[_LOG_G] = stress + stresses @ self._scaled
+        gradient[_LOG_GN] = g * (in_origin @ (by_gn @ law).reshape(-1, _ORDERS) @ in_order)
+        gradient[_ORDER] = g * (in_origin @ by_law @ by_order) + by_order @ free
+        gradient[_ORIGIN] = by_origin @ at_order
+        gradient[_NONLINEAR:] = columns
+        residual = stress + in_order @ free + stresses.sum() - response.columns[-1]
         return float(residual), gradient
-
-    def _law_at(self, laws: Array, state: Array) -> Array:
-        """Return what m laws (m, nodes, inner) give at G = 1, and its derivatives, (4, m).
-
-        The first is the stress itself, which is its derivative by ln G as well.
-        """
-        first, *in_gn = self._grid.stencil(float(state[_LOG_GN]))
-        in_order = np.array(self._in_order(float(state[_ORDER])))
-        in_origin = np.array(self._in_origin(float(state[_ORIGIN])))
-        by_gn = np.array(in_gn) @ laws[:, first : first + STENCIL]
-        by_order = by_gn.reshape(len(laws), 2, -1, _ORDERS) @ in_order.T
-        by_all = in_origin @ by_order  # by gn, origin, order
-        return by_all[:, (0, 1, 0, 0), (0, 0, 0, 1), (0, 0, 1, 0)].T
 
     def _factors(self, g: float | Array) -> Array:
         """Return by how much the stress grows with each linear parameter's column."""
@@ -335,14 +329,15 @@ class NormalEquations:
         in_origin, _ = self._in_origin(float(state[_ORIGIN]))
         return first, math.exp(state[_LOG_G]) * np.outer(in_gn, in_origin)
 
-    def law_stresses(self, responses: Iterable[BlockResponse], state: Array) -> list[float]:
-        """Return the stress of each block by the law alone, without linear columns [Pa]."""
-        responses = list(responses)
+    def law_step(self, before: BlockResponse, response: BlockResponse, state: Array) -> float:
+        """Return by how much the stress changes by the law alone, without linear columns [Pa]."""
+        first, weights = self.law_weights(state)
         in_order, _ = self._in_order(float(state[_ORDER]))
-        laws = np.array([response.law for response in responses])
-        free = np.array([response.columns[:_ORDERS] for response in responses])
-        stresses = math.exp(state[_LOG_G]) * self._law_at(laws, state)[0] + free @ in_order
-        return [float(stress) for stress in stresses]
+        used, free = slice(first, first + STENCIL), slice(0, _ORDERS)
+        change = response.law[used] - before.law[used]
+        by_order = weights.ravel() @ change.reshape(weights.size, _ORDERS)
+        by_order += response.columns[free] - before.columns[free]
+        return float(in_order @ by_order)
 
     # Quadratic forms
 

@@ -68,6 +68,7 @@ _RIG = (StateIndex.COMPLIANCE, StateIndex.DELAY, StateIndex.FRICTION)
 _CARRIED = _RIG[1:]
 _JITTER = StateIndex.JITTER
 _WALK = (StateIndex.WALK, StateIndex.WALK_NEXT)
+_OF_WALK = slice(_WALK[0], _WALK[1] + 1)
 #: Parameters that enter the stress linearly, in the order of the state, and those of them whose
 #: columns are at G = 1.
 _LINEAR = tuple(index.name.lower() for index in StateIndex if index > _ORIGIN)
@@ -249,7 +250,7 @@ class StressPosterior:
         for index, column in linear.items():
             columns[index] = column
         if self._has_walk:
-            columns[list(_WALK)] = self._walk.columns(
+            columns[_OF_WALK] = self._walk.columns(
                 block.memory_time,
                 block.duration,
                 walk_variance,
@@ -263,9 +264,8 @@ class StressPosterior:
 
     def walk_share(self, prediction: Prediction) -> float:
         """Return the walk's own part of a prediction's variance [Pa^2]."""
-        walk = list(_WALK)
-        jacobian = prediction.jacobian[walk]
-        return float(jacobian @ self.covariance[np.ix_(walk, walk)] @ jacobian)
+        jacobian = prediction.jacobian[_OF_WALK]
+        return float(jacobian @ self.covariance[_OF_WALK, _OF_WALK] @ jacobian)
 
     def add(self, prediction: Prediction, noise: float, size: int) -> None:
         """Take a block.
@@ -310,11 +310,12 @@ class StressPosterior:
             # Schmidt's filter: alpha keeps its deviation and is not learned.
             gain[_ORDER] = 0.0
         longest = self._solver.longest_step
-        step = np.clip(-gain * prediction.residual, -longest, longest)
+        step = np.minimum(np.maximum(-gain * prediction.residual, -longest), longest)
         # Joseph's form: positive whatever the rounding.
-        kept = np.eye(gain.size) - np.outer(gain, jacobian)
-        covariance = kept @ self.covariance @ kept.T + noise * np.outer(gain, gain)
-        if np.all(np.isfinite(step)) and np.all(np.isfinite(covariance)):
+        kept = -gain[:, None] * jacobian
+        kept.flat[:: gain.size + 1] += 1.0
+        covariance = kept @ self.covariance @ kept.T + noise * gain[:, None] * gain
+        if math.isfinite(step.sum()) and math.isfinite(covariance.sum()):
             self.state = self._solver.bounded(self.state + step)
             self.covariance = covariance
 
@@ -332,8 +333,7 @@ class StressPosterior:
 
     def law_step(self, before: BlockResponse, response: BlockResponse) -> float:
         """Return by how much the stress changes between blocks by the law alone [Pa]."""
-        first, last = self._equations.law_stresses((before, response), self.state)
-        return last - first
+        return self._equations.law_step(before, response, self.state)
 
     def start_anew(self, predicted_fractional_stress: float) -> None:
         """Learn a new tissue from here on: origin, bias, drift and rig stay."""

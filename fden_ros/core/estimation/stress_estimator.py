@@ -269,8 +269,8 @@ class StressEstimator:
             posterior.amend_newest(before, late)
             model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
             predictions.append(posterior.predict(*response, block, model_error + rig_error))
-        numbers = [(noise, prediction.residual, prediction.spread) for prediction in predictions]
-        if not (noise > 0.0 and np.all(np.isfinite(numbers))):
+        total = noise + sum(prediction.residual + prediction.spread for prediction in predictions)
+        if not (noise > 0.0 and math.isfinite(total)):
             raise FloatingPointError(
                 f"the response to a compression of {block.compression:g} and a stress of "
                 f"{block.stress:g} Pa is not finite"

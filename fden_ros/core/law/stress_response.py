@@ -119,7 +119,7 @@ class StressBasis:
     def _slopes(self, strains: Array) -> Array:
         """Return dphi/dx at G = 1 for strains (n, origins), at the linearisation, shape (n,)."""
         strain = strains @ self._running_origin
-        excess = np.clip(self._running_gn * strain - 1.0, 0.0, MAX_EXPONENT)
+        excess = np.minimum(np.maximum(self._running_gn * strain - 1.0, 0.0), MAX_EXPONENT)
         slopes: Array = np.where(strain > 0.0, np.exp(excess), 0.0)
         return slopes
 
@@ -142,36 +142,41 @@ class StressBasis:
             return
         steps, compressions, counts, jitters = zip(*self._waiting, strict=True)
         self._waiting.clear()
-        strains = np.array(
-            [[self._geometry.strain(u - o) for o in self._origins] for u in compressions]
-        )
-        before, self._strains = np.vstack([self._strains, strains[:-1]]), strains[-1]
+        strain = self._geometry.strain
+        strains = np.array([[strain(u - o) for o in self._origins] for u in compressions])
         if steps[0] <= 0.0:
             # The first sample of all: the memory begins here.
             steps, counts, jitters = steps[1:], counts[1:], jitters[1:]
-            strains, before = strains[1:], before[1:]
+            self._strains, strains = strains[0], strains[1:]
             if not steps:
                 return
-        signals = np.zeros((len(steps), self._last.size))
-        signals[:, : self._signal_count] = self._law(strains)
-        change = np.diff(signals, axis=0, prepend=self._last[None])
-        forces = np.linspace(self._last_force, self._force, len(steps) + 1)
-        moved = np.stack([forces, [self._last_jitter, *jitters]], axis=1)
-        change[:, self._linearised] = (
-            self._slopes(strains)[:, None] * moved[1:] - self._slopes(before)[:, None] * moved[:-1]
-        )
-        kept = self._last[self._linearised] + change[:, self._linearised].sum(axis=0)
+        # From here on with what was before the first step.
+        strains = np.concatenate([self._strains[None], strains])
+        self._strains = strains[-1]
+        signals = np.zeros((len(steps) + 1, self._last.size))
+        signals[0] = self._last
+        signals[1:, : self._signal_count] = self._law(strains[1:])
+        change = signals[1:] - signals[:-1]
+        moved = np.empty((len(steps) + 1, 2))
+        moved[:, 0] = np.linspace(self._last_force, self._force, len(steps) + 1)
+        moved[0, 1], moved[1:, 1] = self._last_jitter, jitters
+        moved *= self._slopes(strains)[:, None]
+        change[:, self._linearised] = moved[1:] - moved[:-1]
+        kept = self._last[self._linearised] + moved[-1] - moved[0]
         self._last, self._last_force = signals[-1], self._force
         self._last_jitter = jitters[-1]
         self._last[self._linearised] = kept
         if (steps, counts) != self._prepared_steps:
             self._prepare(steps, counts)
             self._prepared_steps = (steps, counts)
+        size = self._rates.size
+        gained = self._gains @ change
         self._memory_sum += self._memory * self._start_share
-        self._memory_sum += self._gain_after @ change
-        self._local_sum += self._local @ change
+        self._memory_sum += gained[:size]
         self._memory *= self._whole_decay
-        self._memory += self._gain_at_end @ change
+        self._memory += gained[size : 2 * size]
+        self._local_sum += gained[2 * size :]
+        before, strains = strains[:-1], strains[1:]
         for k, origin in np.argwhere((before < 0.0) & (strains > 0.0)):
             share = strains[k, origin] / (strains[k, origin] - before[k, origin])
             columns = slice(origin, self._signal_count, self._shape[1])
@@ -182,8 +187,9 @@ class StressBasis:
         self._gain = self._decays.mean
         self._local = self._locals(np.array(steps)) * np.array(counts)
         self._counts = counts
-        self._gain_after = self._gain * self._decays.sums_after
-        self._gain_at_end = self._gain * self._decays.to_end
+        after, at_end = self._decays.sums_after, self._decays.to_end
+        #: What a change over each step adds to the memory's sum, the memory and the newest steps'.
+        self._gains = np.concatenate([self._gain * after, self._gain * at_end, self._local])
         self._start_share = self._decays.sum_of_start[:, None]
         self._whole_decay = self._decays.whole[:, None]
 
