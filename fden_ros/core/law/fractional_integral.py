@@ -222,31 +222,24 @@ class FractionalIntegral:
             self._prepared_steps = steps
         added = self._shares @ np.array([self.last_value, *values[:-1], *values])
         size = self._memory.size
-        remembered = self._memory * self._start_share
-        remembered += added[:size]
-        self._sum += self._weights @ remembered
+        self._sum += self._start_weights @ self._memory
+        self._sum += added[size:]
         self._memory *= self._whole_decay
-        self._memory += added[size : 2 * size]
-        self._sum += added[2 * size :]
+        self._memory += added[:size]
         self.last_value = values[-1]
 
     def _prepare_several(self, steps: tuple[float, ...]) -> None:
-        """Set what the values before all steps and those after add to remembered, memory, sum."""
+        """Set what the values before all steps and those after add to memory and sum."""
         decays = decays_of(steps, (1.0,) * len(steps))
         new_gain = decays.later_mean()
         gains = np.array(steps) * np.array([decays.mean - new_gain, new_gain])
-        self._start_share = decays.sum_of_start
+        self._start_weights = self._weights * decays.sum_of_start
         self._whole_decay = decays.whole
         local = np.array(steps) ** self._order_array[:, None] * self._local_scale[:, None]
-        shares = np.concatenate(
-            [
-                gains * decays.sums_after,
-                gains * decays.to_end,
-                [local * self._order_array[:, None], local],
-            ],
-            axis=1,
-        )
-        #: Shape (2 rates + orders, 2 n).
+        after = self._weights @ (gains * decays.sums_after)
+        after += np.array([local * self._order_array[:, None], local])
+        shares = np.concatenate([gains * decays.to_end, after], axis=1)
+        #: Shape (rates + orders, 2 n).
         self._shares = np.concatenate(list(shares), axis=1)
 
     def _prepare(self, step: float) -> None:
