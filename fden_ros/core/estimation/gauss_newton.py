@@ -95,7 +95,7 @@ class _Steps(NamedTuple):
     """Gauss-Newton steps from m states."""
 
     steps: Array  #: shape (m, n); 0 where there is no solution
-    inverses: Array  #: of the Hessians, shape (m, free, free)
+    roots: Array  #: R of the Hessians' inverses R^T R, shape (m, free, free)
     log_determinants: Array  #: of the Hessians, shape (m,)
     decrements: Array  #: of minus twice the log-posterior, shape (m,); infinite without a solution
 
@@ -188,7 +188,7 @@ class GaussNewton:
             # Where the model is wrong the steps may run in circles: the best of them counts.
             if misfit < least:
                 least, remaining = misfit, decrement
-                covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
+                covariance = self._covariances(solved.roots, quadratic[None], free)[0]
                 evidence = -0.5 * (misfit + float(solved.log_determinants[0]))
                 evidence += self._equations.log_normalisation
                 best = Solution(state, covariance, is_converged=False, log_evidence=evidence)
@@ -220,7 +220,7 @@ class GaussNewton:
             likely = weights > _LEAST_WEIGHT
             remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
             if remaining <= _FAR:
-                own = self._covariances(solved.inverses[likely], quadratics[likely], free)
+                own = self._covariances(solved.roots[likely], quadratics[likely], free)
                 moments = self._moments(states, weights, own)
                 evidence += self._equations.log_normalisation
                 return NodeSolution(states, weights, moments._replace(log_evidence=evidence))
@@ -295,9 +295,9 @@ class GaussNewton:
         precision = self._prior.precision(free)
         hessians = quadratics[:, 1 + free[:, None], 1 + free] + precision
         gradients = quadratics[:, 0, 1 + free] + (states - self._prior.mean)[:, free] @ precision
-        inverses, log_determinants = _inverse(hessians, precision.diagonal())
+        roots, log_determinants = _inverse_roots(hessians, precision.diagonal())
         longest = self.longest_step[free]
-        wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
+        wanted = -(roots.transpose(0, 2, 1) @ (roots @ gradients[:, :, None]))[:, :, 0]
         is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
         moved = np.where(
             is_solved[:, None], np.minimum(np.maximum(wanted, -longest), longest), 0.0
@@ -306,15 +306,15 @@ class GaussNewton:
         steps[:, free] = moved
         decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
         decrements[~is_solved] = math.inf
-        return _Steps(steps, inverses, log_determinants, decrements)
+        return _Steps(steps, roots, log_determinants, decrements)
 
-    def _covariances(self, inverses: Array, quadratics: Array, free: Indices) -> Array:
+    def _covariances(self, roots: Array, quadratics: Array, free: Indices) -> Array:
         """Return the covariances of all parameters.
 
         Parameters
         ----------
-        inverses : ndarray, shape (m, free, free)
-            Of the Hessians.
+        roots : ndarray, shape (m, free, free)
+            R of the Hessians' inverses R^T R.
         quadratics : ndarray, shape (m, n + 1, n + 1)
         free : ndarray, shape (free,)
 
@@ -323,6 +323,7 @@ class GaussNewton:
         ndarray, shape (m, n, n)
         """
         size = self._prior.mean.size
+        inverses = roots.transpose(0, 2, 1) @ roots
         covariances = np.zeros((inverses.shape[0], size, size))
         covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
         if not self._is_order_learned:
@@ -337,8 +338,8 @@ class GaussNewton:
         return covariances
 
 
-def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
-    """Return inverses and logarithms of determinants of positive definite matrices.
+def _inverse_roots(matrices: Array, least: Array) -> tuple[Array, Array]:
+    """Return roots of the inverses of positive definite matrices, and their log-determinants.
 
     Rounding may have robbed the matrices of being so.
 
@@ -350,26 +351,21 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
 
     Returns
     -------
-    inverses : ndarray, shape (m, free, free)
-        NaN where the matrix is not finite.
+    roots : ndarray, shape (m, free, free)
+        R of R^T R; NaN where the matrix is not finite.
     log_determinants : ndarray, shape (m,)
-        NaN there too.
+        Of the matrices; NaN there too.
     """
     diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
-    scale = diagonal**-0.5
+    scale = 1.0 / np.sqrt(diagonal)
     scaled = matrices * scale[:, :, None] * scale[:, None, :]
-    is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
-    if not np.all(is_finite):
-        scaled[~is_finite] = np.eye(least.size)
-    inverses, log_determinants = _inverse_of_scaled(scaled)
-    inverses *= scale[:, :, None] * scale[:, None, :]
+    roots, log_determinants = _scaled_inverse_roots(scaled)
+    roots *= scale[:, None, :]
     log_determinants += np.sum(np.log(diagonal), axis=1)
-    inverses[~is_finite] = math.nan
-    log_determinants[~is_finite] = math.nan
-    return inverses, log_determinants
+    return roots, log_determinants
 
 
-def _inverse_of_scaled(matrices: Array) -> tuple[Array, Array]:
+def _scaled_inverse_roots(matrices: Array) -> tuple[Array, Array]:
     """Do so for matrices whose diagonals are about 1, by Cholesky's factors.
 
     The sum of the reciprocal eigenvalues is more than the largest of them: where it shows that
@@ -378,15 +374,15 @@ def _inverse_of_scaled(matrices: Array) -> tuple[Array, Array]:
     try:
         factors = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
     except np.linalg.LinAlgError:
-        return _inverse_by_eigenvalues(matrices)
-    inverse_factors = _inverse_of_lower(factors)
-    is_rounding = ~(np.sum(inverse_factors**2, axis=(1, 2)) < 1.0 / _SINGULAR)
-    inverses: Array = inverse_factors.transpose(0, 2, 1) @ inverse_factors
-    log_determinants: Array = 2.0 * np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2)), axis=1)
+        return _roots_by_eigenvalues(matrices)
+    roots = _inverse_of_lower(factors)
+    diagonals = np.diagonal(roots, axis1=1, axis2=2)
+    log_determinants: Array = -2.0 * np.sum(np.log(diagonals), axis=1)
+    is_rounding = ~(np.sum(roots**2, axis=(1, 2)) < 1.0 / _SINGULAR)
     if np.any(is_rounding):
-        own = _inverse_by_eigenvalues(matrices[is_rounding])
-        inverses[is_rounding], log_determinants[is_rounding] = own
-    return inverses, log_determinants
+        own = _roots_by_eigenvalues(matrices[is_rounding])
+        roots[is_rounding], log_determinants[is_rounding] = own
+    return roots, log_determinants
 
 
 def _inverse_of_lower(factors: Array) -> Array:
@@ -401,9 +397,12 @@ def _inverse_of_lower(factors: Array) -> Array:
     return inverses
 
 
-def _inverse_by_eigenvalues(matrices: Array) -> tuple[Array, Array]:
-    values, vectors = np.linalg.eigh(matrices)
-    values = np.maximum(values, _SINGULAR)
-    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+def _roots_by_eigenvalues(matrices: Array) -> tuple[Array, Array]:
+    is_finite = np.all(np.isfinite(matrices), axis=(1, 2))
+    values, vectors = np.linalg.eigh(
+        np.where(is_finite[:, None, None], matrices, np.eye(matrices.shape[1]))
+    )
+    values = np.where(is_finite[:, None], np.maximum(values, _SINGULAR), math.nan)
+    roots: Array = vectors.transpose(0, 2, 1) / np.sqrt(values)[:, :, None]
     log_determinants: Array = np.sum(np.log(values), axis=1)
-    return inverses, log_determinants
+    return roots, log_determinants

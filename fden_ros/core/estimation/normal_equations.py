@@ -100,7 +100,9 @@ class NormalEquations:
         self._in_origin = Lagrange(origins)
         self._in_order = order_interpolation()
         self._column_count = _ORDERS + len(self.linear) + 1
-        self._sums = ResponseSums(grid.nodes.size, origins.size * _ORDERS, self._column_count)
+        self._sums = ResponseSums(
+            grid.nodes.size, origins.size * _ORDERS, self._column_count, slice(_ORDERS, -1)
+        )
         self._pending: list[_Pending] = []
         self._deferred: list[Callable[[], None]] = []
         #: Added to the sums last; None: these have changed since, or will.
@@ -309,9 +311,8 @@ class NormalEquations:
         """
         in_order, by_order = self._in_order(states[:, _ORDER])
         in_origin, _ = self._in_origin(states[:, _ORIGIN])
-        rows = np.zeros((self.size + 1, self._column_count, states.shape[0]))
-        self._fill_columns(rows, states.T, in_order.T, by_order.T)
-        residuals: Array = response.columns @ rows[0]
+        columns, _ = self._columns_at(states, in_order, by_order)
+        residuals: Array = columns[:, 0] @ response.columns
         residuals += np.exp(states[:, _LOG_G]) * np.sum(
             response.law * _outer(in_origin, in_order), axis=1
         )
@@ -365,9 +366,8 @@ class NormalEquations:
         law[:, 1 + _LOG_GN] = by_gn * inner
         law[:, 1 + _ORDER] = weights * np.outer(in_origin, by_order).ravel()
         law[:, 1 + _ORIGIN] = weights * np.outer(by_origin, in_order).ravel()
-        columns = np.zeros((self.size + 1, self._column_count))
-        self._fill_columns(columns, state, in_order, by_order)
-        return self._sums.at_stencil(first, law, columns)
+        columns, factors = self._columns_at(state, in_order, by_order)
+        return self._sums.at_stencil(first, law, columns, factors)
 
     def at_nodes(self, states: Array) -> Array:
         """Return what :meth:`at_state` does with each ln Gn at its node.
@@ -391,23 +391,32 @@ class NormalEquations:
         law[:, 0] = law[:, 1 + _LOG_G] = _outer(in_origin, in_order)
         law[:, 1 + _ORDER] = _outer(in_origin, by_order)
         law[:, 1 + _ORIGIN] = _outer(by_origin, in_order)
-        columns = np.zeros((nodes, self.size + 1, self._column_count))
-        self._fill_columns(columns.transpose(1, 2, 0), states.T, in_order.T, by_order.T)
-        return self._sums.at_nodes(law, columns)
+        columns, factors = self._columns_at(states, in_order, by_order)
+        return self._sums.at_nodes(law, columns, factors)
 
-    def _fill_columns(
-        self, columns: Array, state: Array, in_order: Array, by_order: Array
-    ) -> None:
-        """Fill coefficients of the columns, shape (n + 1, columns, ...), at states (n, ...)."""
-        columns[0, :_ORDERS] = in_order
-        columns[0, -1] = -1.0
-        columns[1 + _ORDER, :_ORDERS] = by_order
-        factors = self._factors(np.exp(state[_LOG_G])[..., None]).T
-        linear = slice(_ORDERS, -1)
-        columns[0, linear] = factors * state[_NONLINEAR:]
-        columns[1 + _LOG_G, linear][self._scaled] = columns[0, linear][self._scaled]
-        for index in range(len(self.linear)):
-            columns[1 + _NONLINEAR + index, _ORDERS + index] = factors[index]
+    def _columns_at(self, states: Array, in_order: Array, by_order: Array) -> tuple[Array, Array]:
+        """Return the columns' coefficients in residual and derivatives by the law's parameters.
+
+        Parameters
+        ----------
+        states : ndarray, shape (..., n)
+        in_order, by_order : ndarray, shape (..., orders)
+
+        Returns
+        -------
+        columns : ndarray, shape (..., 5, columns)
+        factors : ndarray, shape (..., linear)
+            Of its own column in the derivative by each linear parameter.
+        """
+        columns = np.zeros((*states.shape[:-1], 1 + _NONLINEAR, self._column_count))
+        columns[..., 0, :_ORDERS] = in_order
+        columns[..., 0, -1] = -1.0
+        columns[..., 1 + _ORDER, :_ORDERS] = by_order
+        factors = self._factors(np.exp(states[..., _LOG_G])[..., None])
+        linear = factors * states[..., _NONLINEAR:]
+        columns[..., 0, _ORDERS:-1] = linear
+        columns[..., 1 + _LOG_G, _ORDERS:-1] = np.where(self._scaled, linear, 0.0)
+        return columns, factors
 
 
 def _outer(a: Array, b: Array) -> Array:

@@ -42,10 +42,13 @@ class ResponseSums:
     inner : int
         Responses of the law at each node.
     columns : int
+    linear : slice
+        Columns that are, but for a factor each, directions of their own.
     """
 
-    def __init__(self, nodes: int, inner: int, columns: int) -> None:
+    def __init__(self, nodes: int, inner: int, columns: int, linear: slice) -> None:
         self._inner = inner
+        self._linear = linear
         self.columns = np.zeros((columns, columns))
         #: Of the law at a node, with itself and with the columns.
         self._near = np.zeros((nodes, inner, inner + columns))
@@ -136,25 +139,27 @@ class ResponseSums:
 
     # Products
 
-    def at_nodes(self, law: Array, columns: Array) -> Array:
+    def at_nodes(self, law: Array, columns: Array, factors: Array) -> Array:
         """Return the products of directions at every node.
 
         Parameters
         ----------
         law : ndarray, shape (nodes, k, inner)
-            Coefficients of the law in the first k directions; it has none in the others.
-        columns : ndarray, shape (nodes, n, columns)
-            Coefficients of the columns.
+            Coefficients of the law in the first k directions.
+        columns : ndarray, shape (nodes, k, columns)
+            Coefficients of the columns there.
+        factors : ndarray, shape (nodes, linear)
+            Those of the linear columns in the other directions.
 
         Returns
         -------
-        ndarray, shape (nodes, n, n)
+        ndarray, shape (nodes, k + linear, k + linear)
         """
         by_law = law @ self._near
         own = by_law[:, :, : self._inner] @ law.transpose(0, 2, 1)
-        return self._together(own, by_law[:, :, self._inner :], columns)
+        return self._together(own, by_law[:, :, self._inner :], columns, factors)
 
-    def at_stencil(self, first: int, law: Array, columns: Array) -> Array:
+    def at_stencil(self, first: int, law: Array, columns: Array, factors: Array) -> Array:
         """Return the products of directions between nodes.
 
         Parameters
@@ -163,11 +168,12 @@ class ResponseSums:
             First of the 8 nodes.
         law : ndarray, shape (8, k, inner)
             Coefficients of the law at them in the first k directions.
-        columns : ndarray, shape (n, columns)
+        columns : ndarray, shape (k, columns)
+        factors : ndarray, shape (linear,)
 
         Returns
         -------
-        ndarray, shape (n, n)
+        ndarray, shape (k + linear, k + linear)
         """
         by_law = law @ self._near[first : first + STENCIL]
         transposed = law.transpose(0, 2, 1)
@@ -185,15 +191,24 @@ class ResponseSums:
             own += whole.T @ (weights * whole)
             own -= np.sum(each.transpose(0, 2, 1) @ (weights * each), axis=0)
         crossed = np.sum(by_law[:, :, self._inner :], axis=0)
-        return self._together(own + beside + beside.T, crossed, columns)
+        return self._together(own + beside + beside.T, crossed, columns, factors)
 
-    def _together(self, own: Array, crossed: Array, columns: Array) -> Array:
+    def _together(self, own: Array, crossed: Array, columns: Array, factors: Array) -> Array:
         """Return all products, from those of the law, with the columns, and of the columns."""
         transposed = np.swapaxes(columns, -1, -2)
+        flat = columns.reshape(-1, columns.shape[-1])
+        by_columns = (flat @ self.columns).reshape(columns.shape)
+        mixed = crossed @ transposed
+        beside = (by_columns + crossed)[..., self._linear] * factors[..., None, :]
         count = own.shape[-1]
-        products: Array = columns @ self.columns @ transposed
-        by_law = crossed @ transposed
-        products[..., :count, :] += by_law
-        products[..., :, :count] += np.swapaxes(by_law, -1, -2)
-        products[..., :count, :count] += own
+        size = count + factors.shape[-1]
+        products = np.empty((*own.shape[:-2], size, size))
+        first = products[..., :count, :count]
+        np.add(own, by_columns @ transposed, out=first)
+        first += mixed
+        first += np.swapaxes(mixed, -1, -2)
+        products[..., :count, count:] = beside
+        products[..., count:, :count] = np.swapaxes(beside, -1, -2)
+        both = factors[..., :, None] * factors[..., None, :]
+        products[..., count:, count:] = self.columns[self._linear, self._linear] * both
         return products
