@@ -45,6 +45,7 @@ from scipy.special import ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.edge import (
     EDGE_SHARE,
+    ends_have_weight,
     log_g_is_at_end,
     log_gn_leans_on_end,
     order_is_at_end,
@@ -363,6 +364,10 @@ class StressPosterior:
         due = _UNIMODAL_BLOCKS if self.is_unimodal else _MULTIMODAL_BLOCKS
         return self.blocks_since_solved >= due
 
+    def work_ahead(self) -> None:
+        """Do what a block would have to wait for otherwise."""
+        self._equations.work_ahead()
+
     def relinearise(self) -> Iterator[None]:
         """Solve for the posterior anew, with all blocks so far, step by step."""
         self.blocks_since_solved = 0
@@ -459,6 +464,8 @@ class StressPosterior:
         if self.is_unimodal:
             deviation = math.sqrt(self.covariance[_LOG_GN, _LOG_GN])
             return log_gn_leans_on_end(self._grid, float(self.state[_LOG_GN]), deviation)
+        if not ends_have_weight(self._node_weights):
+            return False
         mean, deviation = self._prior.mean[_LOG_GN], self._prior.deviations[_LOG_GN]
         log_prior = -0.5 * ((self._grid.nodes - mean) / deviation) ** 2
         return weights_pile_up(self._node_weights, log_prior)
