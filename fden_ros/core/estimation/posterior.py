@@ -69,7 +69,6 @@ _RIG = (StateIndex.COMPLIANCE, StateIndex.DELAY, StateIndex.FRICTION)
 _CARRIED = _RIG[1:]
 _JITTER = StateIndex.JITTER
 _WALK = (StateIndex.WALK, StateIndex.WALK_NEXT)
-_OF_WALK = slice(_WALK[0], _WALK[1] + 1)
 #: Parameters that enter the stress linearly, in the order of the state, and those of them whose
 #: columns are at G = 1.
 _LINEAR = tuple(index.name.lower() for index in StateIndex if index > _ORIGIN)
@@ -251,7 +250,7 @@ class StressPosterior:
         for index, column in linear.items():
             columns[index] = column
         if self._has_walk:
-            columns[_OF_WALK] = self._walk.columns(
+            columns[list(_WALK)] = self._walk.columns(
                 block.memory_time,
                 block.duration,
                 walk_variance,
@@ -265,8 +264,9 @@ class StressPosterior:
 
     def walk_share(self, prediction: Prediction) -> float:
         """Return the walk's own part of a prediction's variance [Pa^2]."""
-        jacobian = prediction.jacobian[_OF_WALK]
-        return float(jacobian @ self.covariance[_OF_WALK, _OF_WALK] @ jacobian)
+        walk = slice(_WALK[0], _WALK[-1] + 1)
+        jacobian = prediction.jacobian[walk]
+        return float(jacobian @ self.covariance[walk, walk] @ jacobian)
 
     def add(self, prediction: Prediction, noise: float, size: int) -> None:
         """Take a block.
