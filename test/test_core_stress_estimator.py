@@ -60,8 +60,11 @@ def estimator_of(
     return estimator
 
 
-def fed(estimator, motion, stress):
-    """Feed samples in blocks; return whether a mismatch was told."""
+def fed(estimator, motion, stress, steps=None):
+    """Feed samples in blocks; return whether a mismatch was told.
+
+    After each, all work is done, or as many steps of it as are given.
+    """
     step = 1.0 / RATE
     for first in range(0, len(motion) - PER_BLOCK + 1, PER_BLOCK):
         block = slice(first, first + PER_BLOCK)
@@ -78,7 +81,10 @@ def fed(estimator, motion, stress):
                 NO_INTEGRALS,
             )
         )
-        estimator.relinearise()
+        if steps is None:
+            estimator.relinearise()
+        else:
+            estimator.work_ahead(steps, begins=True)
     return estimator.is_mismatch
 
 
@@ -102,6 +108,18 @@ def error_of(estimate, truth):
             estimate.fractional_order - truth[2],
         ]
     )
+
+
+@pytest.mark.parametrize("steps", [1, 7])
+def test_the_same_comes_of_work_however_much_of_it_is_done_before_the_next_block(steps):
+    time, motion, rate, top = ramp_and_hold()
+    stress = exact_stress(time, rate, top, FdenModel(520.0, 8.4, 0.2))
+    stress += NOISE * np.random.default_rng(1).standard_normal(time.size)
+    at_once, in_steps = (estimator_of(origin_sd=0.002, bias_sd=0.3) for _ in range(2))
+    fed(at_once, motion, stress)
+    fed(in_steps, motion, stress, steps)
+    in_steps.work_ahead(1000, begins=False)
+    assert repr(in_steps.estimate()) == repr(at_once.estimate())
 
 
 def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors():

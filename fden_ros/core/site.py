@@ -250,7 +250,7 @@ class Site:
         elapsed = np.geomspace(first, end, count if first == _FIRST_REST else 2)
         steps = tuple(np.diff(elapsed, prepend=0.0).tolist())
         free = self._integral.relax(steps)
-        if self._estimator is not None:
+        if self._estimator is not None and self.is_usable:
             self._estimator.rest(steps, free[:, _NODES:])
         self.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
@@ -272,7 +272,7 @@ class Site:
         `learns`: the estimator takes it too, not only the memory.
         """
         step = self.seconds_to(stamp_ns)
-        estimator = self._estimator if learns else None
+        estimator = self._estimator if learns and self.is_usable else None
         if not is_free:
             if step > 0.0:
                 self._integral.add(step, stress)
@@ -400,10 +400,13 @@ class Site:
         self.is_usable = False
         self.flags |= Flag.ORIGIN_UNCERTAIN
 
-    def relinearise(self) -> None:
-        """Do what takes long while nobody waits for an estimate."""
-        if self._estimator is not None:
-            self._estimator.relinearise()
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Do some steps of what takes long, while nobody waits for an estimate.
+
+        `begins`: a new block does.
+        """
+        if self._estimator is not None and self.is_usable:
+            self._estimator.work_ahead(steps, begins=begins)
 
     def end_contact(self) -> None:
         """Bring the estimate to its best at the end of a contact."""

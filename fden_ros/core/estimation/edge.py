@@ -51,6 +51,12 @@ def log_gn_leans_on_end(grid: LogStiffnessGrid, log_gn: float, deviation: float)
     return distance <= max(_DEVIATIONS * deviation, _LEAST_DISTANCE)
 
 
+def ends_have_weight(weights: Array) -> bool:
+    """Return whether there is weight at an end, so that the likelihood may grow towards it."""
+    low, high = weights[:_END_NODES].sum(), weights[-_END_NODES:].sum()
+    return bool(max(low, high) >= EDGE_SHARE)
+
+
 def weights_pile_up(weights: Array, log_prior: Array) -> bool:
     """Return whether the likelihood of ln Gn grows towards an end node that has weight.
 

@@ -477,5 +477,8 @@ class Estimator(Protocol):
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
 
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Do some steps of solving anew, where that is due; `begins`: a new block does."""
+
     def relinearise(self, *, fully: bool = False) -> None:
         """Solve anew about the present state, when that is due; `fully`: now, at the end."""

@@ -154,6 +154,9 @@ class FractionalStressEstimator:
     def skip(self) -> None:
         """Let the samples since the last block go by."""
 
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Return at once: an update of these filters leaves nothing to solve."""
+
     def relinearise(self, *, fully: bool = False) -> None:
         """Return at once: an update of these filters leaves nothing to solve."""
 

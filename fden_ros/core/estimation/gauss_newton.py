@@ -25,6 +25,7 @@ Steps are bounded, and a solution that has not converged says so: it is not to b
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -94,7 +95,7 @@ class _Steps(NamedTuple):
     """Gauss-Newton steps from m states."""
 
     steps: Array  #: shape (m, n); 0 where there is no solution
-    inverses: Array  #: of the Hessians, shape (m, free, free)
+    roots: Array  #: R of the Hessians' inverses R^T R, shape (m, free, free)
     log_determinants: Array  #: of the Hessians, shape (m,)
     decrements: Array  #: of minus twice the log-posterior, shape (m,); infinite without a solution
 
@@ -141,14 +142,15 @@ class GaussNewton:
     def bounded(self, states: Array) -> Array:
         """Keep states, shape (..., n), where the response is known, in place."""
         around, reach = self._prior.mean, self._reach
-        for index, lowest, highest in (
-            (_LOG_G, around[_LOG_G] - LOG_REACH, around[_LOG_G] + LOG_REACH),
-            (_ORDER, LOWEST_ORDER, HIGHEST_ORDER),
-            (_LOG_GN, self._grid.lowest, self._grid.highest),
-            (slice(_ORIGIN, None), around[_ORIGIN:] - reach, around[_ORIGIN:] + reach),
-        ):
-            states[..., index] = np.clip(states[..., index], lowest, highest)
-        return states
+        lowest, highest = np.empty_like(around), np.empty_like(around)
+        lowest[_LOG_G], highest[_LOG_G] = around[_LOG_G] - LOG_REACH, around[_LOG_G] + LOG_REACH
+        lowest[_LOG_GN], highest[_LOG_GN] = self._grid.lowest, self._grid.highest
+        lowest[_ORDER], highest[_ORDER] = LOWEST_ORDER, HIGHEST_ORDER
+        np.subtract(around[_ORIGIN:], reach, out=lowest[_ORIGIN:])
+        np.add(around[_ORIGIN:], reach, out=highest[_ORIGIN:])
+        np.maximum(states, lowest, out=states)
+        bounded: Array = np.minimum(states, highest, out=states)
+        return bounded
 
     def _bounded_nodes(self, states: Array) -> Array:
         states = self.bounded(states)
@@ -163,8 +165,10 @@ class GaussNewton:
         learned = self._prior.learned
         return learned if self._is_order_learned else learned[learned != _ORDER]
 
-    def solve(self, state: Array, covariance: Array) -> Solution:
+    def solve(self, state: Array, covariance: Array) -> Generator[None, None, Solution]:
         """Return the maximum near a state, or the state where there is no step to take.
+
+        A generator, which yields after every step: they need not be taken at once.
 
         Parameters
         ----------
@@ -184,7 +188,7 @@ class GaussNewton:
             # Where the model is wrong the steps may run in circles: the best of them counts.
             if misfit < least:
                 least, remaining = misfit, decrement
-                covariance = self._covariances(solved.inverses, quadratic[None], free)[0]
+                covariance = self._covariances(solved.roots, quadratic[None], free)[0]
                 evidence = -0.5 * (misfit + float(solved.log_determinants[0]))
                 evidence += self._equations.log_normalisation
                 best = Solution(state, covariance, is_converged=False, log_evidence=evidence)
@@ -192,10 +196,13 @@ class GaussNewton:
             if decrement <= _CLOSE:
                 best = best._replace(state=state)
                 break
+            yield
         return best._replace(is_converged=remaining <= _FAR)
 
-    def solve_at_nodes(self, states: Array, weights: Array) -> NodeSolution:
+    def solve_at_nodes(self, states: Array, weights: Array) -> Generator[None, None, NodeSolution]:
         """Return the maxima at every node of ln Gn, and the moments of all.
+
+        A generator, which yields after every step.
 
         Parameters
         ----------
@@ -208,12 +215,12 @@ class GaussNewton:
         free = free[free != _LOG_GN]
         before = weights
         for _ in range(_MOST_ROUNDS):
-            states, solved, quadratics = self._approach(states, before, free)
+            states, solved, quadratics = yield from self._approach(states, before, free)
             weights, evidence = self._weights(states, solved, quadratics, free)
             likely = weights > _LEAST_WEIGHT
             remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
             if remaining <= _FAR:
-                own = self._covariances(solved.inverses[likely], quadratics[likely], free)
+                own = self._covariances(solved.roots[likely], quadratics[likely], free)
                 moments = self._moments(states, weights, own)
                 evidence += self._equations.log_normalisation
                 return NodeSolution(states, weights, moments._replace(log_evidence=evidence))
@@ -240,10 +247,11 @@ class GaussNewton:
 
     def _approach(
         self, states: Array, weights: Array, free: Indices
-    ) -> tuple[Array, _Steps, Array]:
+    ) -> Generator[None, None, tuple[Array, _Steps, Array]]:
         """Take steps at every node; return where they lead, the last ones, the products there."""
         quadratics = self._equations.at_nodes(states)
         for _ in range(_MOST_NODE_STEPS):
+            yield
             solved = self._step(states, quadratics, free)
             states = self._bounded_nodes(states + solved.steps)
             quadratics = self._equations.at_nodes(states)
@@ -287,24 +295,26 @@ class GaussNewton:
         precision = self._prior.precision(free)
         hessians = quadratics[:, 1 + free[:, None], 1 + free] + precision
         gradients = quadratics[:, 0, 1 + free] + (states - self._prior.mean)[:, free] @ precision
-        inverses, log_determinants = _inverse(hessians, precision.diagonal())
+        roots, log_determinants = _inverse_roots(hessians, precision.diagonal())
         longest = self.longest_step[free]
-        wanted = -(inverses @ gradients[:, :, None])[:, :, 0]
+        wanted = -(roots.transpose(0, 2, 1) @ (roots @ gradients[:, :, None]))[:, :, 0]
         is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
-        moved = np.where(is_solved[:, None], np.clip(wanted, -longest, longest), 0.0)
+        moved = np.where(
+            is_solved[:, None], np.minimum(np.maximum(wanted, -longest), longest), 0.0
+        )
         steps = np.zeros_like(states)
         steps[:, free] = moved
         decrements = (moved[:, None, :] @ hessians @ moved[:, :, None])[:, 0, 0]
         decrements[~is_solved] = math.inf
-        return _Steps(steps, inverses, log_determinants, decrements)
+        return _Steps(steps, roots, log_determinants, decrements)
 
-    def _covariances(self, inverses: Array, quadratics: Array, free: Indices) -> Array:
+    def _covariances(self, roots: Array, quadratics: Array, free: Indices) -> Array:
         """Return the covariances of all parameters.
 
         Parameters
         ----------
-        inverses : ndarray, shape (m, free, free)
-            Of the Hessians.
+        roots : ndarray, shape (m, free, free)
+            R of the Hessians' inverses R^T R.
         quadratics : ndarray, shape (m, n + 1, n + 1)
         free : ndarray, shape (free,)
 
@@ -313,6 +323,7 @@ class GaussNewton:
         ndarray, shape (m, n, n)
         """
         size = self._prior.mean.size
+        inverses = roots.transpose(0, 2, 1) @ roots
         covariances = np.zeros((inverses.shape[0], size, size))
         covariances[:, free[:, None], free] = 0.5 * (inverses + inverses.transpose(0, 2, 1))
         if not self._is_order_learned:
@@ -327,8 +338,8 @@ class GaussNewton:
         return covariances
 
 
-def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
-    """Return inverses and logarithms of determinants of positive definite matrices.
+def _inverse_roots(matrices: Array, least: Array) -> tuple[Array, Array]:
+    """Return roots of the inverses of positive definite matrices, and their log-determinants.
 
     Rounding may have robbed the matrices of being so.
 
@@ -340,22 +351,58 @@ def _inverse(matrices: Array, least: Array) -> tuple[Array, Array]:
 
     Returns
     -------
-    inverses : ndarray, shape (m, free, free)
-        NaN where the matrix is not finite.
+    roots : ndarray, shape (m, free, free)
+        R of R^T R; NaN where the matrix is not finite.
     log_determinants : ndarray, shape (m,)
-        NaN there too.
+        Of the matrices; NaN there too.
     """
     diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
-    scale = diagonal**-0.5
+    scale = 1.0 / np.sqrt(diagonal)
     scaled = matrices * scale[:, :, None] * scale[:, None, :]
-    is_finite = np.all(np.isfinite(scaled), axis=(1, 2))
-    if not np.all(is_finite):
-        scaled[~is_finite] = np.eye(least.size)
-    values, vectors = np.linalg.eigh(scaled)
-    values = np.maximum(values, _SINGULAR)
-    vectors *= scale[:, :, None]
-    inverses: Array = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-    log_determinants: Array = np.sum(np.log(values) + np.log(diagonal), axis=1)
-    inverses[~is_finite] = math.nan
-    log_determinants[~is_finite] = math.nan
-    return inverses, log_determinants
+    roots, log_determinants = _scaled_inverse_roots(scaled)
+    roots *= scale[:, None, :]
+    log_determinants += np.sum(np.log(diagonal), axis=1)
+    return roots, log_determinants
+
+
+def _scaled_inverse_roots(matrices: Array) -> tuple[Array, Array]:
+    """Do so for matrices whose diagonals are about 1, by Cholesky's factors.
+
+    The sum of the reciprocal eigenvalues is more than the largest of them: where it shows that
+    none is rounding, the factors serve; elsewhere the eigenvalues are bounded.
+    """
+    try:
+        factors = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return _roots_by_eigenvalues(matrices)
+    roots = _inverse_of_lower(factors)
+    diagonals = np.diagonal(roots, axis1=1, axis2=2)
+    log_determinants: Array = -2.0 * np.sum(np.log(diagonals), axis=1)
+    is_rounding = ~(np.sum(roots**2, axis=(1, 2)) < 1.0 / _SINGULAR)
+    if np.any(is_rounding):
+        own = _roots_by_eigenvalues(matrices[is_rounding])
+        roots[is_rounding], log_determinants[is_rounding] = own
+    return roots, log_determinants
+
+
+def _inverse_of_lower(factors: Array) -> Array:
+    """Return the inverses of lower triangular matrices, by forward substitution."""
+    inverses = np.zeros_like(factors)
+    reciprocals = 1.0 / np.diagonal(factors, axis1=1, axis2=2)
+    inverses[:, 0, 0] = reciprocals[:, 0]
+    for row in range(1, factors.shape[1]):
+        own = factors[:, row : row + 1, :row] @ inverses[:, :row, :row]
+        inverses[:, row, :row] = -reciprocals[:, row, None] * own[:, 0]
+        inverses[:, row, row] = reciprocals[:, row]
+    return inverses
+
+
+def _roots_by_eigenvalues(matrices: Array) -> tuple[Array, Array]:
+    is_finite = np.all(np.isfinite(matrices), axis=(1, 2))
+    values, vectors = np.linalg.eigh(
+        np.where(is_finite[:, None, None], matrices, np.eye(matrices.shape[1]))
+    )
+    values = np.where(is_finite[:, None], np.maximum(values, _SINGULAR), math.nan)
+    roots: Array = vectors.transpose(0, 2, 1) / np.sqrt(values)[:, :, None]
+    log_determinants: Array = np.sum(np.log(values), axis=1)
+    return roots, log_determinants

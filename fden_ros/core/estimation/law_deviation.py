@@ -199,11 +199,12 @@ class LawFit:
         times, compressions, stresses, shares = record.arrays()
         self._geometry = geometry
         self._compressions, self._stresses = compressions[1:], stresses[1:]
-        self._since_start = np.maximum(times[1:, None] - times[None, :-1], 0.0)
-        self._since_end = np.maximum(times[1:, None] - times[None, 1:], 0.0)
+        since = np.maximum(times[1:, None] - times, 0.0)
+        # Powers of time are wanted again and again: the logarithm of 0 is that of next to nothing.
+        self._log_since = np.log(np.maximum(since, np.finfo(np.float64).tiny))
         self._steps = np.diff(times)
         shortest = max(float(np.min(self._steps)), _SHORTEST_SHARE * times[-1])
-        middle = 0.5 * (self._since_start + self._since_end)
+        middle = 0.5 * (since[:, :-1] + since[:, 1:])
         self._time_knots = np.linspace(math.log(0.5 * shortest), math.log(times[-1]), _KNOTS)
         self._in_time = _hats(self._time_knots, np.log(np.maximum(middle, 0.25 * shortest)))
         largest = max(geometry.strain(float(compressions.max())), 1e-6)
@@ -367,7 +368,8 @@ class LawFit:
     def _gains(self, order: float) -> Array:
         """Return the mean of E(t) over every step, as seen from the end of every step, (n, n)."""
         power = 1.0 - order
-        rise = self._since_start**power - self._since_end**power
+        powers = np.exp(power * self._log_since)
+        rise = powers[:, :-1] - powers[:, 1:]
         gains: Array = rise / self._steps / math.gamma(1.0 + power)
         return gains
 

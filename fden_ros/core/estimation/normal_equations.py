@@ -24,8 +24,7 @@ with L the law's responses at the nodes of ln Gn, alpha and the strain origin o,
 what was in the air before at the order nodes, and :math:`C_k` one *linear column* for each
 parameter :math:`\theta_k` that enters the stress linearly. So the sum of squares of r and of its
 derivatives, over all blocks and weighed by their variances, is a quadratic form in the products of
-responses. Only these are kept: of laws at neighbouring nodes of ln Gn, of laws with columns, and
-of columns with columns.
+responses. Only these are kept (:mod:`fden_ros.core.estimation.response_sums`).
 
 A linear column needs no more than a name: :class:`NormalEquations` sums it, differentiates by its
 parameter, and takes it out (:meth:`NormalEquations.marginalise`) when its parameter ends, as bias
@@ -36,25 +35,22 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import StateIndex
+from fden_ros.core.estimation.response_sums import MOST_BEHIND, ResponseSums
 from fden_ros.core.law.interpolation import STENCIL, Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation, order_nodes
-
-#: Blocks that may wait to be added to the sums together [1]: one product of matrices is faster
-#: than 32 of vectors, and a solution comes after 10 blocks at the latest.
-_MOST_PENDING = 32
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
 _ORDER = StateIndex.FRACTIONAL_ORDER
 _ORIGIN = StateIndex.STRAIN_ORIGIN
-#: Parameters before those of the linear columns.
+#: Parameters before those of the linear columns: the law's stress depends on these alone.
 _NONLINEAR = 4
 _ORDERS = len(order_nodes())
 
@@ -103,17 +99,14 @@ class NormalEquations:
         self._grid = grid
         self._in_origin = Lagrange(origins)
         self._in_order = order_interpolation()
-        nodes, inner = grid.nodes.size, origins.size * _ORDERS
         self._column_count = _ORDERS + len(self.linear) + 1
-        # Sums of products of responses: of neighbouring nodes, with the columns, of the columns.
-        self._law = np.zeros((STENCIL, nodes, inner, inner))
-        self._cross = np.zeros((nodes, inner, self._column_count))
-        self._columns = np.zeros((self._column_count, self._column_count))
+        self._sums = ResponseSums(
+            grid.nodes.size, origins.size * _ORDERS, self._column_count, slice(_ORDERS, -1)
+        )
         self._pending: list[_Pending] = []
         self._deferred: list[Callable[[], None]] = []
         #: Added to the sums last; None: these have changed since, or will.
         self._newest: _Pending | None = None
-        self._node_products: Array | None = None
         self._log_normalisation = 0.0
 
     def index(self, name: str) -> int:
@@ -143,7 +136,7 @@ class NormalEquations:
     def add(self, response: BlockResponse, noise: float, size: int) -> None:
         """Take a block whose mean stress of `size` samples has the variance `noise` [Pa^2]."""
         self._pending.append(_Pending(response, 1.0 / noise, size))
-        if len(self._pending) >= _MOST_PENDING:
+        if len(self._pending) >= MOST_BEHIND:
             self._add_up()
 
     def amend_newest(self, variance: float, index: int, change: float) -> None:
@@ -167,23 +160,20 @@ class NormalEquations:
             self._pending[-1] = _Pending(BlockResponse(law, columns), weight, size)
         elif self._newest is not None and change:
             (law, columns), weight, _ = self._newest
-            place = self._column(index)
-            self._cross[:, :, place] += weight * change * law
-            by_column = weight * change * columns
-            self._columns[place, :] += by_column
-            self._columns[:, place] += by_column
-            self._columns[place, place] += weight * change**2
-            self._node_products = None
+            self._sums.change_column(self._column(index), change, law, columns, weight)
+
+    def work_ahead(self) -> None:
+        """Bring the sums up to date if many blocks wait, while nobody waits for an estimate."""
+        if len(self._pending) >= MOST_BEHIND // 2:
+            self._add_up()
 
     def clear(self) -> None:
         """Forget all blocks."""
         self._pending.clear()
         self._deferred.clear()
         self._newest = None
-        self._node_products = None
         self._log_normalisation = 0.0
-        for sums in (self._law, self._cross, self._columns):
-            sums.fill(0.0)
+        self._sums.clear()
 
     def _defer(self, operation: Callable[[], None]) -> None:
         """Change the sums before they are used the next time, after the blocks so far.
@@ -217,23 +207,14 @@ class NormalEquations:
             self._add_blocks(self._pending)
             self._newest = self._pending[-1]
             self._pending = []
-        self._node_products = None
 
     def _add_blocks(self, blocks: list[_Pending]) -> None:
         """Add blocks to the sums together."""
-        laws = np.array([block.response.law for block in blocks])
-        columns = np.array([block.response.columns for block in blocks])
-        weights = np.array([block.weight for block in blocks])
-        by_node = laws.transpose(1, 0, 2)
-        weighted = by_node * weights[:, None]
-        transposed = by_node.transpose(0, 2, 1)
-        nodes = by_node.shape[0]
-        for distance in range(STENCIL):
-            self._law[distance, : nodes - distance] += (
-                transposed[: nodes - distance] @ weighted[distance:]
-            )
-        self._cross += weighted.transpose(0, 2, 1) @ columns
-        self._columns += (columns * weights[:, None]).T @ columns
+        self._sums.add(
+            np.array([block.response.law for block in blocks]),
+            np.array([block.response.columns for block in blocks]),
+            np.array([block.weight for block in blocks]),
+        )
 
     def marginalise(self, index: int, precision: float) -> None:
         """Take out of the sums what the parameter of a linear column explains.
@@ -250,27 +231,15 @@ class NormalEquations:
         self._defer(functools.partial(self._marginalise, self._column(index), precision))
 
     def _marginalise(self, column: int, precision: float) -> None:
-        own = self._columns[column, column] + precision
+        own = float(self._sums.columns[column, column]) + precision
         if own > 0.0:
             self._log_normalisation -= 0.5 * math.log(own)
-            by_law = self._cross[:, :, column].copy()
-            by_column = self._columns[column].copy()
-            for distance in range(STENCIL):
-                end = by_law.shape[0] - distance
-                self._law[distance, :end] -= (
-                    by_law[:end, :, None] * by_law[distance:, None, :] / own
-                )
-            self._cross -= by_law[:, :, None] * by_column / own
-            self._columns -= np.outer(by_column, by_column) / own
-        self._forget(column)
+            self._sums.take_out(column, own)
+        self._sums.forget(column)
 
     def forget(self, index: int) -> None:
         """Let the column of a parameter that is known to be 0 begin anew."""
-        self._defer(functools.partial(self._forget, self._column(index)))
-
-    def _forget(self, column: int) -> None:
-        self._cross[:, :, column] = 0.0
-        self._columns[column, :] = self._columns[:, column] = 0.0
+        self._defer(functools.partial(self._sums.forget, self._column(index)))
 
     def bind(self, index: int, other: int | None, precision: float) -> None:
         """Add to the sums that two linear parameters, or one and 0, differ little.
@@ -288,24 +257,17 @@ class NormalEquations:
 
     def _bind(self, column: int, partner: int | None, precision: float) -> None:
         self._log_normalisation += 0.5 * math.log(precision)
-        self._columns[column, column] += precision
+        columns = self._sums.columns
+        columns[column, column] += precision
         if partner is None:
             return
-        self._columns[partner, partner] += precision
-        self._columns[column, partner] -= precision
-        self._columns[partner, column] -= precision
+        columns[partner, partner] += precision
+        columns[column, partner] -= precision
+        columns[partner, column] -= precision
 
     def move(self, index: int, target: int) -> None:
         """Let a linear parameter take the place of another, whose column was forgotten."""
-        self._defer(functools.partial(self._move, self._column(index), self._column(target)))
-
-    def _move(self, column: int, place: int) -> None:
-        self._cross[:, :, place] = self._cross[:, :, column]
-        own = self._columns[column, column]
-        self._columns[place, :] = self._columns[column, :]
-        self._columns[:, place] = self._columns[:, column]
-        self._columns[place, place] = own
-        self._forget(column)
+        self._defer(functools.partial(self._sums.move, self._column(index), self._column(target)))
 
     @staticmethod
     def _column(index: int) -> int:
@@ -315,12 +277,30 @@ class NormalEquations:
 
     def residual(self, response: BlockResponse, state: Array) -> tuple[float, Array]:
         """Return predicted less observed stress [Pa], and its derivatives by the state (n,)."""
-        first, directions = self._directions(state)
-        responses = np.concatenate(
-            [response.law[first : first + STENCIL].ravel(), response.columns]
-        )
-        residual, *gradient = directions @ responses
-        return residual, np.array(gradient)
+        g = math.exp(state[_LOG_G])
+        first, in_gn, by_gn = self._grid.stencil(float(state[_LOG_GN]))
+        in_order, by_order = self._in_order(float(state[_ORDER]))
+        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
+        law = response.law[first : first + STENCIL]
+        by_law = (in_gn @ law).reshape(-1, _ORDERS)
+        at_order = g * (by_law @ in_order)
+        free = response.columns[:_ORDERS]
+        columns = response.columns[_ORDERS:-1] * self._factors(g)
+        stresses = columns * state[_NONLINEAR:]
+        stress = in_origin @ at_order
+        gradient = np.empty(self.size)
+        gradient[_LOG_G] = stress + stresses @ self._scaled
+        gradient[_LOG_GN] = g * (in_origin @ (by_gn @ law).reshape(-1, _ORDERS) @ in_order)
+        gradient[_ORDER] = g * (in_origin @ by_law @ by_order) + by_order @ free
+        gradient[_ORIGIN] = by_origin @ at_order
+        gradient[_NONLINEAR:] = columns
+        residual = stress + in_order @ free + stresses.sum() - response.columns[-1]
+        return float(residual), gradient
+
+    def _factors(self, g: float | Array) -> Array:
+        """Return by how much the stress grows with each linear parameter's column."""
+        factors: Array = np.where(self._scaled, g, 1.0)
+        return factors
 
     def node_residuals(self, response: BlockResponse, states: Array) -> Array:
         """Return predicted less observed stress [Pa] with each ln Gn at its node.
@@ -336,9 +316,8 @@ class NormalEquations:
         """
         in_order, by_order = self._in_order(states[:, _ORDER])
         in_origin, _ = self._in_origin(states[:, _ORIGIN])
-        rows = np.zeros((self.size + 1, self._column_count, states.shape[0]))
-        self._fill_columns(rows, states.T, in_order.T, by_order.T)
-        residuals: Array = response.columns @ rows[0]
+        columns, _ = self._columns_at(states, in_order, by_order)
+        residuals: Array = columns[:, 0] @ response.columns
         residuals += np.exp(states[:, _LOG_G]) * np.sum(
             response.law * _outer(in_origin, in_order), axis=1
         )
@@ -356,16 +335,15 @@ class NormalEquations:
         in_origin, _ = self._in_origin(float(state[_ORIGIN]))
         return first, math.exp(state[_LOG_G]) * np.outer(in_gn, in_origin)
 
-    def law_stresses(self, responses: Iterable[BlockResponse], state: Array) -> list[float]:
-        """Return the stress of each block by the law alone, without linear columns [Pa]."""
+    def law_step(self, before: BlockResponse, response: BlockResponse, state: Array) -> float:
+        """Return by how much the stress changes by the law alone, without linear columns [Pa]."""
         first, weights = self.law_weights(state)
         in_order, _ = self._in_order(float(state[_ORDER]))
-        found = []
-        for response in responses:
-            law = response.law[first : first + STENCIL].reshape(*weights.shape, _ORDERS)
-            by_order = np.tensordot(weights, law, 2) + response.columns[:_ORDERS]
-            found.append(float(in_order @ by_order))
-        return found
+        used, free = slice(first, first + STENCIL), slice(0, _ORDERS)
+        change = response.law[used] - before.law[used]
+        by_order = weights.ravel() @ change.reshape(weights.size, _ORDERS)
+        by_order += response.columns[free] - before.columns[free]
+        return float(in_order @ by_order)
 
     # Quadratic forms
 
@@ -382,9 +360,19 @@ class NormalEquations:
             The residual stands first; each product over the variance of its block.
         """
         self._add_up()
-        first, directions = self._directions(state)
-        products: Array = directions @ self._stencil_products(first) @ directions.T
-        return products
+        first, *in_gn = self._grid.stencil(float(state[_LOG_GN]))
+        g = math.exp(state[_LOG_G])
+        weights, by_gn = (g * each[:, None] for each in in_gn)
+        in_order, by_order = self._in_order(float(state[_ORDER]))
+        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
+        inner = np.outer(in_origin, in_order).ravel()
+        law = np.empty((STENCIL, 1 + _NONLINEAR, inner.size))
+        law[:, 0] = law[:, 1 + _LOG_G] = weights * inner
+        law[:, 1 + _LOG_GN] = by_gn * inner
+        law[:, 1 + _ORDER] = weights * np.outer(in_origin, by_order).ravel()
+        law[:, 1 + _ORIGIN] = weights * np.outer(by_origin, in_order).ravel()
+        columns, factors = self._columns_at(state, in_order, by_order)
+        return self._sums.at_stencil(first, law, columns, factors)
 
     def at_nodes(self, states: Array) -> Array:
         """Return what :meth:`at_state` does with each ln Gn at its node.
@@ -399,91 +387,41 @@ class NormalEquations:
             The derivatives by ln Gn are 0.
         """
         self._add_up()
-        if self._node_products is None:
-            self._node_products = self._products_at_nodes()
-        products = self._node_products
-        inner, count = self._cross.shape[1], self._column_count
         in_order, by_order = self._in_order(states[:, _ORDER])
         in_origin, by_origin = self._in_origin(states[:, _ORIGIN])
-        in_origin = np.exp(states[:, _LOG_G])[:, None] * in_origin
-        by_origin = np.exp(states[:, _LOG_G])[:, None] * by_origin
-        directions = np.zeros((states.shape[0], self.size + 1, inner + count))
-        law, columns = directions[:, :, :inner], directions[:, :, inner:]
+        g = np.exp(states[:, _LOG_G])[:, None]
+        in_origin, by_origin = g * in_origin, g * by_origin
+        nodes, inner = states.shape[0], in_origin.shape[1] * _ORDERS
+        law = np.zeros((nodes, 1 + _NONLINEAR, inner))
         law[:, 0] = law[:, 1 + _LOG_G] = _outer(in_origin, in_order)
         law[:, 1 + _ORDER] = _outer(in_origin, by_order)
         law[:, 1 + _ORIGIN] = _outer(by_origin, in_order)
-        self._fill_columns(columns.transpose(1, 2, 0), states.T, in_order.T, by_order.T)
-        result: Array = directions @ products @ directions.transpose(0, 2, 1)
-        return result
+        columns, factors = self._columns_at(states, in_order, by_order)
+        return self._sums.at_nodes(law, columns, factors)
 
-    def _products_at_nodes(self) -> Array:
-        """Return the products of the law at each node, and of the columns.
+    def _columns_at(self, states: Array, in_order: Array, by_order: Array) -> tuple[Array, Array]:
+        """Return the columns' coefficients in residual and derivatives by the law's parameters.
+
+        Parameters
+        ----------
+        states : ndarray, shape (..., n)
+        in_order, by_order : ndarray, shape (..., orders)
 
         Returns
         -------
-        ndarray, shape (nodes, inner + columns, inner + columns)
+        columns : ndarray, shape (..., 5, columns)
+        factors : ndarray, shape (..., linear)
+            Of its own column in the derivative by each linear parameter.
         """
-        nodes, inner, count = self._cross.shape
-        products = np.empty((nodes, inner + count, inner + count))
-        products[:, :inner, :inner] = self._law[0]
-        products[:, :inner, inner:] = self._cross
-        products[:, inner:, :inner] = self._cross.transpose(0, 2, 1)
-        products[:, inner:, inner:] = self._columns
-        return products
-
-    def _directions(self, state: Array) -> tuple[int, Array]:
-        """Return the first node of the stencil, and coefficients of stencil and columns.
-
-        The first row gives the predicted less the observed stress, the others its derivatives by
-        the parameters, shape (n + 1, 8 * origins * orders + columns).
-        """
-        first, in_gn, by_gn = self._grid.stencil(float(state[_LOG_GN]))
-        in_order, by_order = self._in_order(float(state[_ORDER]))
-        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
-        g = math.exp(state[_LOG_G])
-        inner = np.outer(in_origin, in_order).ravel()
-        size = STENCIL * inner.size
-        directions = np.zeros((self.size + 1, size + self._column_count))
-        law, columns = directions[:, :size], directions[:, size:]
-        law[0] = law[1 + _LOG_G] = np.outer(g * in_gn, inner).ravel()
-        law[1 + _LOG_GN] = np.outer(g * by_gn, inner).ravel()
-        law[1 + _ORDER] = np.outer(g * in_gn, np.outer(in_origin, by_order)).ravel()
-        law[1 + _ORIGIN] = np.outer(g * in_gn, np.outer(by_origin, in_order)).ravel()
-        self._fill_columns(columns, state, in_order, by_order)
-        return first, directions
-
-    def _fill_columns(
-        self, columns: Array, state: Array, in_order: Array, by_order: Array
-    ) -> None:
-        """Fill coefficients of the columns, shape (n + 1, columns, ...), at states (n, ...)."""
-        columns[0, :_ORDERS] = in_order
-        columns[0, -1] = -1.0
-        columns[1 + _ORDER, :_ORDERS] = by_order
-        g = np.exp(state[_LOG_G])
-        for index, is_scaled in enumerate(self._scaled, start=_NONLINEAR):
-            column, factor = self._column(index), g if is_scaled else 1.0
-            columns[0, column] = factor * state[index]
-            columns[1 + index, column] = factor
-            if is_scaled:
-                columns[1 + _LOG_G, column] = columns[0, column]
-
-    def _stencil_products(self, first: int) -> Array:
-        """Return the products of the stencil that begins at a node, and of the columns."""
-        inner = self._cross.shape[1]
-        size = STENCIL * inner
-        products = np.empty((size + self._column_count, size + self._column_count))
-        for i in range(STENCIL):
-            rows = slice(i * inner, (i + 1) * inner)
-            for j in range(i, STENCIL):
-                block = self._law[j - i, first + i]
-                products[rows, j * inner : (j + 1) * inner] = block
-                if j > i:
-                    products[j * inner : (j + 1) * inner, rows] = block.T
-            cross = self._cross[first + i]
-            products[rows, size:] = cross
-            products[size:, rows] = cross.T
-        products[size:, size:] = self._columns
-        return products
+        columns = np.zeros((*states.shape[:-1], 1 + _NONLINEAR, self._column_count))
+        columns[..., 0, :_ORDERS] = in_order
+        columns[..., 0, -1] = -1.0
+        columns[..., 1 + _ORDER, :_ORDERS] = by_order
+        factors = self._factors(np.exp(states[..., _LOG_G])[..., None])
+        linear = factors * states[..., _NONLINEAR:]
+        columns[..., 0, _ORDERS:-1] = linear
+        columns[..., 1 + _LOG_G, _ORDERS:-1] = np.where(self._scaled, linear, 0.0)
+        return columns, factors
 
 
 def _outer(a: Array, b: Array) -> Array:

@@ -36,6 +36,7 @@ each node): a Gaussian sum. The solver is :mod:`fden_ros.core.estimation.gauss_n
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +45,7 @@ from scipy.special import ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.edge import (
     EDGE_SHARE,
+    ends_have_weight,
     log_g_is_at_end,
     log_gn_leans_on_end,
     order_is_at_end,
@@ -262,9 +264,9 @@ class StressPosterior:
 
     def walk_share(self, prediction: Prediction) -> float:
         """Return the walk's own part of a prediction's variance [Pa^2]."""
-        walk = list(_WALK)
+        walk = slice(_WALK[0], _WALK[-1] + 1)
         jacobian = prediction.jacobian[walk]
-        return float(jacobian @ self.covariance[np.ix_(walk, walk)] @ jacobian)
+        return float(jacobian @ self.covariance[walk, walk] @ jacobian)
 
     def add(self, prediction: Prediction, noise: float, size: int) -> None:
         """Take a block.
@@ -309,11 +311,12 @@ class StressPosterior:
             # Schmidt's filter: alpha keeps its deviation and is not learned.
             gain[_ORDER] = 0.0
         longest = self._solver.longest_step
-        step = np.clip(-gain * prediction.residual, -longest, longest)
+        step = np.minimum(np.maximum(-gain * prediction.residual, -longest), longest)
         # Joseph's form: positive whatever the rounding.
-        kept = np.eye(gain.size) - np.outer(gain, jacobian)
-        covariance = kept @ self.covariance @ kept.T + noise * np.outer(gain, gain)
-        if np.all(np.isfinite(step)) and np.all(np.isfinite(covariance)):
+        kept = -gain[:, None] * jacobian
+        kept.flat[:: gain.size + 1] += 1.0
+        covariance = kept @ self.covariance @ kept.T + noise * gain[:, None] * gain
+        if math.isfinite(step.sum()) and math.isfinite(covariance.sum()):
             self.state = self._solver.bounded(self.state + step)
             self.covariance = covariance
 
@@ -331,8 +334,7 @@ class StressPosterior:
 
     def law_step(self, before: BlockResponse, response: BlockResponse) -> float:
         """Return by how much the stress changes between blocks by the law alone [Pa]."""
-        first, last = self._equations.law_stresses((before, response), self.state)
-        return last - first
+        return self._equations.law_step(before, response, self.state)
 
     def start_anew(self, predicted_fractional_stress: float) -> None:
         """Learn a new tissue from here on: origin, bias, drift and rig stay."""
@@ -362,18 +364,22 @@ class StressPosterior:
         due = _UNIMODAL_BLOCKS if self.is_unimodal else _MULTIMODAL_BLOCKS
         return self.blocks_since_solved >= due
 
-    def relinearise(self) -> None:
-        """Solve for the posterior anew, with all blocks so far."""
-        self.blocks_since_solved = 0
-        self._solve_anew()
-        if self.is_solved and self._widen_contradicted():
-            self._solve_anew()
+    def work_ahead(self) -> None:
+        """Do what a block would have to wait for otherwise."""
+        self._equations.work_ahead()
 
-    def _solve_anew(self) -> None:
+    def relinearise(self) -> Iterator[None]:
+        """Solve for the posterior anew, with all blocks so far, step by step."""
+        self.blocks_since_solved = 0
+        yield from self._solve_anew()
+        if self.is_solved and self._widen_contradicted():
+            yield from self._solve_anew()
+
+    def _solve_anew(self) -> Iterator[None]:
         if not self.is_unimodal:
-            self._solve_at_nodes()
+            yield from self._solve_at_nodes()
         if self.is_unimodal:
-            self._solve()
+            yield from self._solve()
 
     def _widen_contradicted(self) -> bool:
         """Widen what is stated of the rig where the data contradict it; return whether they do.
@@ -413,9 +419,9 @@ class StressPosterior:
         both = self._stated_rig + np.maximum(own, 0.0) + _TINY_VARIANCE
         return float(np.max(np.abs(alone) / np.sqrt(both)))
 
-    def _solve(self) -> None:
+    def _solve(self) -> Iterator[None]:
         """Solve for the maximum of a posterior that is normal."""
-        solution = self._solver.solve(self.state, self.covariance)
+        solution = yield from self._solver.solve(self.state, self.covariance)
         self.state, self.covariance = solution.state, solution.covariance
         self.is_solved = solution.is_converged
         self._take_evidence(solution)
@@ -423,9 +429,9 @@ class StressPosterior:
             self.is_unimodal = False
             self._begin_nodes()
 
-    def _solve_at_nodes(self) -> None:
+    def _solve_at_nodes(self) -> Iterator[None]:
         """Solve at every node of ln Gn, and take the moments of all."""
-        solution = self._solver.solve_at_nodes(self._node_states, self._node_weights)
+        solution = yield from self._solver.solve_at_nodes(self._node_states, self._node_weights)
         # Where they have not converged, the nodes go on from where they are the next time.
         self._node_states = solution.states
         self.is_solved = solution.moments is not None
@@ -458,6 +464,8 @@ class StressPosterior:
         if self.is_unimodal:
             deviation = math.sqrt(self.covariance[_LOG_GN, _LOG_GN])
             return log_gn_leans_on_end(self._grid, float(self.state[_LOG_GN]), deviation)
+        if not ends_have_weight(self._node_weights):
+            return False
         mean, deviation = self._prior.mean[_LOG_GN], self._prior.deviations[_LOG_GN]
         log_prior = -0.5 * ((self._grid.nodes - mean) / deviation) ** 2
         return weights_pile_up(self._node_weights, log_prior)

@@ -24,7 +24,9 @@ where they are not, the deviations say so.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -155,6 +157,9 @@ class StressEstimator:
         self._contact_start: float | None = None
         self._change = TissueChange()
         self._law = LawWatch(geometry, prior, config.uncertainty, noise_sd, origin_sd)
+        #: What is left to do between two blocks, and whether it has begun.
+        self._work: Iterator[None] = iter(())
+        self._is_at_work = False
 
     @property
     def is_doubtful(self) -> bool:
@@ -181,6 +186,7 @@ class StressEstimator:
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
+        self._finish_work()
         self._motion.interrupt()
         self._jitter.interrupt()
         self._change.begin_contact()
@@ -207,6 +213,7 @@ class StressEstimator:
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
+        self._finish_work()
         self._motion.skip_block()
         self._basis.discard_block()
 
@@ -218,6 +225,7 @@ class StressEstimator:
         FloatingPointError
             If the block's response is beyond floating-point numbers.
         """
+        self._finish_work()
         elastic, noise, predictions = self._predict(block)
         best = predictions[self._bank.index(self._best)]
         innovation = Innovation(
@@ -261,8 +269,8 @@ class StressEstimator:
             posterior.amend_newest(before, late)
             model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
             predictions.append(posterior.predict(*response, block, model_error + rig_error))
-        numbers = [(noise, prediction.residual, prediction.spread) for prediction in predictions]
-        if not (noise > 0.0 and np.all(np.isfinite(numbers))):
+        total = noise + sum(prediction.residual + prediction.spread for prediction in predictions)
+        if not (noise > 0.0 and math.isfinite(total)):
             raise FloatingPointError(
                 f"the response to a compression of {block.compression:g} and a stress of "
                 f"{block.stress:g} Pa is not finite"
@@ -374,21 +382,48 @@ class StressEstimator:
         self._max_compression = -math.inf
         self._law.stop()
 
+    # Between two blocks
+
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Do some steps of what is to be done before the next block, while nobody waits for it.
+
+        That is a solution with all blocks so far, where one is due. The next block finishes what
+        has begun, so that the same comes of it however many steps are done before.
+        """
+        if begins and not self._is_at_work:
+            self._work, self._is_at_work = self._relinearising(), True
+        for _ in itertools.islice(self._work, steps):
+            pass
+
+    def _finish_work(self) -> None:
+        for _ in self._work:
+            pass
+        self._is_at_work = False
+
     def relinearise(self, *, fully: bool = False) -> None:
-        """Do what nobody waits for; solve anew, with all blocks so far, where that is due."""
+        """Do all that at once; `fully`: solve also where it is not due, and fit the law."""
+        self._finish_work()
+        for _ in self._relinearising(fully=fully):
+            pass
+
+    def _relinearising(self, *, fully: bool = False) -> Iterator[None]:
+        """Do what nobody waits for, step by step."""
         if not fully:
             self._law.work_ahead()
+            yield
         if self._change.is_suspected:
             return
         solved = False
         for posterior, weight in zip(self._bank, self._weights, strict=True):
+            posterior.work_ahead()
             waiting = posterior.blocks_since_solved
             rarely = min(_RARELY, _RARELY_SHARE * self._block_count)
             if weight < _LEAST_WEIGHT and not fully and waiting < rarely:
                 continue
             if posterior.is_due() or (fully and waiting):
-                posterior.relinearise()
+                yield from posterior.relinearise()
                 solved = True
+                yield
         if solved:
             self._weigh()
         if fully and not self._is_exact:

@@ -93,7 +93,7 @@ def phi(
     """
     excess = nonlinear_stiffness * np.abs(strain) - 1.0
     # e^(Gn x - 1) beyond 1/Gn and Gn x below it, both in one.
-    result: Array = np.clip(excess, 0.0, MAX_EXPONENT)
+    result: Array = np.minimum(np.maximum(excess, 0.0), MAX_EXPONENT)
     np.exp(result, out=result)
     result += np.minimum(excess, 0.0)
     if np.any(excess > MAX_EXPONENT):

@@ -220,26 +220,27 @@ class FractionalIntegral:
         if steps != self._prepared_steps:
             self._prepare_several(steps)
             self._prepared_steps = steps
-        pairs = np.array([(self.last_value, *values[:-1]), values])
-        remembered = self._memory * self._start_share
-        remembered += np.einsum("pik,pk->i", self._shares_after, pairs)
-        self._sum += self._weights @ remembered
-        self._sum += np.einsum("pik,pk->i", self._local, pairs)
+        added = self._shares @ np.array([self.last_value, *values[:-1], *values])
+        size = self._memory.size
+        self._sum += self._start_weights @ self._memory
+        self._sum += added[size:]
         self._memory *= self._whole_decay
-        self._memory += np.einsum("pik,pk->i", self._shares_at_end, pairs)
+        self._memory += added[:size]
         self.last_value = values[-1]
 
     def _prepare_several(self, steps: tuple[float, ...]) -> None:
-        """Set what the values before and after each step add, shapes (2, rates or orders, n)."""
+        """Set what the values before all steps and those after add to memory and sum."""
         decays = decays_of(steps, (1.0,) * len(steps))
         new_gain = decays.later_mean()
         gains = np.array(steps) * np.array([decays.mean - new_gain, new_gain])
-        self._shares_after = gains * decays.sums_after
-        self._shares_at_end = gains * decays.to_end
-        self._start_share = decays.sum_of_start
+        self._start_weights = self._weights * decays.sum_of_start
         self._whole_decay = decays.whole
         local = np.array(steps) ** self._order_array[:, None] * self._local_scale[:, None]
-        self._local = np.array([local * self._order_array[:, None], local])
+        after = self._weights @ (gains * decays.sums_after)
+        after += np.array([local * self._order_array[:, None], local])
+        shares = np.concatenate([gains * decays.to_end, after], axis=1)
+        #: Shape (rates + orders, 2 n).
+        self._shares = np.concatenate(list(shares), axis=1)
 
     def _prepare(self, step: float) -> None:
         falling, gain, mean_decay = self._scratch, self._new_gain, self._previous_gain

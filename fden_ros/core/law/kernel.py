@@ -122,9 +122,10 @@ class Decays:
         left = itertools.accumulate(reversed(steps[1:]), initial=0.0)
         self.to_end: Array = np.exp(-rates * np.array([*left][::-1]))
         self.sums_after = np.zeros_like(by_step)
-        for k in range(len(steps) - 1, 0, -1):
-            np.add(self.sums_after[:, k], counts[k], out=self.sums_after[:, k - 1])
-            self.sums_after[:, k - 1] *= by_step[:, k]
+        later = np.zeros(rates.size)
+        for k, decay in zip(range(len(steps) - 1, 0, -1), by_step.T[:0:-1].copy(), strict=True):
+            later = (later + counts[k]) * decay
+            self.sums_after[:, k - 1] = later
         self.whole: Array = by_step[:, 0] * self.to_end[:, 0]
         self.sum_of_start: Array = by_step[:, 0] * (counts[0] + self.sums_after[:, 0])
 

@@ -72,7 +72,8 @@ class StressBasis:
     def __init__(self, geometry: Geometry, log_gn_nodes: Array, origin_nodes: Array) -> None:
         self._geometry = geometry
         self._origins = [float(origin) for origin in origin_nodes]
-        self._gn = np.exp(log_gn_nodes)[:, None]
+        #: Gn of each of the law's signals: the nodes of the origin run fastest.
+        self._gn = np.repeat(np.exp(log_gn_nodes), origin_nodes.size)
         self._shape = (log_gn_nodes.size, origin_nodes.size)
         self._signal_count = log_gn_nodes.size * origin_nodes.size
         self._rates = relaxation_rates()
@@ -92,8 +93,8 @@ class StressBasis:
         self._force = self._last_force = self._last_jitter = 0.0
         columns = self._jittering + 1
         self._memory = np.zeros((self._rates.size, columns))
-        self._memory_sum = np.zeros_like(self._memory)
-        self._local_sum = np.zeros((self._orders.size, columns))
+        #: Of the responses at every sample of the block.
+        self._sum = np.zeros((self._orders.size, columns))
         self._last = np.zeros(columns)
         self._count = 0
         self._prepared_steps: tuple[tuple[float, ...], ...] = ()
@@ -119,7 +120,7 @@ class StressBasis:
     def _slopes(self, strains: Array) -> Array:
         """Return dphi/dx at G = 1 for strains (n, origins), at the linearisation, shape (n,)."""
         strain = strains @ self._running_origin
-        excess = np.clip(self._running_gn * strain - 1.0, 0.0, MAX_EXPONENT)
+        excess = np.minimum(np.maximum(self._running_gn * strain - 1.0, 0.0), MAX_EXPONENT)
         slopes: Array = np.where(strain > 0.0, np.exp(excess), 0.0)
         return slopes
 
@@ -142,36 +143,40 @@ class StressBasis:
             return
         steps, compressions, counts, jitters = zip(*self._waiting, strict=True)
         self._waiting.clear()
-        strains = np.array(
-            [[self._geometry.strain(u - o) for o in self._origins] for u in compressions]
-        )
-        before, self._strains = np.vstack([self._strains, strains[:-1]]), strains[-1]
+        strain = self._geometry.strain
+        strains = np.array([[strain(u - o) for o in self._origins] for u in compressions])
         if steps[0] <= 0.0:
             # The first sample of all: the memory begins here.
             steps, counts, jitters = steps[1:], counts[1:], jitters[1:]
-            strains, before = strains[1:], before[1:]
+            self._strains, strains = strains[0], strains[1:]
             if not steps:
                 return
-        signals = np.zeros((len(steps), self._last.size))
-        signals[:, : self._signal_count] = self._law(strains)
-        change = np.diff(signals, axis=0, prepend=self._last[None])
-        forces = np.linspace(self._last_force, self._force, len(steps) + 1)
-        moved = np.stack([forces, [self._last_jitter, *jitters]], axis=1)
-        change[:, self._linearised] = (
-            self._slopes(strains)[:, None] * moved[1:] - self._slopes(before)[:, None] * moved[:-1]
-        )
-        kept = self._last[self._linearised] + change[:, self._linearised].sum(axis=0)
+        # From here on with what was before the first step.
+        strains = np.concatenate([self._strains[None], strains])
+        self._strains = strains[-1]
+        signals = np.zeros((len(steps) + 1, self._last.size))
+        signals[0] = self._last
+        signals[1:, : self._signal_count] = self._law(strains[1:])
+        change = signals[1:] - signals[:-1]
+        moved = np.empty((len(steps) + 1, 2))
+        moved[:, 0] = np.linspace(self._last_force, self._force, len(steps) + 1)
+        moved[0, 1], moved[1:, 1] = self._last_jitter, jitters
+        moved *= self._slopes(strains)[:, None]
+        change[:, self._linearised] = moved[1:] - moved[:-1]
+        kept = self._last[self._linearised] + moved[-1] - moved[0]
         self._last, self._last_force = signals[-1], self._force
         self._last_jitter = jitters[-1]
         self._last[self._linearised] = kept
         if (steps, counts) != self._prepared_steps:
             self._prepare(steps, counts)
             self._prepared_steps = (steps, counts)
-        self._memory_sum += self._memory * self._start_share
-        self._memory_sum += self._gain_after @ change
-        self._local_sum += self._local @ change
+        size = self._rates.size
+        gained = self._gains @ change
+        self._sum += self._start_weights @ self._memory
+        self._sum += gained[size:]
         self._memory *= self._whole_decay
-        self._memory += self._gain_at_end @ change
+        self._memory += gained[:size]
+        before, strains = strains[:-1], strains[1:]
         for k, origin in np.argwhere((before < 0.0) & (strains > 0.0)):
             share = strains[k, origin] / (strains[k, origin] - before[k, origin])
             columns = slice(origin, self._signal_count, self._shape[1])
@@ -182,9 +187,10 @@ class StressBasis:
         self._gain = self._decays.mean
         self._local = self._locals(np.array(steps)) * np.array(counts)
         self._counts = counts
-        self._gain_after = self._gain * self._decays.sums_after
-        self._gain_at_end = self._gain * self._decays.to_end
-        self._start_share = self._decays.sum_of_start[:, None]
+        after = self._weights @ (self._gain * self._decays.sums_after) + self._local
+        #: What a change over each step adds to the memory, and to the sum of the responses.
+        self._gains = np.concatenate([self._gain * self._decays.to_end, after])
+        self._start_weights = self._weights * self._decays.sum_of_start
         self._whole_decay = self._decays.whole[:, None]
 
     def _begin_within(self, k: int, duration: float, columns: slice, change: Array) -> None:
@@ -192,17 +198,17 @@ class StressBasis:
         own = slice(k, k + 1)
         gain = Decays((duration,), (1.0,)).mean - self._gain[:, own]
         local = self._locals(np.array([duration])) * self._counts[k]
-        self._memory_sum[:, columns] += gain * self._decays.sums_after[:, own] * change
+        after = self._weights @ (gain * self._decays.sums_after[:, own])
         self._memory[:, columns] += gain * self._decays.to_end[:, own] * change
-        self._local_sum[:, columns] += (local - self._local[:, own]) * change
+        self._sum[:, columns] += (after + local - self._local[:, own]) * change
 
     def _law(self, strains: Array) -> Array:
         """Return phi at G = 1 for strains (n, origins), shape (n, nodes * origins).
 
         Above the strain origin there is no contact, and phi is 0.
         """
-        touching = np.maximum(strains, 0.0)[:, None, :]
-        return phi(touching, 1.0, self._gn).reshape(strains.shape[0], -1)
+        touching = np.tile(np.maximum(strains, 0.0), self._shape[0])
+        return phi(touching, 1.0, self._gn)
 
     def _locals(self, steps: Array) -> Array:
         """Return what a change over each step counts for at its end, shape (orders, n)."""
@@ -272,11 +278,8 @@ class StressBasis:
             D^alpha of dphi/dx times the noise of the motion, at G = 1 [1].
         """
         self._catch_up()
-        total = self._weights @ self._memory_sum
-        total += self._local_sum
-        total /= max(self._count, 1)
-        self._memory_sum.fill(0.0)
-        self._local_sum.fill(0.0)
+        total = self._sum / max(self._count, 1)
+        self._sum.fill(0.0)
         self._count = 0
         law = total[:, : self._signal_count].T.reshape(self._shape[0], -1)
         free = np.diagonal(total[:, self._free]).copy()
@@ -308,6 +311,5 @@ class StressBasis:
     def discard_block(self) -> None:
         """Forget the samples since the last block, not their memory."""
         self._catch_up()
-        self._memory_sum.fill(0.0)
-        self._local_sum.fill(0.0)
+        self._sum.fill(0.0)
         self._count = 0
