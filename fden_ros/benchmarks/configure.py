@@ -36,6 +36,7 @@ from rich.table import Table
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.unknown_rigs import RigTruth, simulate_rig
 from fden_ros.configure.finding import Finding
+from fden_ros.configure.statistics import angle_between
 from fden_ros.configure.streams import Array
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.core.law.geometry import FlatPunch
@@ -78,6 +79,10 @@ def judge(found: Survey, truth: RigTruth) -> Judged:
     judged.stated = {name: finding.claim for name, finding in by_name.items()}
     for what, axis in (("force", truth.force_axis), ("displacement", truth.displacement_axis)):
         _judge_axis(judged, by_name[f"{what} axis"], axis)
+    normal = by_name["surface normal"]
+    if normal.claim and truth.normal is not None and normal.deviation:
+        error = angle_between(np.array(normal.value), truth.normal)
+        judged.errors["surface normal"] = [error / normal.deviation / _TWO * _ONE]
     for what, usual, other, unit in (
         ("force", "N", "g", truth.force_unit),
         ("displacement", "m", "mm", truth.displacement_unit),
@@ -193,6 +198,7 @@ _SUBJECTS = (
     "tool centre of mass",
     "delay",
     "compliance",
+    "surface normal",
 )
 _LIMITED = (
     ("force axis", "within 2 degrees, sign right"),
