@@ -161,6 +161,10 @@ def _surface(session: Session) -> str:
 
 def _headline(session: Session) -> str:
     summaries = session.replay.summaries
+    if session.parameters.contact.mode == "continuous" and not any(
+        s.is_of_path for s in summaries
+    ):
+        return "No stiffness is known on the path: it takes a probe that palpates as it slides."
     if not summaries:
         return "No contact was found."
     places = sum(summary.is_of_path for summary in summaries)
@@ -219,6 +223,8 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
     estimate = summary.estimate
     if estimate is not None and summary.is_of_path:
         row["alpha"] = plus_minus(estimate.fractional_order, estimate.fractional_order_sd)
+        if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
+            row["gn"] = plus_minus(estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd)
     elif estimate is not None:
         g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
         deviations = estimate.deviations.tolist()
