@@ -253,40 +253,36 @@ def nonlinear_places(record: Palpated, **values):
 
 
 def test_gn_beyond_the_boundary_is_told_with_intervals_that_hold():
-    found, count, records = [], 0, []
-    for seed in range(16):
+    told, count, last = 0, 0, []
+    for seed in range(24):
         rng = np.random.default_rng(seed)
         truth, is_rigid = rng.uniform(6.0, 14.0), bool(seed % 2)
         depth = 1.0 / truth + 0.1 + rng.uniform(0.0, 0.05)
         record = nonlinear(seed, truth, depth, is_rigid=is_rigid, unevenness=0.2 * (seed % 3 > 0))
         estimates, places = nonlinear_places(record, **(RIGID if is_rigid else {}))
-        count += places
-        errors = [
-            (one.log_nonlinear_stiffness - math.log(truth)) / one.deviations[1]
-            for one in estimates
-        ]
-        found += errors
-        records += [math.sqrt(np.mean(np.square(errors)))] if errors else []
-    assert len(found) > 0.2 * count and len(records) > 8
-    share = np.mean(np.abs(found) < 1.96)
-    assert share > 0.9, share
-    assert 0.3 < math.sqrt(np.mean(np.square(records))) < 1.3
+        told, count = told + len(estimates), count + places
+        # Of one record all have an error in common.
+        for one in estimates[-1:]:
+            last.append((one.log_nonlinear_stiffness - math.log(truth)) / one.deviations[1])
+    assert told > 0.2 * count and len(last) > 16
+    assert np.mean(np.abs(last) < 1.96) > 0.85
+    assert 0.4 < math.sqrt(np.mean(np.square(last))) < 1.4
 
 
-@pytest.mark.parametrize(
-    ("law", "depth"),
-    [
-        ("exponential", 0.125),  # the stroke passes the boundary half way
-        ("exponential", 0.06),  # and does not reach it
-        ("linear", 0.25),
-        ("quadratic", 0.25),
-        ("power", 0.25),
-    ],
-)
-def test_gn_is_not_told_where_the_harmonics_are_not_those_of_the_law(law, depth):
+@pytest.mark.parametrize("law", ["linear", "quadratic", "power"])
+def test_gn_is_not_told_where_the_harmonics_are_not_those_of_the_law(law):
     for seed in range(3):
-        estimates, count = nonlinear_places(nonlinear(seed, 8.0, depth, law=law), **RIGID)
+        estimates, count = nonlinear_places(nonlinear(seed, 8.0, 0.25, law=law), **RIGID)
         assert count > 30 and not estimates
+
+
+@pytest.mark.parametrize("depth", [0.06, 0.125, 0.16])
+def test_a_stroke_that_passes_the_boundary_tells_no_wrong_gn(depth):
+    """Half way at 0.125; where the surface comes by as much, the stroke is beyond for a while."""
+    for seed in range(3):
+        estimates, count = nonlinear_places(nonlinear(seed, 8.0, depth), **RIGID)
+        errors = [(e.log_nonlinear_stiffness - math.log(8.0)) / e.deviations[1] for e in estimates]
+        assert count > 30 and all(abs(error) < 3.0 for error in errors)
 
 
 def test_the_complex_modulus_is_the_stiffness_by_the_geometry():

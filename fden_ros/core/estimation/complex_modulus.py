@@ -113,8 +113,8 @@ class ComplexModulusMeter:
 
     Attributes
     ----------
-    phasors : Phasors or None
-        Of the newest window.
+    phasors : Phasors
+        Of the newest window; zeros before it.
 
     Examples
     --------
@@ -146,7 +146,8 @@ class ComplexModulusMeter:
         self._signals = np.empty(2)
         self._start = self._stop = math.nan
         self._samples = 0
-        self.phasors: Phasors | None = None
+        none = np.zeros(len(frequencies), dtype=complex)
+        self.phasors = Phasors(none, none, math.inf)
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""

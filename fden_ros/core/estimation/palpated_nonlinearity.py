@@ -52,8 +52,8 @@ _LARGEST, _MOST_INFORMATION = 3.5, 1e100
 #: of the second's phase may be off by this many of theirs, which are at most these shares of it.
 _PRESENT, _OFF = 6.0, 3.0
 _MOST_THIRD, _MOST_PHASE = 0.25, 0.2
-#: A stroke that passes the boundary unseen makes z too small by at most twice this share of z times
-#: what the third harmonic may be off, in shares of itself [1]; computed from phi.
+#: A stroke that passes the boundary unseen makes z too small by at most twice this share of z
+#: times what the third harmonic may be off, in shares of itself [1]; computed from phi.
 _UNSEEN = 0.1
 #: Share of its weight that a window keeps when the next one comes [1], and least degrees of
 #: freedom for a deviation [1].

@@ -74,6 +74,7 @@ class PalpationMeter:
         self._nonlinearity = PalpatedNonlinearity()
         self._meter: ComplexModulusMeter | None = None
         self._harmonics: ComplexModulusMeter | None = None
+        self._has_harmonics = False  # of a window that was not looked at yet
         self._frequency = 0.0
         self._found: Palpated | None = None
         self._found_time = 0.0
@@ -111,7 +112,7 @@ class PalpationMeter:
             self._harmonics = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
             self._frequency = frequency
         if self._length is not None and self._harmonics is not None:
-            self._harmonics.add(time, displacement, force)
+            self._has_harmonics |= bool(self._harmonics.add(time, displacement, force))
         for modulus in self._meter.add(time, displacement, force):
             if math.isclose(modulus.angular_frequency, 2.0 * math.pi * frequency):
                 self._found = self._learn(modulus)
@@ -137,9 +138,9 @@ class PalpationMeter:
         """Return what was found, with Gn where the harmonics show it."""
         if self._length is None or self._harmonics is None:
             return found
-        phasors, self._harmonics.phasors = self._harmonics.phasors, None
-        if phasors is not None:
-            self._nonlinearity.add(phasors, found.estimate.fractional_order)
+        if self._has_harmonics:
+            self._has_harmonics = False
+            self._nonlinearity.add(self._harmonics.phasors, found.estimate.fractional_order)
         shown = self._nonlinearity.value(found, self._config.uncertainty)
         if shown is None:
             return found
