@@ -96,6 +96,26 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
     assert len(rows) > 20
 
 
+def test_sliding_alone_is_told_to_tell_no_stiffness(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time = np.arange(0.0, 15.0, 0.01)
+    noise = np.random.default_rng(1).normal(size=(2, time.size))
+    depth = 3e-3 + 5e-4 * np.sin(0.25 * time) + 5e-6 * noise[0]
+    force = 400.0 * depth + 0.01 * noise[1]
+    path, page = tmp_path / "slide.csv", tmp_path / "page.html"
+    rows = ("time_s", "force_N", "depth_m"), *zip(time, force, depth, strict=True)
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
+    config = tmp_path / "probe.yaml"
+    config.write_text('/**:\n  ros__parameters:\n    contact:\n      mode: "continuous"\n')
+    assert main(["replay", str(path), "--config", str(config)]) == 3
+    printed = capsys.readouterr()
+    assert "no oscillation of the displacement" in " ".join(printed.out.split())
+    assert "takes a probe that palpates as it slides" in printed.err
+    assert main(["report", str(path), "--config", str(config), "-o", str(page)]) == 0
+    assert "No stiffness is known on the path" in page.read_text(encoding="utf-8")
+
+
 def test_a_slide_meets_tissue_as_much_stiffer_as_it_says() -> None:
     scenario = load_scenario("continuous")
     site = scenario.sites[0]

@@ -74,6 +74,7 @@ class RigTruth:
     leaves: bool  #: the probe left the surface
     frequencies: tuple[float, ...]  #: of oscillations in contact [Hz]
     touches: tuple[tuple[float, float], ...] = ()  #: planned contacts [s]
+    normal: Array | None = None  #: of the surface, in the frame of the poses; None: not known
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,14 @@ class _Mount:
     lever: Array  #: from the centre of the turns to the reported point, in the pose's frame [m]
 
 
-def simulate_rig(seed: int, *, along_tool: bool = False, **chosen: Any) -> SimulatedRig:
+def simulate_rig(
+    seed: int,
+    *,
+    along_tool: bool = False,
+    presses: int = 0,
+    slope: tuple[float, float] = (0.0, 0.0),
+    **chosen: Any,
+) -> SimulatedRig:
     """Return the recording of one rig.
 
     Parameters
@@ -151,6 +159,10 @@ def simulate_rig(seed: int, *, along_tool: bool = False, **chosen: Any) -> Simul
         Everything is drawn from it ...
     along_tool : bool
         ... but for the directions, if the probe presses along the z of its poses ...
+    presses : int
+        ... for the number of presses of tissue, if given ...
+    slope : tuple of float
+        ... for the surface, which sinks away by these shares of the way to each side ...
     **chosen
         ... and for these fields of :class:`RigTruth`.
     """
@@ -168,7 +180,7 @@ def simulate_rig(seed: int, *, along_tool: bool = False, **chosen: Any) -> Simul
             bias=np.resize(truth.bias, 3),
             drift=np.resize(truth.drift, 3),
         )
-    plan, truth = _draw_motion(truth, draw)
+    plan, truth = _draw_motion(truth, draw, presses)
     depth = np.concatenate(plan.depth)
     kind = np.concatenate(plan.kind)
     push = np.concatenate(plan.push)
@@ -179,6 +191,10 @@ def simulate_rig(seed: int, *, along_tool: bool = False, **chosen: Any) -> Simul
     # Lifting slowly to a shallower depth may leave the tissue for a moment, too.
     truth = replace(truth, leaves=truth.leaves or bool(np.mean(force == 0.0) > 0.1))
     across, turn = np.concatenate(plan.across), np.concatenate(plan.turn)
+    if truth.displacement_axis.size > 1:
+        normal = mount.into - np.array(slope) @ sideways_of(mount.into)
+        truth = replace(truth, normal=normal / np.linalg.norm(normal))
+        depth = depth + across @ np.array(slope)
     return SimulatedRig(_measure(truth, mount, times, depth, across, turn, force, draw), truth)
 
 
@@ -258,7 +274,7 @@ _DEEPEST = 0.22
 _HEIGHT = 3e-3
 
 
-def _draw_motion(truth: RigTruth, draw: Generator) -> tuple[_Plan, RigTruth]:
+def _draw_motion(truth: RigTruth, draw: Generator, presses: int) -> tuple[_Plan, RigTruth]:
     plan = _Plan()
     leaves, deepest = truth.leaves, _DEEPEST * truth.thickness
     rigid = truth.rigid and leaves
@@ -276,7 +292,8 @@ def _draw_motion(truth: RigTruth, draw: Generator) -> tuple[_Plan, RigTruth]:
             _press_rigid(plan, draw, strongest)
     frequencies: tuple[float, ...] = ()
     if tissue:
-        for _ in range(int(draw.integers(2, 5))):
+        usual = int(draw.integers(2, 5))
+        for _ in range(presses or usual):
             _press(plan, draw, deepest, leaves)
         if _chance(draw, 0.4):
             frequencies = (1.0, 4.0) if _chance(draw, 0.6) else (2.0,)
@@ -326,6 +343,11 @@ def _oscillate(
         plan.move(10.5 / frequency, wave=wave, kind=_TISSUE)
         plan.move(0.7, kind=_TISSUE)
     plan.move(1.0, depth=-_HEIGHT if leaves else 0.3 * deepest, kind=_TISSUE)
+
+
+def sideways_of(into: Array) -> Array:
+    """Return two unit vectors (2, 3) perpendicular to one and to each other."""
+    return np.asarray(np.linalg.svd(into[None])[2][1:])
 
 
 def rotation(vector: Array) -> Array:
@@ -500,7 +522,7 @@ def _pose(
         position = deep[:, None] * truth.displacement_axis + 0.1
         orientation = None
     else:
-        sideways = np.linalg.svd(mount.into[None])[2][1:]
+        sideways = sideways_of(mount.into)
         turned = rotations(_at(times, turn, instants))
         facing = turned @ mount.facing
         offset = facing @ mount.lever - mount.facing @ mount.lever

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output is None:
         result = replay(args.bag, parameters, selection, progress=progress)
         _show(result, args.json)
-        return _exit_code(result)
+        return _exit_code(result, parameters.contact.mode)
     from fden_ros.offline.results import replay_to_bag
 
     # As Ctrl-C does: what was written so far is removed on the way out.
@@ -106,13 +106,16 @@ def run(args: argparse.Namespace) -> int:
     _show(result, args.json)
     if not args.json:
         print(f"wrote {args.output}")
-    return _exit_code(result)
+    return _exit_code(result, parameters.contact.mode)
 
 
-def _exit_code(result: Replay) -> int:
+def _exit_code(result: Replay, mode: str) -> int:
     if result.has_identified:
         return 0
-    print("fden: nothing was identified: no contact is converged", file=sys.stderr)
+    why = "no contact is converged"
+    if mode == "continuous":
+        why = "no stiffness along the path, which takes a probe that palpates as it slides"
+    print(f"fden: nothing was identified: {why}", file=sys.stderr)
     return _NOTHING_IDENTIFIED
 
 

@@ -35,8 +35,8 @@ _POINTS = 4000
 
 def save_picture(survey: Survey, path: str | Path) -> None:
     """Draw the evidence and save it as PNG, SVG or PDF, by the ending of `path`."""
-    figure = Figure(figsize=(13, 11), layout="constrained")
-    grid = figure.add_gridspec(4, 2)
+    figure = Figure(figsize=(13, 13.5), layout="constrained")
+    grid = figure.add_gridspec(5, 2)
     session = survey.sessions[0]
     _times(figure.add_subplot(grid[0, :]), survey, session)
     _push(figure.add_subplot(grid[1, 0]), survey, session)
@@ -44,7 +44,9 @@ def save_picture(survey: Survey, path: str | Path) -> None:
     _weight(figure.add_subplot(grid[2, 0]), survey)
     _air(figure.add_subplot(grid[2, 1]), survey, session)
     _rigid(figure.add_subplot(grid[3, 0]), survey)
-    _words(figure.add_subplot(grid[3, 1]), survey)
+    _places(figure.add_subplot(grid[3, 1]), survey)
+    _surface(figure.add_subplot(grid[4, 0]), survey)
+    _words(figure.add_subplot(grid[4, 1]), survey)
     figure.savefig(path, dpi=110)
 
 
@@ -152,6 +154,53 @@ def _rigid(panel: Panel, survey: Survey) -> None:
         panel.plot(line, 1e3 * press.compliance * (line - push.mean()), color=_LINE, linewidth=0.8)
     panel.set_xlabel("force on something rigid [N]")
     panel.set_ylabel("displacement, delay taken out [mm]")
+
+
+def _places(panel: Panel, survey: Survey) -> None:
+    """Draw the touches as seen along the approach, by their distances from the plane."""
+    scan = survey.scan
+    panel.set_title("touches, seen along the approach", fontsize=10, loc="left")
+    if not scan.touches:
+        panel.text(0.02, 0.5, scan.finding.evidence, transform=panel.transAxes, wrap=True)
+        return
+    into = np.mean([touch.approach for touch in scan.touches], axis=0)
+    sideways = np.linalg.svd(into[None])[2][1:]
+    places = 1e3 * np.array([touch.place for touch in scan.touches])
+    x, y = sideways @ (places - places.mean(axis=0)).T
+    off = 1e3 * scan.plane.residuals if scan.plane is not None else np.zeros(x.size)
+    panel.plot(x, y, "o", color=_FORCE)
+    for number, (across, along, away) in enumerate(zip(x, y, off, strict=True), start=1):
+        text = f"{number}: {away:+.2f}" if scan.plane is not None else f"{number}"
+        panel.annotate(
+            text, (across, along), xytext=(5, 4), textcoords="offset points", fontsize=7
+        )
+    panel.margins(0.2)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.set_xlabel("place [mm]; the numbers: distance from the plane [mm]")
+
+
+def _surface(panel: Panel, survey: Survey) -> None:
+    """Draw the depth of the touches along the way down of the fitted plane."""
+    scan = survey.scan
+    _title(panel, scan.finding)
+    if scan.plane is None:
+        panel.text(0.02, 0.5, scan.finding.evidence, transform=panel.transAxes, wrap=True)
+        return
+    into = np.mean([touch.approach for touch in scan.touches], axis=0)
+    into /= np.linalg.norm(into)
+    aside = scan.plane.normal - float(scan.plane.normal @ into) * into
+    if float(np.linalg.norm(aside)) < 1e-6:
+        aside = np.linalg.svd(into[None])[2][1]
+    down = -aside / np.linalg.norm(aside)
+    apart = 1e3 * (np.array([touch.place for touch in scan.touches]) - scan.plane.centre)
+    along, depth = apart @ down, apart @ into
+    panel.plot(along, depth, "o", color=_FORCE)
+    ends = np.array([along.min(), along.max()])
+    slope = -float(scan.plane.normal @ down) / float(scan.plane.normal @ into)
+    panel.plot(ends, slope * ends, color=_LINE, linewidth=0.8)
+    panel.invert_yaxis()
+    panel.set_xlabel("way down the fitted plane [mm]")
+    panel.set_ylabel("first touch, along\nthe approach [mm]")
 
 
 def _words(panel: Panel, survey: Survey) -> None:

@@ -30,6 +30,7 @@ from fden_ros.configure.rigid import Press, contact_lines, rigid_presses
 from fden_ros.configure.sampling import sampling_findings
 from fden_ros.configure.session import Session, make_session
 from fden_ros.configure.streams import Streams
+from fden_ros.configure.surface import Scan, find_surface_plane
 from fden_ros.configure.units import Units, find_units
 from fden_ros.configure.weight import Weight, find_weight, weight_finding
 from fden_ros.core.law.geometry import Geometry
@@ -49,6 +50,8 @@ class Survey:
     weight : Weight or None
     presses : tuple of Press
         Those on something rigid.
+    scan : Scan
+        Touches of the surface.
     """
 
     findings: tuple[Finding, ...]
@@ -57,6 +60,7 @@ class Survey:
     units: Units
     weight: Weight | None
     presses: tuple[Press, ...]
+    scan: Scan
 
     def finding(self, subject: str) -> Finding:
         """Return the finding of a subject."""
@@ -101,6 +105,8 @@ def survey(
     known = compliance.value if isinstance(compliance.value, float) else 0.0
     show("delay")
     delay = delay_finding(sessions, axes, weight, presses, known if compliance.claim else None)
+    show("surface")
+    scan = find_surface_plane(sessions, axes, presses, delay, units.displacement)
     lines = contact_lines(sessions, axes)
     load_sd = weight.weight_sd if weight is not None and weight.holds else 0.0
     found = (
@@ -114,11 +120,12 @@ def survey(
         *weight_finding(weight, recordings, 1.0),
         delay,
         compliance,
+        scan.finding,
         geometry_finding(stated),
         prior_finding(sessions, axes, geometry, known, lines),
     )
     findings = tuple(_in_known_units(finding, units) for finding in found)
-    return Survey(findings, sessions, axes, units, weight, presses)
+    return Survey(findings, sessions, axes, units, weight, presses, scan)
 
 
 def _in_known_units(finding: Finding, units: Units) -> Finding:

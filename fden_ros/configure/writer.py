@@ -35,6 +35,7 @@ _GROUPS = {
     "compliance": "displacement",
     "tool mass": "tool",
     "tool centre of mass": "tool",
+    "surface normal": "surface",
     "indenter": "geometry",
     "prior": "prior",
 }
@@ -137,7 +138,7 @@ def value_text(finding: Finding) -> str:
         return "-"
     if isinstance(value, str):
         return value
-    if finding.subject.endswith("axis"):
+    if finding.subject.endswith(("axis", "normal")):
         if isinstance(value, float):
             return "grows" if value > 0.0 else "falls"
         return "[" + ", ".join(f"{part:.4f}" for part in value) + "]"

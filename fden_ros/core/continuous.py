@@ -15,8 +15,9 @@
 """A probe that stays on the tissue: what its palpation tells of each place on its path.
 
 Where it touched and what the tissue went through before is not known, so there is no strain, and
-neither G nor Gn. What an oscillation of the probe tells needs neither: the stiffness dF/dd at its
-frequency, alpha by its phase, and with a flat geometry the complex modulus. The trend of each
+no G. What an oscillation of the probe tells needs none: the stiffness dF/dd at its frequency,
+alpha by its phase, and with a flat geometry the complex modulus and, where the harmonics show that
+the stroke is beyond the boundary strain, Gn. The trend of each
 window takes up the bias of the force, relaxation, drift and the height of the surface.
 
 A *place* ends when the probe has moved on by `site_distance` to the side; each is a site with one
@@ -91,6 +92,7 @@ class ContinuousContact:
             _LEAST_AMPLITUDE * config.geometry.length,
             config.apparent_stiffness_time_scale,
             config.estimator,
+            config.geometry.length if self._is_flat else None,
         )
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
@@ -102,9 +104,8 @@ class ContinuousContact:
         is_silent = self._elapsed > _SILENT_TIME and not self._has_found
         counts = {
             "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
-            "a period, so no stiffness: contact.mode continuous wants a probe that palpates": (
-                is_silent
-            ),
+            "a period, so no stiffness: contact.mode continuous wants a probe that palpates; "
+            "sliding alone does not tell stiffness from the height of the surface": (is_silent),
             "the force follows the displacement out of step with any tissue: is "
             "displacement.delay right?": self._lags,
         }

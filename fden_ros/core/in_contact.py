@@ -134,6 +134,8 @@ class InContact:
         compression = site.compression(self._config.contact.compliance_free(pair, force))
         step = site.seconds_to(pair.stamp_ns)
         is_free = press.leaves_tissue(step, force, compression)
+        if not is_free:
+            site.left = pair.position
         learns = not press.has_ended
         if learns and not is_silent:
             # Only now: whoever waits for the last block's estimate has it already.

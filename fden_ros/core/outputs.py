@@ -170,7 +170,7 @@ class ContactSummary:
         """Whether it is a place on the path of a continuous contact whose stiffness is known."""
         if self.apparent_stiffness is None or Flag.ORIGIN_UNCERTAIN not in self.flags:
             return False
-        # Along a path G is never determined; a press begun unseen may have it.
+        # Along a path G is never determined, Gn at times; a press begun unseen may have it.
         estimate = self.estimate
         return estimate is None or not estimate.valid & ParameterSet.LINEAR_STIFFNESS
 

@@ -93,6 +93,8 @@ class Site:
         The history has been seen from the first touch, without a gap.
     estimate : Estimate or None
         The newest.
+    left : Position or None
+        Where the probe was when the tissue was last on it.
     teaches_rig : bool
         What is learned of the rig here may be used at other sites.
     """
@@ -108,7 +110,7 @@ class Site:
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self.last_ns = first.stamp_ns
-        self.position = first.position
+        self.position = self.left = first.position
         self.is_usable = True
         self.flags = flags
         self.estimate: Estimate | None = None
@@ -210,10 +212,22 @@ class Site:
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
 
-        So a probe that palpates as it slides dips out of a contact whose beginning was not seen.
+        So a probe that palpates as it slides dips out of a contact whose beginning was not seen,
+        or in which it went as far to the side as to another site: the tissue that it meets next
+        is of what it has just dragged along.
         """
         since = (stamp_ns - self.last_ns) / NANOSECONDS
-        return Flag.ORIGIN_UNCERTAIN in self.flags and since < _DIP_TIME
+        is_doubted = Flag.ORIGIN_UNCERTAIN in self.flags or self._has_slid
+        return is_doubted and since < _DIP_TIME
+
+    @property
+    def _has_slid(self) -> bool:
+        """Whether the probe left the tissue beside this site."""
+        if self.position is None or self.left is None:
+            return False
+        contact = self._config.contact
+        apart = lateral_distance(contact.approach_axis, self.position, self.left)
+        return apart > contact.site_distance
 
     def _begins_at_origin(self, pair: Pair) -> bool:
         """Whether the origin is given and a sample is there, so that no press came before it."""

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -30,6 +31,7 @@ from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
+from fden_ros.offline.surface_plane import LEAST_TOUCHES, NoPlaneError, fit_plane
 from fden_ros.report import plots
 from fden_ros.report.law_picture import law_picture
 from fden_ros.report.path_picture import draw_path
@@ -126,12 +128,43 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         yield what.capitalize(), name
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
+    surface = _surface(session)
+    if surface:
+        yield "Surface", surface
     kind = session.parameters.geometry.kind.replace("_", " ")
     yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
 
 
+def _surface(session: Session) -> str:
+    """Return the plane through the first touches of the sites, and how the probe stands on it."""
+    first = {s.site_id: s.position for s in reversed(session.replay.summaries) if not s.is_of_path}
+    places = [place for place in first.values() if place is not None]
+    parameters = session.parameters
+    stated = any(parameters.surface.normal)
+    if len(places) < LEAST_TOUCHES or (parameters.displacement.along_tool and not stated):
+        # Along the tool only the orientation of its poses tells which side the tissue is on.
+        return ""
+    axis = parameters.surface.normal if stated else parameters.displacement.axis
+    try:
+        plane = fit_plane(places, axis)
+    except NoPlaneError as error:
+        return f"normal not known: {error}"
+    normal = ", ".join(f"{part:.3f}" for part in plane.normal)
+    tilt, sd = plane.tilt(axis)
+    return (
+        f"normal [{normal}] by a plane through {len(places)} sites, {1e3 * plane.flatness:.2g} mm "
+        f"off it; {'surface.normal' if stated else 'displacement.axis'} is "
+        f"{math.degrees(tilt):.1f} ± {math.degrees(sd):.1f} degrees off: the depth is "
+        f"{math.cos(tilt):.3f} of its way"
+    )
+
+
 def _headline(session: Session) -> str:
     summaries = session.replay.summaries
+    if session.parameters.contact.mode == "continuous" and not any(
+        s.is_of_path for s in summaries
+    ):
+        return "No stiffness is known on the path: it takes a probe that palpates as it slides."
     if not summaries:
         return "No contact was found."
     places = sum(summary.is_of_path for summary in summaries)
@@ -190,6 +223,8 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
     estimate = summary.estimate
     if estimate is not None and summary.is_of_path:
         row["alpha"] = plus_minus(estimate.fractional_order, estimate.fractional_order_sd)
+        if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
+            row["gn"] = plus_minus(estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd)
     elif estimate is not None:
         g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
         deviations = estimate.deviations.tolist()

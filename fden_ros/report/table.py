@@ -113,7 +113,8 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
             )
         )
     if summary.is_of_path:
-        g = g_n = DASH
+        g = DASH
+        g_n = g_n if estimate is not None and estimate.determines(1) else DASH
     site = (truth or {}).get(summary.site_id)
     if site is not None and not summary.is_of_path:
         g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"

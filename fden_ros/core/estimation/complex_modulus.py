@@ -42,6 +42,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
+ComplexArray = NDArray[np.complex128]
 
 #: Coefficients of the trend [1]: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3
@@ -82,6 +85,14 @@ class ComplexModulus(NamedTuple):
         return float(magnitude / self.angular_frequency**self.fractional_order)
 
 
+class Phasors(NamedTuple):
+    """What one window tells of each frequency, from the lowest on."""
+
+    strain: ComplexArray  #: (n,)
+    stress: ComplexArray  #: (n,)
+    stress_sd: float  #: standard deviation of either part of a stress, the largest [Pa]
+
+
 class ComplexModulusMeter:
     """Measures the complex modulus window after window.
 
@@ -99,6 +110,11 @@ class ComplexModulusMeter:
     ------
     ValueError
         If no frequency, or one that is not positive, or two equal ones are given.
+
+    Attributes
+    ----------
+    phasors : Phasors
+        Of the newest window; zeros before it.
 
     Examples
     --------
@@ -130,6 +146,8 @@ class ComplexModulusMeter:
         self._signals = np.empty(2)
         self._start = self._stop = math.nan
         self._samples = 0
+        none = np.zeros(len(frequencies), dtype=complex)
+        self.phasors = Phasors(none, none, math.inf)
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""
@@ -189,6 +207,9 @@ class ComplexModulusMeter:
         left = np.maximum(self._powers - np.sum(solution * self._moments, axis=0), 0.0)
         variances = left / dof
         sines = solution[_TREND:, 1]
+        pairs = solution[_TREND::2] - 1j * solution[_TREND + 1 :: 2]
+        largest = float(inverse.diagonal()[_TREND:].max())
+        self.phasors = Phasors(pairs[:, 0], pairs[:, 1], math.sqrt(largest * variances[1]))
         results = []
         for index, omega in enumerate(self.angular_frequencies):
             place = _TREND + 2 * index

@@ -22,7 +22,8 @@ from typing import NamedTuple
 from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.estimation.estimate import EstimatorConfig
 from fden_ros.core.estimation.local_stiffness import LocalStiffness
-from fden_ros.core.estimation.palpation import Palpated, palpated
+from fden_ros.core.estimation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
+from fden_ros.core.estimation.palpation import Palpated, palpated, with_nonlinearity
 from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
 
 #: Periods of a window [1], and harmonics that are fitted beside the trend: with one period, or
@@ -40,7 +41,7 @@ class Measured(NamedTuple):
 
 
 class PalpationMeter:
-    """Follows stiffness and alpha, sample by sample.
+    """Follows stiffness and alpha, and Gn where it shows, sample by sample.
 
     Parameters
     ----------
@@ -51,6 +52,8 @@ class PalpationMeter:
     time_scale : float
         tau of the apparent stiffness [s].
     config : EstimatorConfig
+    length : float or None
+        By which the displacement is a strain [m]; None: it is not, so there is no Gn.
     """
 
     def __init__(
@@ -59,6 +62,7 @@ class PalpationMeter:
         least_amplitude: float,
         time_scale: float,
         config: EstimatorConfig,
+        length: float | None = None,
     ) -> None:
         self._stated = frequency
         self._least_amplitude = least_amplitude
@@ -66,7 +70,11 @@ class PalpationMeter:
         self._config = config
         self._finder = PalpationFrequency()
         self._stiffness = LocalStiffness()
+        self._length = length
+        self._nonlinearity = PalpatedNonlinearity()
         self._meter: ComplexModulusMeter | None = None
+        self._harmonics: ComplexModulusMeter | None = None
+        self._has_harmonics = False  # of a window that was not looked at yet
         self._frequency = 0.0
         self._found: Palpated | None = None
         self._found_time = 0.0
@@ -78,8 +86,9 @@ class PalpationMeter:
 
     def skip(self) -> None:
         """Begin the window anew: samples are missing."""
-        if self._meter is not None:
-            self._meter.reset()
+        for meter in (self._meter, self._harmonics):
+            if meter is not None:
+                meter.reset()
 
     def add(self, time: float, displacement: float, force: float) -> Measured | None:
         """Take a sample; return what the window tells that ended before it, if one did.
@@ -94,12 +103,16 @@ class PalpationMeter:
         self._finder.add(time, displacement)
         frequency = self._stated or self._finder.value
         if frequency is None:
-            self._meter = None
+            self._meter = self._harmonics = None
             return None
         if self._meter is None or frequency != self._frequency:
             tones = [frequency * harmonic for harmonic in _HARMONICS]
             self._meter = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
+            tones = [frequency * harmonic for harmonic in HARMONICS]
+            self._harmonics = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
             self._frequency = frequency
+        if self._length is not None and self._harmonics is not None:
+            self._has_harmonics |= bool(self._harmonics.add(time, displacement, force))
         for modulus in self._meter.add(time, displacement, force):
             if math.isclose(modulus.angular_frequency, 2.0 * math.pi * frequency):
                 self._found = self._learn(modulus)
@@ -111,13 +124,28 @@ class PalpationMeter:
         stiffness, amplitude = self._stiffness, modulus.strain_amplitude
         stiffness.add(complex(modulus.storage, modulus.loss), amplitude, modulus.sd)
         value = stiffness.value()
-        return value and palpated(
+        found = value and palpated(
             value,
             modulus.angular_frequency,
             amplitude,
             self._time_scale,
             self._config,
             stiffness.windows * modulus.samples,
+        )
+        return found and self._with_nonlinearity(found)
+
+    def _with_nonlinearity(self, found: Palpated) -> Palpated:
+        """Return what was found, with Gn where the harmonics show it."""
+        if self._length is None or self._harmonics is None:
+            return found
+        if self._has_harmonics:
+            self._has_harmonics = False
+            self._nonlinearity.add(self._harmonics.phasors, found.estimate.fractional_order)
+        shown = self._nonlinearity.value(found, self._config.uncertainty)
+        if shown is None:
+            return found
+        return with_nonlinearity(
+            found, self._length * shown.value, shown.sd / shown.value, self._config
         )
 
     def current(self, time: float) -> Palpated | None:
