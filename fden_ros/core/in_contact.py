@@ -134,7 +134,7 @@ class InContact:
         if learns and self._sums.is_empty and not is_silent:
             # Only now: whoever waits for the last block's estimate has it already.
             site.relinearise()
-        site.add(pair.stamp_ns, compression, stress, is_free=is_free, learns=learns)
+        site.add(pair, compression, stress, is_free=is_free, learns=learns)
         moduli: Iterable[Output] = ()
         if self._meter is not None:
             moduli = press.moduli(self._meter, pair.stamp_ns, compression, stress, is_free)

@@ -414,7 +414,7 @@ class Pipeline:
             self.config,
         )
         if not site.has_failed:
-            site.begin_contact(onset, self._synchronizer.motion_noise())
+            site.begin_contact(onset, self._synchronizer.path_noise())
             press.begin(site.change_count)
         self._emit_all(self._in_contact.begin(onset, press, site))
 

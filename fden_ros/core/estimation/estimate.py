@@ -459,8 +459,11 @@ class Estimator(Protocol):
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
 
-    def press(self, step: float, compression: float) -> None:
-        """Take the motion of a sample in contact, `step` seconds after the last."""
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
+        """Take the motion of a sample in contact, `step` seconds after the last.
+
+        `surface` is what its measured place has taken off the compression [1].
+        """
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""

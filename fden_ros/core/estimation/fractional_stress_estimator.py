@@ -145,7 +145,7 @@ class FractionalStressEstimator:
         """Start a contact; the drift is left out."""
         self._filter.begin_contact(bias_sd)
 
-    def press(self, step: float, compression: float) -> None:
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
         """Take a sample in contact."""
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:

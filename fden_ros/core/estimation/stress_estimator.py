@@ -65,6 +65,7 @@ from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation
 from fden_ros.core.law.stress_response import StressBasis
+from fden_ros.core.streams.samples import PathNoise
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
@@ -89,6 +90,7 @@ _RARELY, _RARELY_SHARE = 40, 0.5
 #: Share of the prior's deviation of ln G [1] below which the data have said something, and
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
 _KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
+_NOISELESS = PathNoise()
 
 
 class StressEstimator:
@@ -102,8 +104,8 @@ class StressEstimator:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
-    motion_noise : float
-        Variance of the compression's noise per sample times the time between samples [s].
+    path_noise : PathNoise
+        Of the compression [s].
     rig : RigKnowledge, optional
         What earlier contacts have told; without it what the configuration states.
     """
@@ -114,15 +116,18 @@ class StressEstimator:
         geometry: Geometry,
         noise_sd: float,
         origin_sd: float = 0.0,
-        motion_noise: float = 0.0,
+        path_noise: PathNoise = _NOISELESS,
         rig: RigKnowledge | None = None,
     ) -> None:
         prior = config.prior
         self._config = config
         self._geometry = geometry
         self._noise_variance = noise_sd**2
-        self._motion = MotionNoise(motion_noise)
-        self._jitter = MotionJitter(motion_noise)
+        self._motion = MotionNoise(path_noise.total)
+        self._jitter = MotionJitter(path_noise.displacement)
+        # The surface moves slower than the probe, and its noise is told apart by itself: where the
+        # probe turns, a line through both would take the turn for noise.
+        self._surface_jitter = MotionJitter(path_noise.surface)
         grid = self._grid = LogStiffnessGrid(
             math.log(prior.nonlinear_stiffness),
             min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
@@ -146,7 +151,7 @@ class StressEstimator:
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
-        self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
+        self._rig = RigResponse(config.uncertainty, geometry, path_noise.total)
         self._last_response: BlockResponse | None = None
         self._step = 0.0  # of the law's stress up to the newest block [Pa]
         self._has_newest = False  # the last block of this contact was taken
@@ -182,7 +187,7 @@ class StressEstimator:
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
         self._motion.interrupt()
-        self._jitter.interrupt()
+        self._interrupt_jitter()
         self._change.begin_contact()
         self._law.begin_contact()
         self._age.interrupt()
@@ -194,15 +199,21 @@ class StressEstimator:
             posterior.begin_contact(bias_sd, drift_sd)
         self._basis.discard_block()
 
-    def press(self, step: float, compression: float) -> None:
-        """Take the motion of a sample in contact."""
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
+        """Take the motion of a sample in contact, from which `surface` was taken off [1]."""
         self._motion.press(step, compression)
-        self._basis.press(step, compression, self._jitter.press(step, compression))
+        jitter = self._jitter.press(step, compression + surface)
+        jitter -= self._surface_jitter.press(step, surface)
+        self._basis.press(step, compression, jitter)
+
+    def _interrupt_jitter(self) -> None:
+        self._jitter.interrupt()
+        self._surface_jitter.interrupt()
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Take steps in the air."""
         self._motion.interrupt()
-        self._jitter.interrupt()
+        self._interrupt_jitter()
         self._basis.rest(steps, free_responses)
 
     def skip(self) -> None:
