@@ -44,8 +44,9 @@ class StateIndex(enum.IntEnum):
     DELAY = 8  #: between the streams, in its standard deviations [1]
     FRICTION = 9  #: against the motion, in its standard deviations [1]
     JITTER = 10  #: share by which noise of a resting displacement counts too much or little [1]
-    WALK = 11  #: stress left out by law and rig at the last knot, in the walk's unit [1]
-    WALK_NEXT = 12  #: at the next knot [1]
+    SHIFT = 11  #: of the surface since the last contact, in its standard deviations [1]
+    WALK = 12  #: stress left out by law and rig at the last knot, in the walk's unit [1]
+    WALK_NEXT = 13  #: at the next knot [1]
 
 
 class ParameterSet(enum.IntFlag):

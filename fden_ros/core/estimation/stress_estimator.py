@@ -71,6 +71,7 @@ _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
 _ORDER = StateIndex.FRACTIONAL_ORDER
 _ORIGIN = StateIndex.STRAIN_ORIGIN
+_SHIFT = StateIndex.SHIFT
 
 #: Half the range of the nodes of ln Gn: in prior standard deviations [1], and at most [1]. Beyond
 #: four deviations lie 6e-5 of the prior; a factor of e^2 either way holds all tissue.
@@ -91,6 +92,8 @@ _RARELY, _RARELY_SHARE = 40, 0.5
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
 _KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
 _NOISELESS = PathNoise()
+#: Time for which the surface goes on moving away from where it was [s]: one breath.
+_LONGEST_SHIFT = 4.0
 
 
 class StressEstimator:
@@ -158,6 +161,10 @@ class StressEstimator:
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
+        self._elapsed = 0.0  # since the last contact began [s]
+        # The surface's way in a second, as compression [1].
+        self._way = config.uncertainty.surface_motion_sd / geometry.length
+        self._surface = 0.0  # how far the surface has shifted by then, as compression [1]
         self._change = TissueChange()
         self._law = LawWatch(geometry, prior, config.uncertainty, noise_sd, origin_sd)
 
@@ -195,12 +202,27 @@ class StressEstimator:
         self._last_response = None
         self._has_newest = False
         self._contact_start = None
+        shift_sd = self._follow_surface()
         for posterior in self._bank:
-            posterior.begin_contact(bias_sd, drift_sd)
-        self._basis.discard_block()
+            posterior.begin_contact(bias_sd, drift_sd, shift_sd)
+        self._basis.begin_contact()
+
+    def _follow_surface(self) -> float:
+        """Begin where the surface was in the last contact; return how far it may have moved since.
+
+        In its way in a second; so the shift that is left is small, and its column linear.
+        """
+        if self._way == 0.0:
+            return 0.0
+        self._surface += self._way * float(self._best.state[_SHIFT])
+        elapsed, self._elapsed = self._elapsed, 0.0
+        known = float(self._best.covariance[_SHIFT, _SHIFT])
+        return math.sqrt(min(elapsed, _LONGEST_SHIFT) + known)
 
     def press(self, step: float, compression: float, surface: float = 0.0) -> None:
         """Take the motion of a sample in contact, from which `surface` was taken off [1]."""
+        self._elapsed += step
+        compression -= self._surface
         self._motion.press(step, compression)
         jitter = self._jitter.press(step, compression + surface)
         jitter -= self._surface_jitter.press(step, surface)
@@ -214,6 +236,7 @@ class StressEstimator:
         """Take steps in the air."""
         self._motion.interrupt()
         self._interrupt_jitter()
+        self._elapsed += sum(steps)
         self._basis.rest(steps, free_responses)
 
     def skip(self) -> None:
@@ -229,6 +252,7 @@ class StressEstimator:
         FloatingPointError
             If the block's response is beyond floating-point numbers.
         """
+        block = block._replace(compression=block.compression - self._surface)
         elastic, noise, predictions = self._predict(block)
         best = predictions[self._bank.index(self._best)]
         innovation = Innovation(
@@ -338,7 +362,7 @@ class StressEstimator:
         """Return the responses of law, old memory and linear parameters but the walk."""
         if self._config.uncertainty.compliance_sd > 0.0:
             self._bend(block, state, slope * math.exp(state[_LOG_G]))
-        law, free, pulse, yielding, jittering = self._basis.take_block()
+        law, free, pulse, linearised = self._basis.take_block()
         self._step = self._law_step(BlockResponse(law, free))
         if self._contact_start is None:
             self._contact_start = block.memory_time
@@ -350,9 +374,9 @@ class StressEstimator:
         }
         linear |= self._rig.columns(
             block,
-            float(in_order @ yielding),
-            float(in_order @ jittering),
+            linearised @ in_order,
             self._step / math.exp(state[_LOG_G]),
+            math.exp(state[_LOG_G]),
         )
         return law, free, linear
 
@@ -432,6 +456,9 @@ class StressEstimator:
         covariance[:_ORDER, :_ORDER] += thickness**2
         # Symmetric to the last bit, which products of matrices are not.
         covariance = 0.5 * (covariance + covariance.T)
+        # The origin of this contact, where the surface has shifted since the first.
+        in_origin = np.zeros(mean.size)
+        in_origin[_ORIGIN], in_origin[_SHIFT] = 1.0, self._way
         beyond = self._probability_beyond_boundary(mean)
         deviations = np.sqrt(np.maximum(covariance.diagonal()[:_ORIGIN], 0.0))
         valid, at_edge = determined(config, deviations, beyond), self._at_edge()
@@ -441,8 +468,8 @@ class StressEstimator:
             log_nonlinear_stiffness=float(mean[_LOG_GN]),
             fractional_order=float(mean[_ORDER]),
             covariance=covariance[:_ORIGIN, :_ORIGIN],
-            strain_origin=float(mean[_ORIGIN]),
-            strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
+            strain_origin=float(mean @ in_origin) + self._surface,
+            strain_origin_sd=math.sqrt(max(float(in_origin @ covariance @ in_origin), 0.0)),
             probability_beyond_boundary=beyond,
             valid=valid,
             known=converged(config, deviations, valid) if is_solved else ParameterSet.NONE,
