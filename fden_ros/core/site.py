@@ -412,6 +412,7 @@ class Site:
         if self._estimator is not None and self.is_usable and self.estimate is not None:
             self._estimator.relinearise(fully=True)
             self.refresh()
+            self.doubt(Flag.NONE, self._estimator.motion_factor)
             off = self._estimator.rig_deviations / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)

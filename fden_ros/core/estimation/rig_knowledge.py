@@ -22,6 +22,7 @@ and nothing else is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.motion_scale import NO_EVIDENCE, Evidence, pooled, share_of
 
 #: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
 #: a running linearisation, and what they tell is off the same way in each contact.
@@ -58,11 +60,26 @@ class RigKnowledge:
     covariance : tuple of tuple of float
     contacts : int
         Contacts that have taught it.
+    motion : tuple of float
+        Logarithms of the evidence for shares of the stated motion of the surface.
     """
 
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
     contacts: int = 0
+    motion: Evidence = NO_EVIDENCE
+
+    @property
+    def motion_share(self) -> float:
+        """The share of the stated motion of the surface that counts [1]."""
+        return share_of(self.motion)
+
+    def motion_factor(self, evidence: Sequence[float]) -> float:
+        """Return the factor of the variances where a contact tells of more motion than is known.
+
+        The deviations of G, Gn and alpha grow with about the root of the motion's.
+        """
+        return max(share_of(pooled(self.motion, evidence)) / self.motion_share, 1.0)
 
     @classmethod
     def stated(cls, config: EstimatorConfig) -> RigKnowledge:
@@ -85,7 +102,13 @@ class RigKnowledge:
         per = _inverse(uncertainty)
         return np.array(self.mean) * per, np.array(self.covariance) * np.outer(per, per)
 
-    def taught(self, mean: Array, covariance: Array, config: EstimatorConfig) -> RigKnowledge:
+    def taught(
+        self,
+        mean: Array,
+        covariance: Array,
+        config: EstimatorConfig,
+        motion: Sequence[float] | None = None,
+    ) -> RigKnowledge:
         """Return what is known after a contact; where it contradicts this, what is stated.
 
         Parameters
@@ -93,6 +116,8 @@ class RigKnowledge:
         mean, covariance : ndarray, shape (2,), (2, 2)
             The contact's posterior, started from this knowledge, in the stated deviations.
         config : EstimatorConfig
+        motion : sequence of float, optional
+            The contact's evidence for shares of the stated motion of the surface.
         """
         uncertainty = config.uncertainty
         stated = RigKnowledge.stated(config)
@@ -112,6 +137,7 @@ class RigKnowledge:
             tuple(np.where(closed, stated.mean, mean * scale).tolist()),
             _rows(wider * np.outer(scale, scale)),
             self.contacts + 1,
+            pooled(self.motion, motion) if motion is not None else self.motion,
         )
 
 

@@ -122,6 +122,11 @@ class StressEstimator:
         path_noise: PathNoise = _NOISELESS,
         rig: RigKnowledge | None = None,
     ) -> None:
+        self._known_rig = rig = rig or RigKnowledge.stated(config)
+        self._stated_config = config
+        stated = config.uncertainty
+        motion = rig.motion_share * stated.surface_motion_sd
+        config = replace(config, uncertainty=replace(stated, surface_motion_sd=motion))
         prior = config.prior
         self._config = config
         self._geometry = geometry
@@ -140,8 +145,7 @@ class StressEstimator:
         self._in_origin = Lagrange(origins)
         self._in_order = order_interpolation()
         self._basis = StressBasis(geometry, grid.nodes, origins)
-        self._known_rig = rig or RigKnowledge.stated(config)
-        known = self._known_rig.scaled(config.uncertainty)
+        known = rig.scaled(stated)
         scales = _at_scales(config)
         self._bank = [
             StressPosterior(
@@ -166,7 +170,7 @@ class StressEstimator:
         self._way = config.uncertainty.surface_motion_sd / geometry.length
         self._surface = 0.0  # how far the surface has shifted by then, as compression [1]
         self._change = TissueChange()
-        self._law = LawWatch(geometry, prior, config.uncertainty, noise_sd, origin_sd)
+        self._law = LawWatch(geometry, prior, stated, noise_sd, origin_sd)
 
     @property
     def is_doubtful(self) -> bool:
@@ -489,6 +493,20 @@ class StressEstimator:
         return found
 
     @property
+    def motion_factor(self) -> float:
+        """By which the variances are larger where the surface moved more than was learned [1]."""
+        if self._known_rig.motion_share == 1.0:
+            return 1.0
+        evidence = self._motion_evidence()
+        return 1.0 if evidence is None else self._known_rig.motion_factor(evidence)
+
+    def _motion_evidence(self) -> list[float] | None:
+        """Return the evidence of the contact that has ended for shares of the stated motion."""
+        if self._is_exact or self._stated_config.uncertainty.surface_motion_sd == 0.0:
+            return None
+        return self._law.motion_evidence(self._best.state[: _ORIGIN + 1])
+
+    @property
     def rig_deviations(self) -> float:
         """How far a contact that went in and out says the rig is from what is stated [1]."""
         told = self._rig.has_reversed and self._best.is_solved
@@ -511,7 +529,12 @@ class StressEstimator:
         covariance = (self._weights[:, None] * centred).T @ centred
         for weight, (_, own) in zip(self._weights, moments, strict=True):
             covariance += weight * own
-        return self._known_rig.taught(mean, 0.5 * (covariance + covariance.T), self._config)
+        return self._known_rig.taught(
+            mean,
+            0.5 * (covariance + covariance.T),
+            self._stated_config,
+            self._motion_evidence(),
+        )
 
     @property
     def _likely(self) -> list[StressPosterior]:

@@ -179,9 +179,7 @@ class Synchronizer:
         noise = _noise_of(self._passed, self.displacement_guard.resolution)
         if self.frames is not None:
             noise += _noise_of(self.frames.passed)
-        return PathNoise(
-            noise, _noise_of(self._surfaces_passed, self.surface_guard.resolution)
-        )
+        return PathNoise(noise, _noise_of(self._surfaces_passed, self.surface_guard.resolution))
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
