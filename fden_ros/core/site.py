@@ -90,8 +90,8 @@ class Site:
         The history has been seen from the first touch, without a gap.
     estimate : Estimate or None
         The newest.
-    teaches_rig : bool
-        What is learned of the rig here may be used at other sites.
+    teaches_rig, teaches_motion : bool
+        What is learned here of the rig, and of the surface's motion, may be used at other sites.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Site:
         self.estimate: Estimate | None = None
         self._config = config
         self._rig = rig
-        self.teaches_rig = config.learns_rig
+        self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
         if config.strain_origin is not None:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
@@ -122,6 +122,8 @@ class Site:
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
         self._variance_factor = 1.0
+        #: Of the first contact, the only one that begins at rest.
+        self._motion_evidence: list[float] | None = None
 
     @property
     def has_failed(self) -> bool:
@@ -421,7 +423,13 @@ class Site:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         if self._estimator is None or not self.is_usable or self.is_doubtful:
             return None
-        return self._estimator.rig() if self.teaches_rig else None
+        known = self._estimator.rig() if self.teaches_rig else None
+        if not self.teaches_motion:
+            return known
+        self._motion_evidence = self._estimator.motion_evidence() or self._motion_evidence
+        if self._motion_evidence is None:
+            return known
+        return (known or self._rig).moved(self._motion_evidence)
 
     def fail(self) -> None:
         """Become unusable after an exception."""

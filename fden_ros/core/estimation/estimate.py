@@ -482,6 +482,9 @@ class Estimator(Protocol):
     def estimate(self) -> Estimate:
         """Return the present estimate."""
 
+    def motion_evidence(self) -> list[float] | None:
+        """Return the evidence of a contact for shares of the surface's stated motion, or None."""
+
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
 

@@ -171,6 +171,9 @@ class FractionalStressEstimator:
             )
         )
 
+    def motion_evidence(self) -> None:
+        """Return None: these filters do not know the surface's motion."""
+
     def rig(self) -> None:
         """Return None: these filters do not know the rig."""
 

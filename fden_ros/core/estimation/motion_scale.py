@@ -62,8 +62,6 @@ def share_of(evidence: Sequence[float]) -> float:
     """Return the share of the stated motion that counts [1]: the largest that is likely."""
     highest = max(evidence)
     likely = next(
-        scale
-        for scale, value in zip(SCALES, evidence, strict=True)
-        if value >= highest - _LIKELY
+        scale for scale, value in zip(SCALES, evidence, strict=True) if value >= highest - _LIKELY
     )
     return min(max(SMOOTH * likely, LEAST_SHARE), 1.0)

@@ -23,7 +23,7 @@ and nothing else is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,7 +61,8 @@ class RigKnowledge:
     contacts : int
         Contacts that have taught it.
     motion : tuple of float
-        Logarithms of the evidence for shares of the stated motion of the surface.
+        Logarithms of the evidence for shares of the stated motion of the surface, which is that of
+        a patient, and one for all contacts as well.
     """
 
     mean: tuple[float, ...]
@@ -102,13 +103,13 @@ class RigKnowledge:
         per = _inverse(uncertainty)
         return np.array(self.mean) * per, np.array(self.covariance) * np.outer(per, per)
 
-    def taught(
-        self,
-        mean: Array,
-        covariance: Array,
-        config: EstimatorConfig,
-        motion: Sequence[float] | None = None,
-    ) -> RigKnowledge:
+    def moved(self, evidence: Sequence[float] | None) -> RigKnowledge:
+        """Return what is known after a contact's evidence for shares of the stated motion."""
+        if evidence is None:
+            return self
+        return replace(self, motion=pooled(self.motion, evidence))
+
+    def taught(self, mean: Array, covariance: Array, config: EstimatorConfig) -> RigKnowledge:
         """Return what is known after a contact; where it contradicts this, what is stated.
 
         Parameters
@@ -116,8 +117,6 @@ class RigKnowledge:
         mean, covariance : ndarray, shape (2,), (2, 2)
             The contact's posterior, started from this knowledge, in the stated deviations.
         config : EstimatorConfig
-        motion : sequence of float, optional
-            The contact's evidence for shares of the stated motion of the surface.
         """
         uncertainty = config.uncertainty
         stated = RigKnowledge.stated(config)
@@ -137,7 +136,7 @@ class RigKnowledge:
             tuple(np.where(closed, stated.mean, mean * scale).tolist()),
             _rows(wider * np.outer(scale, scale)),
             self.contacts + 1,
-            pooled(self.motion, motion) if motion is not None else self.motion,
+            self.motion,
         )
 
 

@@ -497,11 +497,11 @@ class StressEstimator:
         """By which the variances are larger where the surface moved more than was learned [1]."""
         if self._known_rig.motion_share == 1.0:
             return 1.0
-        evidence = self._motion_evidence()
+        evidence = self.motion_evidence()
         return 1.0 if evidence is None else self._known_rig.motion_factor(evidence)
 
-    def _motion_evidence(self) -> list[float] | None:
-        """Return the evidence of the contact that has ended for shares of the stated motion."""
+    def motion_evidence(self) -> list[float] | None:
+        """Return the evidence for shares of the stated motion; None where it tells nothing."""
         if self._is_exact or self._stated_config.uncertainty.surface_motion_sd == 0.0:
             return None
         return self._law.motion_evidence(self._best.state[: _ORIGIN + 1])
@@ -529,12 +529,7 @@ class StressEstimator:
         covariance = (self._weights[:, None] * centred).T @ centred
         for weight, (_, own) in zip(self._weights, moments, strict=True):
             covariance += weight * own
-        return self._known_rig.taught(
-            mean,
-            0.5 * (covariance + covariance.T),
-            self._stated_config,
-            self._motion_evidence(),
-        )
+        return self._known_rig.taught(mean, 0.5 * (covariance + covariance.T), self._stated_config)
 
     @property
     def _likely(self) -> list[StressPosterior]:
