@@ -52,7 +52,7 @@ def responses(motion_m):
     found = []
     for k, mean in enumerate(motion_m.reshape(-1, SIZE).mean(axis=1) / GEOMETRY.length):
         block = Block(mean, 0.0, (k + 0.5) * SIZE * STEP, SIZE, SIZE * STEP, np.zeros(0))
-        found.append(rig.columns(block, 0.0, 0.0, 50.0))
+        found.append(rig.columns(block, np.zeros(3), 50.0, 1.0))
     return rig, found
 
 
@@ -70,7 +70,7 @@ def test_a_delay_answers_to_the_mean_of_the_steps_before_and_after_a_block():
     found = []
     for k, step in enumerate(steps):
         block = Block(0.01 * k, 0.0, 0.01 * k, SIZE, 0.01, np.zeros(0))
-        found.append(rig.columns(block, 0.0, 0.0, step)[StateIndex.DELAY])
+        found.append(rig.columns(block, np.zeros(3), step, 1.0)[StateIndex.DELAY])
         if k:
             found[k - 1] += rig.late_delay
     means = [5.0, 20.0, 30.0, -5.0]

@@ -63,6 +63,8 @@ class PipelineConfig:
         oscillation tells is put out. `dither_frequencies` then is the palpation's, empty: found.
     learns_rig : bool
         What a contact tells of the rig, the next site knows.
+    learns_motion : bool
+        The same of how far the surface moves.
     dither_periods : int
         Periods of the lowest frequency per complex modulus.
     """
@@ -81,6 +83,7 @@ class PipelineConfig:
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
     learns_rig: bool = False
+    learns_motion: bool = True
     is_continuous: bool = False
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
 

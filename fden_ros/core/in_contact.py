@@ -140,7 +140,7 @@ class InContact:
         if learns and not is_silent:
             # Only now: whoever waits for the last block's estimate has it already.
             site.work_ahead(self._steps, begins=self._sums.is_empty)
-        site.add(pair.stamp_ns, compression, stress, is_free=is_free, learns=learns)
+        site.add(pair, compression, stress, is_free=is_free, learns=learns)
         moduli: Iterable[Output] = ()
         if self._meter is not None:
             moduli = press.moduli(self._meter, pair.stamp_ns, compression, stress, is_free)

@@ -258,7 +258,7 @@ class Pipeline:
         self.rig = RigKnowledge.stated(self.config.estimator)
         if self._site is not None:
             # It began with what is forgotten now.
-            self._site.teaches_rig = False
+            self._site.teaches_rig = self._site.teaches_motion = False
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""
@@ -414,7 +414,7 @@ class Pipeline:
             self.config,
         )
         if not site.has_failed:
-            site.begin_contact(onset, self._synchronizer.motion_noise())
+            site.begin_contact(onset, self._synchronizer.path_noise())
             press.begin(site.change_count)
         self._emit_all(self._in_contact.begin(onset, press, site))
 

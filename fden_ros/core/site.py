@@ -42,7 +42,7 @@ from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
 from fden_ros.core.outputs import WITHHELD, Flag
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, lateral_distance
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, PathNoise, lateral_distance
 
 #: The orders of the integral from here on are those between which it is interpolated; before them
 #: stand the exact ones.
@@ -95,8 +95,8 @@ class Site:
         The newest.
     left : Position or None
         Where the probe was when the tissue was last on it.
-    teaches_rig : bool
-        What is learned of the rig here may be used at other sites.
+    teaches_rig, teaches_motion : bool
+        What is learned here of the rig, and of the surface's motion, may be used at other sites.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Site:
         self.estimate: Estimate | None = None
         self._config = config
         self._rig = rig
-        self.teaches_rig = config.learns_rig
+        self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
         if config.strain_origin is not None:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
@@ -128,6 +128,8 @@ class Site:
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
         self._variance_factor = 1.0
+        #: Of the first contact, the only one that begins at rest.
+        self._motion_evidence: list[float] | None = None
 
     @property
     def has_failed(self) -> bool:
@@ -237,16 +239,15 @@ class Site:
         compression = (pair.displacement - origin) / self._config.geometry.length
         return compression <= self._config.block_compression
 
-    def begin_contact(self, onset: Onset, motion_noise: float) -> None:
+    def begin_contact(self, onset: Onset, noise: PathNoise) -> None:
         """Let the tissue relax until a touch, and start the estimator.
 
-        `motion_noise` is the variance of the displacement's noise per sample times the time
-        between samples [m^2 s].
+        `noise` is that of displacement and surface.
         """
         scale = self._config.geometry.stress_per_force
         if self.is_usable and self._estimator is None:
             self._estimator = _new_estimator(
-                self._config, onset.noise_sd * scale, self.origin_sd, motion_noise, self._rig
+                self._config, onset.noise_sd * scale, self.origin_sd, noise, self._rig
             )
         self._rest_until(onset.samples[0].stamp_ns)
         self._integral.take_sum()
@@ -279,19 +280,26 @@ class Site:
         return (displacement - self.origin) / self._config.geometry.length
 
     def add(
-        self, stamp_ns: int, compression: float, stress: float, *, is_free: bool, learns: bool
+        self,
+        pair: Pair,
+        compression: float,
+        stress: float,
+        *,
+        is_free: bool,
+        learns: bool,
     ) -> None:
         """Take a sample of a contact; `is_free`: the tissue is not on the probe.
 
         `learns`: the estimator takes it too, not only the memory.
         """
+        stamp_ns = pair.stamp_ns
         step = self.seconds_to(stamp_ns)
         estimator = self._estimator if learns and self.is_usable else None
         if not is_free:
             if step > 0.0:
                 self._integral.add(step, stress)
             if estimator is not None:
-                estimator.press(step, compression)
+                estimator.press(step, compression, pair.surface / self._config.geometry.length)
         elif step > 0.0:
             free = self._integral.advance(step, 0.0)
             if estimator is not None:
@@ -427,6 +435,7 @@ class Site:
         if self._estimator is not None and self.is_usable and self.estimate is not None:
             self._estimator.relinearise(fully=True)
             self.refresh()
+            self.doubt(Flag.NONE, self._estimator.motion_factor)
             off = self._estimator.rig_deviations / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
@@ -435,7 +444,13 @@ class Site:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         if self._estimator is None or not self.is_usable or self.is_doubtful:
             return None
-        return self._estimator.rig() if self.teaches_rig else None
+        known = self._estimator.rig() if self.teaches_rig else None
+        if not self.teaches_motion:
+            return known
+        self._motion_evidence = self._estimator.motion_evidence() or self._motion_evidence
+        if self._motion_evidence is None:
+            return known
+        return (known or self._rig).moved(self._motion_evidence)
 
     def fail(self) -> None:
         """Become unusable after an exception."""
@@ -447,7 +462,7 @@ class Site:
 def prepare(config: PipelineConfig) -> None:
     """Compute the kernels' weights, which takes a moment: not only at the first touch."""
     FractionalIntegral(_orders(config))
-    _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
+    _new_estimator(config, 1.0, 1.0, PathNoise(), RigKnowledge.stated(config.estimator))
 
 
 def _orders(config: PipelineConfig) -> tuple[float, ...]:
@@ -458,7 +473,7 @@ def _new_estimator(
     config: PipelineConfig,
     noise_sd: float,
     origin_sd: float,
-    motion_noise: float,
+    noise: PathNoise,
     rig: RigKnowledge,
 ) -> Estimator:
     geometry = config.geometry
@@ -468,7 +483,7 @@ def _new_estimator(
             geometry,
             noise_sd,
             origin_sd,
-            motion_noise / geometry.length**2,
+            noise.scaled(geometry.length),
             rig,
         )
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)

@@ -70,6 +70,8 @@ def learned_parameters(rig: RigKnowledge, parameters: Parameters) -> dict[str, f
         before = 0.0 if what == "friction" else _number(now[mean_name])
         learned[mean_name] = before + value.mean
         learned[sd_name] = value.sd
+    if rig.motion_share < 1.0:
+        learned["surface.motion_sd"] = rig.motion_share * _number(now["surface.motion_sd"])
     return learned
 
 

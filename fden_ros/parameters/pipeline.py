@@ -141,6 +141,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         dither_frequencies=frequencies,
         dither_periods=parameters.dither.periods,
         learns_rig=parameters.rig.learn,
+        learns_motion=parameters.surface.learn_motion,
         is_continuous=parameters.contact.mode == "continuous",
         plausibility=PlausibilityConfig(
             most_force=parameters.plausible.force,

@@ -247,6 +247,11 @@ class SurfaceParameters:
         0.0,
         0.1,
     )
+    learn_motion: bool = flag(
+        True,
+        "Where contact after contact shows less motion, the next site begins with less: a quarter "
+        "of `surface.motion_sd` at least.",
+    )
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,9 @@ class StateIndex(enum.IntEnum):
     DELAY = 8  #: between the streams, in its standard deviations [1]
     FRICTION = 9  #: against the motion, in its standard deviations [1]
     JITTER = 10  #: share by which noise of a resting displacement counts too much or little [1]
-    WALK = 11  #: stress left out by law and rig at the last knot, in the walk's unit [1]
-    WALK_NEXT = 12  #: at the next knot [1]
+    SHIFT = 11  #: of the surface since the last contact, in its standard deviations [1]
+    WALK = 12  #: stress left out by law and rig at the last knot, in the walk's unit [1]
+    WALK_NEXT = 13  #: at the next knot [1]
 
 
 class ParameterSet(enum.IntFlag):
@@ -456,11 +457,18 @@ class Estimator(Protocol):
     def rig_deviations(self) -> float:
         """How far a contact that went in and out says the rig is from what is stated [1]."""
 
+    @property
+    def motion_factor(self) -> float:
+        """By which the variances are larger where the surface moved more than was learned [1]."""
+
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
 
-    def press(self, step: float, compression: float) -> None:
-        """Take the motion of a sample in contact, `step` seconds after the last."""
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
+        """Take the motion of a sample in contact, `step` seconds after the last.
+
+        `surface` is what its measured place has taken off the compression [1].
+        """
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""
@@ -473,6 +481,9 @@ class Estimator(Protocol):
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
+
+    def motion_evidence(self) -> list[float] | None:
+        """Return the evidence of a contact for shares of the surface's stated motion, or None."""
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""

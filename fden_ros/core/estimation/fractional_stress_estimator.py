@@ -129,6 +129,7 @@ class FractionalStressEstimator:
     is_doubtful = False
     change_count = 0
     rig_deviations = 0.0
+    motion_factor = 1.0
 
     def __init__(
         self,
@@ -145,7 +146,7 @@ class FractionalStressEstimator:
         """Start a contact; the drift is left out."""
         self._filter.begin_contact(bias_sd)
 
-    def press(self, step: float, compression: float) -> None:
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
         """Take a sample in contact."""
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
@@ -172,6 +173,9 @@ class FractionalStressEstimator:
                 size=block.size,
             )
         )
+
+    def motion_evidence(self) -> None:
+        """Return None: these filters do not know the surface's motion."""
 
     def rig(self) -> None:
         """Return None: these filters do not know the rig."""

@@ -37,8 +37,8 @@ Kennedy and O'Hagan, J. R. Statist. Soc. B 63 (2001) 425. MacKay, Neural Computa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,8 @@ _CLOSE = 0.01
 #: presses of beef are a mismatch.
 _LEAST_ORIGIN_SD = 0.003
 _LONGEST_STEP = 0.5
+#: Gauss-Newton steps for the evidence of a scale [1].
+_EVIDENCE_STEPS = 4
 _DIFFERENCE = 1e-4
 #: Points below which nothing is fitted [1], and the shortest time of the kernel as a share of the
 #: contact's duration [1].
@@ -222,9 +224,9 @@ class LawFit:
         self._log_evidence = self._curve_evidence = 0.0
         peak = float(np.max(np.abs(stresses)))
         rough = np.hypot(_ROUGHNESS * peak, _STEP_ROUGHNESS * np.diff(stresses))
-        noise = np.diag(noise_sd**2 * shares[1:] + rough**2)
-        noise += self._rig_covariance(uncertainty)
-        self._noise = np.linalg.cholesky(noise)
+        self._white = noise_sd**2 * shares[1:] + rough**2
+        self._uncertainty = uncertainty
+        self._take_rig(uncertainty)
 
     def steps(self) -> Iterator[None]:
         """Fit, one Gauss-Newton step at a time.
@@ -250,6 +252,40 @@ class LawFit:
         yield from self._solve()
         self._curve_evidence = bent - self._log_evidence
         self._state, self._covariance = state, covariance
+
+    def motion_evidence(self, scales: Sequence[float]) -> list[float]:
+        """Return the logarithm of the evidence for scales of the surface's motion.
+
+        By Laplace's approximation at the maximum for each, without any deviation from the law: to
+        be called before the first step, at the start.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the normal equations are singular.
+        """
+        state, found = self._state.copy(), []
+        precision, mean = self._precision[_LAW, _LAW], self._mean[_LAW]
+        for scale in scales:
+            motion = scale * self._uncertainty.surface_motion_sd
+            self._take_rig(replace(self._uncertainty, surface_motion_sd=motion))
+            for _ in range(_EVIDENCE_STEPS):
+                residual, jacobian = self._respond(state)
+                law, off = jacobian[:, _LAW], state[_LAW] - mean
+                factor = cho_factor(law.T @ law + precision)
+                found_at = residual @ residual + off @ precision @ off
+                step = cho_solve(factor, law.T @ residual - precision @ off)
+                state[_LAW] += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+                state[_ORDER] = min(max(state[_ORDER], LOWEST_ORDER), HIGHEST_ORDER)
+            determinants = np.log(self._noise.diagonal()), np.log(factor[0].diagonal())
+            found.append(float(-0.5 * found_at - sum(np.sum(d) for d in determinants)))
+        self._take_rig(self._uncertainty)
+        return found
+
+    def _take_rig(self, uncertainty: Uncertainty) -> None:
+        """Let the rig leave out what an uncertainty says."""
+        noise = np.diag(self._white) + self._rig_covariance(uncertainty)
+        self._noise = np.linalg.cholesky(noise)
 
     def result(self) -> LawDeviation:
         """Return the deviations after the last step."""

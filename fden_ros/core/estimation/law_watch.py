@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from fden_ros.core.estimation.contact_record import ContactRecord
 from fden_ros.core.estimation.estimate import Block, Prior, Uncertainty
 from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit, is_enough
+from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.law.geometry import Geometry
 
 Array = NDArray[np.float64]
@@ -142,10 +143,27 @@ class LawWatch:
             self._advance()
         self._publish()
 
+    def motion_evidence(self, state: Array) -> list[float] | None:
+        """Return the evidence for scales of the surface's motion; None where there is none.
+
+        `state`: ln G, ln Gn, alpha, origin.
+        """
+        if self._is_over or not is_enough(self._record):
+            return None
+        try:
+            evidence = self._new_fit(state).motion_evidence(SCALES)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+        return evidence if np.all(np.isfinite(evidence)) else None
+
     def _begin(self, state: Array) -> None:
         if not is_enough(self._record):
             return
-        self._fit = LawFit(
+        self._fit = self._new_fit(state)
+        self._steps = self._fit.steps()
+
+    def _new_fit(self, state: Array) -> LawFit:
+        return LawFit(
             self._record,
             self._noise_sd,
             self._geometry,
@@ -154,7 +172,6 @@ class LawWatch:
             state,
             self._origin_sd,
         )
-        self._steps = self._fit.steps()
 
     def _advance(self) -> None:
         """Do some steps of the fit under way; one that fails says nothing."""

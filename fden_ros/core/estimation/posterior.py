@@ -67,7 +67,7 @@ _BIAS, _DRIFT, _PULSE = StateIndex.BIAS, StateIndex.DRIFT, StateIndex.PULSE
 _RIG = (StateIndex.COMPLIANCE, StateIndex.DELAY, StateIndex.FRICTION)
 #: Of the rig, what is carried from site to site.
 _CARRIED = _RIG[1:]
-_JITTER = StateIndex.JITTER
+_JITTER, _SHIFT = StateIndex.JITTER, StateIndex.SHIFT
 _WALK = (StateIndex.WALK, StateIndex.WALK_NEXT)
 #: Parameters that enter the stress linearly, in the order of the state, and those of them whose
 #: columns are at G = 1.
@@ -211,10 +211,14 @@ class StressPosterior:
 
     # Blocks
 
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
-        """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
+    def begin_contact(self, bias_sd: float, drift_sd: float, shift_sd: float) -> None:
+        """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress.
+
+        The surface has shifted by `shift_sd` of its ways in a second since the last contact [1].
+        """
         self._walk.take_out()
-        for index, deviation in ((_BIAS, bias_sd), (_DRIFT, drift_sd), (_PULSE, 0.0)):
+        own = ((_BIAS, bias_sd), (_DRIFT, drift_sd), (_PULSE, 0.0), (_SHIFT, shift_sd))
+        for index, deviation in own:
             known = float(self._prior.deviations[index])
             if known > 0.0:
                 self._equations.marginalise(index, known**-2)

@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
 from fden_ros.core.law.geometry import Geometry
 
@@ -92,21 +93,22 @@ class RigResponse:
     def columns(
         self,
         block: Block,
-        yielding: float,
-        jittering: float,
+        linearised: Array,
         step: float,
+        scale: float,
     ) -> dict[StateIndex, float]:
-        """Return the columns for a block [Pa]; those of compliance and delay at G = 1.
+        """Return the columns for a block [Pa]; those of compliance, delay and jitter at G = 1.
 
         Parameters
         ----------
         block : Block
-        yielding : float
-            D^alpha of dphi/dx times the force, at G = 1 [N].
-        jittering : float
-            D^alpha of dphi/dx times the noise of the motion, at G = 1 [1].
+        linearised : ndarray, shape (3,)
+            D^alpha of dphi/dx at G = 1 times the force [N], times the noise of the motion [1], and
+            times 1 in this contact [1].
         step : float
             Of the law's stress from the last block to this one, at G = 1 [1].
+        scale : float
+            G [Pa s^alpha].
         """
         uncertainty, geometry = self._uncertainty, self._geometry
         rate = self._rate(block)
@@ -124,9 +126,10 @@ class RigResponse:
         self._delayed = delayed
         self._recent.append((block.compression, block.memory_time))
         by_compression = geometry.strain_slope(block.compression)
-        bending = yielding * by_compression
+        bending, jittering, shifting = (linearised * by_compression).tolist()
         return {
-            StateIndex.JITTER: jittering * by_compression,
+            StateIndex.JITTER: jittering,
+            StateIndex.SHIFT: -scale * uncertainty.surface_motion_sd * shifting / geometry.length,
             StateIndex.COMPLIANCE: -uncertainty.compliance_sd * bending / geometry.length,
             StateIndex.DELAY: delayed,
             StateIndex.FRICTION: friction * direction,

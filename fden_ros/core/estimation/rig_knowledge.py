@@ -22,13 +22,15 @@ and nothing else is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.motion_scale import NO_EVIDENCE, Evidence, pooled, share_of
 
 #: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
 #: a running linearisation, and what they tell is off the same way in each contact.
@@ -58,11 +60,27 @@ class RigKnowledge:
     covariance : tuple of tuple of float
     contacts : int
         Contacts that have taught it.
+    motion : tuple of float
+        Logarithms of the evidence for shares of the stated motion of the surface, which is that of
+        a patient, and one for all contacts as well.
     """
 
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
     contacts: int = 0
+    motion: Evidence = NO_EVIDENCE
+
+    @property
+    def motion_share(self) -> float:
+        """The share of the stated motion of the surface that counts [1]."""
+        return share_of(self.motion)
+
+    def motion_factor(self, evidence: Sequence[float]) -> float:
+        """Return the factor of the variances where a contact tells of more motion than is known.
+
+        The deviations of G, Gn and alpha grow with about the root of the motion's.
+        """
+        return max(share_of(pooled(self.motion, evidence)) / self.motion_share, 1.0)
 
     @classmethod
     def stated(cls, config: EstimatorConfig) -> RigKnowledge:
@@ -84,6 +102,12 @@ class RigKnowledge:
         """Return mean (2,) and covariance (2, 2) in the stated deviations; 0 where that is 0."""
         per = _inverse(uncertainty)
         return np.array(self.mean) * per, np.array(self.covariance) * np.outer(per, per)
+
+    def moved(self, evidence: Sequence[float] | None) -> RigKnowledge:
+        """Return what is known after a contact's evidence for shares of the stated motion."""
+        if evidence is None:
+            return self
+        return replace(self, motion=pooled(self.motion, evidence))
 
     def taught(self, mean: Array, covariance: Array, config: EstimatorConfig) -> RigKnowledge:
         """Return what is known after a contact; where it contradicts this, what is stated.
@@ -112,6 +136,7 @@ class RigKnowledge:
             tuple(np.where(closed, stated.mean, mean * scale).tolist()),
             _rows(wider * np.outer(scale, scale)),
             self.contacts + 1,
+            self.motion,
         )
 
 

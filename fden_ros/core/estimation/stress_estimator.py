@@ -67,11 +67,13 @@ from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import Lagrange, LogStiffnessGrid
 from fden_ros.core.law.kernel import order_interpolation
 from fden_ros.core.law.stress_response import StressBasis
+from fden_ros.core.streams.samples import PathNoise
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
 _LOG_GN = StateIndex.LOG_NONLINEAR_STIFFNESS
 _ORDER = StateIndex.FRACTIONAL_ORDER
 _ORIGIN = StateIndex.STRAIN_ORIGIN
+_SHIFT = StateIndex.SHIFT
 
 #: Half the range of the nodes of ln Gn: in prior standard deviations [1], and at most [1]. Beyond
 #: four deviations lie 6e-5 of the prior; a factor of e^2 either way holds all tissue.
@@ -91,6 +93,9 @@ _RARELY, _RARELY_SHARE = 40, 0.5
 #: Share of the prior's deviation of ln G [1] below which the data have said something, and
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
 _KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
+_NOISELESS = PathNoise()
+#: Time for which the surface goes on moving away from where it was [s]: one breath.
+_LONGEST_SHIFT = 4.0
 
 
 class StressEstimator:
@@ -104,8 +109,8 @@ class StressEstimator:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
-    motion_noise : float
-        Variance of the compression's noise per sample times the time between samples [s].
+    path_noise : PathNoise
+        Of the compression [s].
     rig : RigKnowledge, optional
         What earlier contacts have told; without it what the configuration states.
     """
@@ -116,15 +121,23 @@ class StressEstimator:
         geometry: Geometry,
         noise_sd: float,
         origin_sd: float = 0.0,
-        motion_noise: float = 0.0,
+        path_noise: PathNoise = _NOISELESS,
         rig: RigKnowledge | None = None,
     ) -> None:
+        self._known_rig = rig = rig or RigKnowledge.stated(config)
+        self._stated_config = config
+        stated = config.uncertainty
+        motion = rig.motion_share * stated.surface_motion_sd
+        config = replace(config, uncertainty=replace(stated, surface_motion_sd=motion))
         prior = config.prior
         self._config = config
         self._geometry = geometry
         self._noise_variance = noise_sd**2
-        self._motion = MotionNoise(motion_noise)
-        self._jitter = MotionJitter(motion_noise)
+        self._motion = MotionNoise(path_noise.total)
+        self._jitter = MotionJitter(path_noise.displacement)
+        # The surface moves slower than the probe, and its noise is told apart by itself: where the
+        # probe turns, a line through both would take the turn for noise.
+        self._surface_jitter = MotionJitter(path_noise.surface)
         grid = self._grid = LogStiffnessGrid(
             math.log(prior.nonlinear_stiffness),
             min(_GRID_DEVIATIONS * prior.nonlinear_stiffness_log_sd, _WIDEST_GRID),
@@ -134,8 +147,7 @@ class StressEstimator:
         self._in_origin = Lagrange(origins)
         self._in_order = order_interpolation()
         self._basis = StressBasis(geometry, grid.nodes, origins)
-        self._known_rig = rig or RigKnowledge.stated(config)
-        known = self._known_rig.scaled(config.uncertainty)
+        known = rig.scaled(stated)
         scales = _at_scales(config)
         self._bank = [
             StressPosterior(
@@ -148,15 +160,19 @@ class StressEstimator:
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
-        self._rig = RigResponse(config.uncertainty, geometry, motion_noise)
+        self._rig = RigResponse(config.uncertainty, geometry, path_noise.total)
         self._last_response: BlockResponse | None = None
         self._step = 0.0  # of the law's stress up to the newest block [Pa]
         self._has_newest = False  # the last block of this contact was taken
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
+        self._elapsed = 0.0  # since the last contact began [s]
+        # The surface's way in a second, as compression [1].
+        self._way = config.uncertainty.surface_motion_sd / geometry.length
+        self._surface = 0.0  # how far the surface has shifted by then, as compression [1]
         self._change = TissueChange()
-        self._law = LawWatch(geometry, prior, config.uncertainty, noise_sd, origin_sd)
+        self._law = LawWatch(geometry, prior, stated, noise_sd, origin_sd)
         #: What is left to do between two blocks, and whether it has begun.
         self._work: Iterator[None] = iter(())
         self._is_at_work = False
@@ -188,7 +204,7 @@ class StressEstimator:
         """Start a contact with its own bias [Pa] and drift [Pa/s] of the stress."""
         self._finish_work()
         self._motion.interrupt()
-        self._jitter.interrupt()
+        self._interrupt_jitter()
         self._change.begin_contact()
         self._law.begin_contact()
         self._age.interrupt()
@@ -196,19 +212,41 @@ class StressEstimator:
         self._last_response = None
         self._has_newest = False
         self._contact_start = None
+        shift_sd = self._follow_surface()
         for posterior in self._bank:
-            posterior.begin_contact(bias_sd, drift_sd)
-        self._basis.discard_block()
+            posterior.begin_contact(bias_sd, drift_sd, shift_sd)
+        self._basis.begin_contact()
 
-    def press(self, step: float, compression: float) -> None:
-        """Take the motion of a sample in contact."""
+    def _follow_surface(self) -> float:
+        """Begin where the surface was in the last contact; return how far it may have moved since.
+
+        In its way in a second; so the shift that is left is small, and its column linear.
+        """
+        if self._way == 0.0:
+            return 0.0
+        self._surface += self._way * float(self._best.state[_SHIFT])
+        elapsed, self._elapsed = self._elapsed, 0.0
+        known = float(self._best.covariance[_SHIFT, _SHIFT])
+        return math.sqrt(min(elapsed, _LONGEST_SHIFT) + known)
+
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
+        """Take the motion of a sample in contact, from which `surface` was taken off [1]."""
+        self._elapsed += step
+        compression -= self._surface
         self._motion.press(step, compression)
-        self._basis.press(step, compression, self._jitter.press(step, compression))
+        jitter = self._jitter.press(step, compression + surface)
+        jitter -= self._surface_jitter.press(step, surface)
+        self._basis.press(step, compression, jitter)
+
+    def _interrupt_jitter(self) -> None:
+        self._jitter.interrupt()
+        self._surface_jitter.interrupt()
 
     def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
         """Take steps in the air."""
         self._motion.interrupt()
-        self._jitter.interrupt()
+        self._interrupt_jitter()
+        self._elapsed += sum(steps)
         self._basis.rest(steps, free_responses)
 
     def skip(self) -> None:
@@ -226,6 +264,7 @@ class StressEstimator:
             If the block's response is beyond floating-point numbers.
         """
         self._finish_work()
+        block = block._replace(compression=block.compression - self._surface)
         elastic, noise, predictions = self._predict(block)
         best = predictions[self._bank.index(self._best)]
         innovation = Innovation(
@@ -335,7 +374,7 @@ class StressEstimator:
         """Return the responses of law, old memory and linear parameters but the walk."""
         if self._config.uncertainty.compliance_sd > 0.0:
             self._bend(block, state, slope * math.exp(state[_LOG_G]))
-        law, free, pulse, yielding, jittering = self._basis.take_block()
+        law, free, pulse, linearised = self._basis.take_block()
         self._step = self._law_step(BlockResponse(law, free))
         if self._contact_start is None:
             self._contact_start = block.memory_time
@@ -347,9 +386,9 @@ class StressEstimator:
         }
         linear |= self._rig.columns(
             block,
-            float(in_order @ yielding),
-            float(in_order @ jittering),
+            linearised @ in_order,
             self._step / math.exp(state[_LOG_G]),
+            math.exp(state[_LOG_G]),
         )
         return law, free, linear
 
@@ -456,6 +495,9 @@ class StressEstimator:
         covariance[:_ORDER, :_ORDER] += thickness**2
         # Symmetric to the last bit, which products of matrices are not.
         covariance = 0.5 * (covariance + covariance.T)
+        # The origin of this contact, where the surface has shifted since the first.
+        in_origin = np.zeros(mean.size)
+        in_origin[_ORIGIN], in_origin[_SHIFT] = 1.0, self._way
         beyond = self._probability_beyond_boundary(mean)
         deviations = np.sqrt(np.maximum(covariance.diagonal()[:_ORIGIN], 0.0))
         valid, at_edge = determined(config, deviations, beyond), self._at_edge()
@@ -465,8 +507,8 @@ class StressEstimator:
             log_nonlinear_stiffness=float(mean[_LOG_GN]),
             fractional_order=float(mean[_ORDER]),
             covariance=covariance[:_ORIGIN, :_ORIGIN],
-            strain_origin=float(mean[_ORIGIN]),
-            strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
+            strain_origin=float(mean @ in_origin) + self._surface,
+            strain_origin_sd=math.sqrt(max(float(in_origin @ covariance @ in_origin), 0.0)),
             probability_beyond_boundary=beyond,
             valid=valid,
             known=converged(config, deviations, valid) if is_solved else ParameterSet.NONE,
@@ -484,6 +526,20 @@ class StressEstimator:
             if weight >= EDGE_SHARE:
                 found |= posterior.at_edge()
         return found
+
+    @property
+    def motion_factor(self) -> float:
+        """By which the variances are larger where the surface moved more than was learned [1]."""
+        if self._known_rig.motion_share == 1.0:
+            return 1.0
+        evidence = self.motion_evidence()
+        return 1.0 if evidence is None else self._known_rig.motion_factor(evidence)
+
+    def motion_evidence(self) -> list[float] | None:
+        """Return the evidence for shares of the stated motion; None where it tells nothing."""
+        if self._is_exact or self._stated_config.uncertainty.surface_motion_sd == 0.0:
+            return None
+        return self._law.motion_evidence(self._best.state[: _ORIGIN + 1])
 
     @property
     def rig_deviations(self) -> float:
@@ -508,7 +564,7 @@ class StressEstimator:
         covariance = (self._weights[:, None] * centred).T @ centred
         for weight, (_, own) in zip(self._weights, moments, strict=True):
             covariance += weight * own
-        return self._known_rig.taught(mean, 0.5 * (covariance + covariance.T), self._config)
+        return self._known_rig.taught(mean, 0.5 * (covariance + covariance.T), self._stated_config)
 
     @property
     def _likely(self) -> list[StressPosterior]:

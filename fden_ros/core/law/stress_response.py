@@ -84,14 +84,16 @@ class StressBasis:
         # pulse of phi in the past.
         self._free = slice(self._signal_count, self._signal_count + self._orders.size)
         # Last, at the running linearisation, phi' times the force, which a compliance multiplies,
-        # and phi' times the noise of the motion.
+        # phi' times the noise of the motion, and phi' in this contact, which a shift of the
+        # surface multiplies.
         self._pulse, self._yielding = self._free.stop, self._free.stop + 1
         self._jittering = self._yielding + 1
-        self._linearised = slice(self._yielding, self._jittering + 1)
+        self._shifting = self._jittering + 1
+        self._linearised = slice(self._yielding, self._shifting + 1)
         self._running_gn = float(np.exp(np.mean(log_gn_nodes)))
         self._running_origin = np.full(origin_nodes.size, 1.0 / origin_nodes.size)
-        self._force = self._last_force = self._last_jitter = 0.0
-        columns = self._jittering + 1
+        self._force = self._last_force = self._last_jitter = self._last_shift = 0.0
+        columns = self._shifting + 1
         self._memory = np.zeros((self._rates.size, columns))
         #: Of the responses at every sample of the block.
         self._sum = np.zeros((self._orders.size, columns))
@@ -158,14 +160,15 @@ class StressBasis:
         signals[0] = self._last
         signals[1:, : self._signal_count] = self._law(strains[1:])
         change = signals[1:] - signals[:-1]
-        moved = np.empty((len(steps) + 1, 2))
+        moved = np.ones((len(steps) + 1, 3))
         moved[:, 0] = np.linspace(self._last_force, self._force, len(steps) + 1)
         moved[0, 1], moved[1:, 1] = self._last_jitter, jitters
+        moved[0, 2] = self._last_shift
         moved *= self._slopes(strains)[:, None]
         change[:, self._linearised] = moved[1:] - moved[:-1]
         kept = self._last[self._linearised] + moved[-1] - moved[0]
         self._last, self._last_force = signals[-1], self._force
-        self._last_jitter = jitters[-1]
+        self._last_jitter, self._last_shift = jitters[-1], 1.0
         self._last[self._linearised] = kept
         if (steps, counts) != self._prepared_steps:
             self._prepare(steps, counts)
@@ -233,7 +236,13 @@ class StressBasis:
         decays = Decays(steps, (1.0,) * len(steps))
         self._memory *= decays.whole[:, None]
         self._memory += (decays.mean * decays.to_end) @ change
-        self._last, self._last_force, self._last_jitter = signals[-1], 0.0, 0.0
+        self._last = signals[-1]
+        self._last_force = self._last_jitter = self._last_shift = 0.0
+
+    def begin_contact(self) -> None:
+        """Forget the block so far, and the response to a shift of the surface before."""
+        self.discard_block()
+        self._memory[:, self._shifting] = 0.0
 
     def freeze(self, first: int, law: Array, pulse_duration: float) -> None:
         """Let all motion so far be remembered as that of a tissue now left behind.
@@ -261,7 +270,7 @@ class StressBasis:
             self._memory[:, columns] = 0.0
             self._last[columns] = 0.0
 
-    def take_block(self) -> tuple[Array, Array, Array, Array, Array]:
+    def take_block(self) -> tuple[Array, Array, Array, Array]:
         """Return the mean responses since the last call.
 
         Returns
@@ -272,10 +281,9 @@ class StressBasis:
             D^alpha of what phi was in the air before.
         pulse : ndarray, shape (orders,)
             D^alpha of the pulse.
-        yielding : ndarray, shape (orders,)
-            D^alpha of dphi/dx times the force, at G = 1 [N].
-        jittering : ndarray, shape (orders,)
-            D^alpha of dphi/dx times the noise of the motion, at G = 1 [1].
+        linearised : ndarray, shape (3, orders)
+            D^alpha of dphi/dx at G = 1 times the force [N], times the noise of the motion [1], and
+            times 1 in this contact [1].
         """
         self._catch_up()
         total = self._sum / max(self._count, 1)
@@ -283,8 +291,7 @@ class StressBasis:
         self._count = 0
         law = total[:, : self._signal_count].T.reshape(self._shape[0], -1)
         free = np.diagonal(total[:, self._free]).copy()
-        yielding, jittering = total[:, self._linearised].T.copy()
-        return law, free, total[:, self._pulse].copy(), yielding, jittering
+        return law, free, total[:, self._pulse].copy(), total[:, self._linearised].T.copy()
 
     def held(self, times: Array) -> tuple[Array, Array]:
         """Return the responses while the motion stands still from the last sample on.

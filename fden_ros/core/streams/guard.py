@@ -134,6 +134,11 @@ class StreamGuard:
         return self._values.is_stuck
 
     @property
+    def resolution(self) -> float:
+        """The step in which the values come; 0: continuous, not known, or not the values count."""
+        return 0.0 if self._is_vector else self._values.resolution
+
+    @property
     def accepted(self) -> int:
         """How many steps between stamps were accepted."""
         return self._usual.count
@@ -284,6 +289,11 @@ class ValueGuard:
         self._run = 1
         self._longest_run = 1
         self._resolution = Resolution()
+
+    @property
+    def resolution(self) -> float:
+        """The step in which the values come; 0: continuous, or not known."""
+        return self._resolution.step
 
     @property
     def is_stuck(self) -> bool:

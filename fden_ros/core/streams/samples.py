@@ -71,6 +71,23 @@ class Pair(NamedTuple):
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
     tilt: float = 0.0  #: of its axis against the surface's normal, where both are known [rad]
+    surface: float = 0.0  #: place of the surface that was taken off the displacement [m]
+
+
+class PathNoise(NamedTuple):
+    """Variance of a motion's noise per sample times the time between samples."""
+
+    displacement: float = 0.0  #: [m^2 s]
+    surface: float = 0.0  #: of what is taken off it: the surface's place [m^2 s]
+
+    @property
+    def total(self) -> float:
+        """That of the difference."""
+        return self.displacement + self.surface
+
+    def scaled(self, length: float) -> PathNoise:
+        """Return it of compressions of a `length` [m]: [s]."""
+        return PathNoise(self.displacement / length**2, self.surface / length**2)
 
 
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:

@@ -30,12 +30,23 @@ from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, betw
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
+from fden_ros.core.streams.samples import (
+    NANOSECONDS,
+    Pair,
+    PathNoise,
+    Position,
+    Reason,
+    Sample,
+)
 from fden_ros.core.streams.tool_path import ToolPath, ToolPathConfig
 
 #: The median of the magnitude of a normal variable, by which noise is measured, in standard
 #: deviations.
 _MEDIAN_OF_NORMAL = 0.6745
+#: Variance of what is rounded off, in squares of a step [1]: four times that of a single value,
+#: since it stays over several samples while the probe moves (six in a press at 4 mm/s by an
+#: encoder of 50 um at 500 Hz).
+_ROUNDING_VARIANCE = 4.0 / 12.0
 
 
 @dataclass(frozen=True)
@@ -159,14 +170,16 @@ class Synchronizer:
         in_frames = self.frames.waiting if self.frames is not None else 0
         return self._displacements.waiting + self._surfaces.waiting + in_frames
 
-    def motion_noise(self) -> float:
-        """Variance of the displacement's noise per sample times the time between samples [m^2 s].
+    def path_noise(self) -> PathNoise:
+        """Return the noise of displacement and surface.
 
-        From the distances of the last 256 samples from the lines between their neighbours; 0 while
-        there are fewer than 32. Those of the surface and of transforms add to it.
+        From the distances of the last 256 samples from the lines between their neighbours, or from
+        the steps in which they come; 0 while there are fewer than 32. Transforms add theirs.
         """
-        noise = _noise_of(self._passed) + _noise_of(self._surfaces_passed)
-        return noise + _noise_of(self.frames.passed) if self.frames is not None else noise
+        noise = _noise_of(self._passed, self.displacement_guard.resolution)
+        if self.frames is not None:
+            noise += _noise_of(self.frames.passed)
+        return PathNoise(noise, _noise_of(self._surfaces_passed, self.surface_guard.resolution))
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -246,10 +259,11 @@ class Synchronizer:
             self._on_pair(pair)
 
     def _on_surface(self, _: Sample, pair: Pair, around: Around) -> None:
-        self._on_pair(pair._replace(displacement=pair.displacement - around.value))
+        place = around.value
+        self._on_pair(pair._replace(displacement=pair.displacement - place, surface=place))
 
 
-def _noise_of(samples: deque[Sample]) -> float:
+def _noise_of(samples: deque[Sample], resolution: float = 0.0) -> float:
     if len(samples) < NOISE_SAMPLES // 8:
         return 0.0
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
@@ -259,4 +273,5 @@ def _noise_of(samples: deque[Sample]) -> float:
     apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
     scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
     deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
-    return deviation**2 * float(np.median(step))
+    variance = max(deviation**2, _ROUNDING_VARIANCE * resolution**2)
+    return variance * float(np.median(step))
