@@ -22,10 +22,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from fden_ros.benchmarks import BENCHMARKS, Goal, Report, within
-from fden_ros.benchmarks.accuracy import CASES, measure
+from fden_ros.benchmarks.accuracy import CASES, METHODS, measure
 from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, bounds, contact_bounds, slope
-from fden_ros.benchmarks.simulated import STRESS, Outcome, Trial, run_trial
+from fden_ros.benchmarks.simulated import MODEL_ERROR_LEARNED, STRESS, Outcome, Trial, run_trial
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import ParameterSet, Prior
 from fden_ros.simulation.closed_form import FdenModel, LinearMove
@@ -225,8 +225,10 @@ def test_tiny_run_measures_goals_and_leaves_figures_and_picture(tmp_path, capsys
     names = [goal["name"] for goal in shown["goals"]]
     assert len(set(names)) == len(names)
     (case,) = shown["figures"]["cases"]
-    assert set(case["methods"]) == {"stress", "fractional_stress", "appendix_d"}
+    assert set(case["methods"]) == set(METHODS)
     stress = case["methods"]["stress"]
+    # The scale of the model's error is learned: ten samples do not rule it out.
+    assert case["methods"][MODEL_ERROR_LEARNED]["ratio"]["log_g"] != stress["ratio"]["log_g"]
     assert stress["failures"] == 0.0
     assert stress["ratio"]["log_g"]["low"] <= stress["ratio"]["log_g"]["value"]
     # Nothing was pressed with alpha unknown.
