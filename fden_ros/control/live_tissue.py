@@ -60,7 +60,8 @@ REFUSED_FLAGS = (
 #: no gap, an estimate that was not heard does.
 _LONGEST_STEP = 0.05
 _LONGEST_STEP_RATIO, _USUAL_STEPS = 1.5, 9
-#: Share of the largest stress of a contact [1] above which the tissue is loaded, whatever the law says.
+#: Share of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
+#: says.
 _UNLOADED_SHARE = 0.05
 #: So many estimates in a row that are surprised by more than this share of what was predicted and
 #: by five deviations are contradicted by the force.
@@ -372,7 +373,6 @@ class LiveTissue:
         else:
             self._memory.press(step, signals.strain, signals.stress)
         self._memory_ns = state.stamp_ns
-
 
     def _is_unloaded(self, stress: float) -> bool:
         """Whether a stress [Pa] is so small that the tissue may have left the probe.
