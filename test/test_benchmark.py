@@ -271,6 +271,19 @@ def test_tables_and_pictures_hold_estimators_that_never_answer(tmp_path):
     figure.savefig(tmp_path / "empty.png")
 
 
+def test_a_hold_shows_its_order_whatever_the_curve():
+    from fden_ros.benchmarks.hold_order import hold_order
+
+    times = np.arange(0.0, 12.0, 0.1)
+    strain = 0.08 * np.minimum(times, 4.0)
+    for characteristic in (np.square, np.sin, lambda x: np.expm1(9.0 * x)):
+        steps = np.diff(characteristic(strain)) / np.diff(times)
+        since = np.maximum(times[:, None] - times, 0.0) ** 0.7
+        forces = (since[:, :-1] - since[:, 1:]) @ steps
+        found = hold_order(times, forces, 40)
+        assert found.order == pytest.approx(0.3, abs=0.005) and found.misfit < 1e-3
+
+
 def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     from fden_ros.benchmarks import real
     from fden_ros.core.estimation.estimate import Estimate
@@ -295,6 +308,7 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
             5.0,
             np.ones(3),
             estimate,
+            order_off=2.0,
         )
         for error, coverage, mismatch in ((1.0, 0.9, True), (3.0, 1.0, False))
     ]
@@ -309,6 +323,7 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     own, other = methods[real.FREE], methods["last value"]
     wanted = {"median": 2.0, "percentile_90": 2.8, "coverage": 0.95, "half_width": 5.0}
     wanted |= {"converged": 1.0, "changed": 0.0, "mismatch": 0.5}
+    assert own["order_off"] == pytest.approx(2.0)
     assert {key: own[key] for key in wanted} == pytest.approx(wanted)
     assert {key: other[key] for key in wanted} == dict.fromkeys(wanted) | {
         "median": 4.0,
