@@ -40,12 +40,12 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
-from fden_ros.control.prediction import Prediction
-from fden_ros.core.estimation.estimate import NOTHING_UNKNOWN, ParameterSet
+from fden_ros.control.prediction import Prediction, Predictor
+from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
-from fden_ros.parameters import geometry_of, read_parameter_file, uncertainty_of
+from fden_ros.parameters import check, geometry_of, read_parameter_file, uncertainty_of
 from fden_ros.ros.messages import state_of
 
 #: What the identifier offers; a feed cannot ask for less.
@@ -71,9 +71,9 @@ class TissueFeed:
         Name of the identifier node.
     parameters : path or None
         The identifier's parameter file: predictions need the geometry, and what is not known of
-        the rig counts in their deviations.
+        tissue and rig counts in their deviations.
     geometry : Geometry or None
-        The geometry itself, instead of a file.
+        The geometry itself, instead of a file; what is not known counts as by default.
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
     required : ParameterSet
@@ -115,10 +115,11 @@ class TissueFeed:
                 f"deadline is {deadline} s; the identifier promises an estimate every "
                 f"{OFFERED_DEADLINE} s, so it must be at least that"
             )
-        uncertainty = NOTHING_UNKNOWN
+        checked = check({})
         if parameters is not None:
             checked = read_parameter_file(parameters, identifier)
-            geometry, uncertainty = geometry_of(checked), uncertainty_of(checked)
+            geometry = geometry_of(checked)
+        self._knows_geometry = geometry is not None
         self._node = node
         self._topic = f"{identifier}/estimate"
         self._deadline = deadline
@@ -126,7 +127,7 @@ class TissueFeed:
         self._lock = threading.RLock()
         self._live = LiveTissue(
             geometry,
-            uncertainty=uncertainty,
+            uncertainty=uncertainty_of(checked),
             deadline=deadline,
             required=required,
             change=change,
@@ -203,9 +204,13 @@ class TissueFeed:
             Seconds from the latest estimate, increasing.
         displacements : array_like, shape (n,)
             Way further into the tissue by then [m], linear in between.
+
+        Raises
+        ------
+        InputError
+            If the feed was given no geometry.
         """
-        with self._lock:
-            predictor = self._live.predictor(time.monotonic())
+        predictor = self._predictor()
         return None if predictor is None else predictor.force(times, displacements)
 
     def predict_motion(self, times: ArrayLike, forces: ArrayLike) -> Prediction | None:
@@ -217,9 +222,13 @@ class TissueFeed:
             Seconds from the latest estimate, increasing.
         forces : array_like, shape (n,)
             Force on the tissue by then [N], linear in between.
+
+        Raises
+        ------
+        InputError
+            If the feed was given no geometry.
         """
-        with self._lock:
-            predictor = self._live.predictor(time.monotonic())
+        predictor = self._predictor()
         return None if predictor is None else predictor.motion(times, forces)
 
     @property
@@ -229,6 +238,15 @@ class TissueFeed:
             return self._live.restarts
 
     # Inside
+
+    def _predictor(self) -> Predictor | None:
+        if not self._knows_geometry:
+            raise InputError(
+                "a prediction needs the probe's geometry: give the feed parameters=, the "
+                "identifier's file, or geometry="
+            )
+        with self._lock:
+            return self._live.predictor(time.monotonic())
 
     def _subscribe(self) -> Any:
         qos = QoSProfile(

@@ -22,10 +22,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from fden_ros.benchmarks import BENCHMARKS, Goal, Report, within
-from fden_ros.benchmarks.accuracy import CASES, measure
+from fden_ros.benchmarks.accuracy import CASES, METHODS, measure
 from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, bounds, contact_bounds, slope
-from fden_ros.benchmarks.simulated import STRESS, Outcome, Trial, run_trial
+from fden_ros.benchmarks.simulated import MODEL_ERROR_LEARNED, STRESS, Outcome, Trial, run_trial
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import ParameterSet, Prior
 from fden_ros.simulation.closed_form import FdenModel, LinearMove
@@ -225,8 +225,10 @@ def test_tiny_run_measures_goals_and_leaves_figures_and_picture(tmp_path, capsys
     names = [goal["name"] for goal in shown["goals"]]
     assert len(set(names)) == len(names)
     (case,) = shown["figures"]["cases"]
-    assert set(case["methods"]) == {"stress", "fractional_stress", "appendix_d"}
+    assert set(case["methods"]) == set(METHODS)
     stress = case["methods"]["stress"]
+    # The scale of the model's error is learned: ten samples do not rule it out.
+    assert case["methods"][MODEL_ERROR_LEARNED]["ratio"]["log_g"] != stress["ratio"]["log_g"]
     assert stress["failures"] == 0.0
     assert stress["ratio"]["log_g"]["low"] <= stress["ratio"]["log_g"]["value"]
     # Nothing was pressed with alpha unknown.
@@ -269,6 +271,19 @@ def test_tables_and_pictures_hold_estimators_that_never_answer(tmp_path):
     figure.savefig(tmp_path / "empty.png")
 
 
+def test_a_hold_shows_its_order_whatever_the_curve():
+    from fden_ros.benchmarks.hold_order import hold_order
+
+    times = np.arange(0.0, 12.0, 0.1)
+    strain = 0.08 * np.minimum(times, 4.0)
+    for characteristic in (np.square, np.sin, lambda x: np.expm1(9.0 * x)):
+        steps = np.diff(characteristic(strain)) / np.diff(times)
+        since = np.maximum(times[:, None] - times, 0.0) ** 0.7
+        forces = (since[:, :-1] - since[:, 1:]) @ steps
+        found = hold_order(times, forces, 40)
+        assert found.order == pytest.approx(0.3, abs=0.005) and found.misfit < 1e-3
+
+
 def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     from fden_ros.benchmarks import real
     from fden_ros.core.estimation.estimate import Estimate
@@ -293,6 +308,7 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
             5.0,
             np.ones(3),
             estimate,
+            order_off=2.0,
         )
         for error, coverage, mismatch in ((1.0, 0.9, True), (3.0, 1.0, False))
     ]
@@ -307,6 +323,7 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     own, other = methods[real.FREE], methods["last value"]
     wanted = {"median": 2.0, "percentile_90": 2.8, "coverage": 0.95, "half_width": 5.0}
     wanted |= {"converged": 1.0, "changed": 0.0, "mismatch": 0.5}
+    assert own["order_off"] == pytest.approx(2.0)
     assert {key: own[key] for key in wanted} == pytest.approx(wanted)
     assert {key: other[key] for key in wanted} == dict.fromkeys(wanted) | {
         "median": 4.0,

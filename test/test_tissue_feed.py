@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import time
@@ -35,6 +36,7 @@ from sensor_msgs.msg import JointState
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction
+from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Status, TissueState, stale
 from fden_ros.core.pipeline import Pipeline
@@ -264,6 +266,51 @@ def test_a_plan_must_have_as_many_times_as_values(press: Press) -> None:
         live.predict_force([0.1, 0.2], [0.0], now)
     with pytest.raises(InputError, match="increase"):
         live.predict_force([0.2, 0.1], [0.0, 0.0], now)
+
+
+def test_pressed_tissue_does_not_seem_free_where_the_law_is_off(press: Press) -> None:
+    def memory_with(factor: float) -> TissueMemory:
+        live, now = LiveTissue(GEOMETRY), 0.0
+        for state in press.states:
+            if state.stamp_ns > 4.0 * NANOSECONDS:
+                break
+            if state.estimate is not None:
+                log_g = state.estimate.log_linear_stiffness + math.log(factor)
+                state = replace(
+                    state, estimate=state.estimate._replace(log_linear_stiffness=log_g)
+                )
+            now = state.stamp_ns / NANOSECONDS
+            live.add(state, now)
+        predictor = live.predictor(now)
+        assert predictor is not None
+        return predictor.memory
+
+    held = [
+        memory_with(factor).held(np.array([0.1, 1.0]), np.log([500.0, 8.0]), 0.13)
+        for factor in (1.0, 0.5)
+    ]
+    assert held[1] == pytest.approx(held[0], rel=1e-3)
+
+
+def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(press: Press) -> None:
+    every_100_ms = press.states[::10]
+    touched = next(n for n, state in enumerate(every_100_ms) if state.contact_id)
+    for missed, is_known in ((None, True), (touched + 5, False)):
+        live, now = LiveTissue(GEOMETRY, deadline=1.0), 0.0
+        for n, state in enumerate(every_100_ms):
+            if n != missed and state.stamp_ns <= 4.0 * NANOSECONDS:
+                now = state.stamp_ns / NANOSECONDS
+                live.add(state, now)
+        assert live.refusal(now) is None
+        assert (live.predict_force([0.1], [0.0], now) is not None) == is_known
+
+
+def test_without_a_geometry_nothing_is_predicted() -> None:
+    with (
+        TissueFeed.standalone("/nobody") as feed,
+        pytest.raises(InputError, match="geometry"),
+    ):
+        feed.predict_force([0.1], [0.0])
 
 
 def test_a_deadline_shorter_than_the_promise_is_refused() -> None:

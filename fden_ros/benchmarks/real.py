@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks.hold_order import hold_order
 from fden_ros.benchmarks.peers import (
     DiolaitiHuntCrossley,
     HaddadiHuntCrossley,
@@ -138,10 +139,14 @@ class Test:
         return self.material.split("_")[0]
 
     @property
+    def hold(self) -> int:
+        """Index of the first sample of the hold."""
+        return int(np.argmax(self.displacements >= self.displacements.max() - _AT_HOLD))
+
+    @property
     def seen(self) -> int:
         """How many samples the estimators get: the ramp and the first 2 s of the hold."""
-        hold = int(np.argmax(self.displacements >= self.displacements.max() - _AT_HOLD))
-        last = self.times[hold] + _SEEN_HOLD
+        last = self.times[self.hold] + _SEEN_HOLD
         return int(np.searchsorted(self.times, last, side="right"))
 
     def error(self, predicted: Array) -> float:
@@ -166,6 +171,9 @@ class Outcome:
     #: former [1], shape (3,)
     moved: Array
     estimate: Estimate
+    #: alpha by the whole record less that of the hold itself (`hold_order`), over the deviation of
+    #: the former [1]
+    order_off: float
 
     @property
     def order(self) -> float:
@@ -409,6 +417,8 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
         half_width=_TWO_SIDED_95 * 100.0 * float(np.median(prediction.sd)) / test.forces.max(),
         moved=(estimate.mean - whole.mean) / np.maximum(estimate.deviations, _TINY_DEVIATION),
         estimate=estimate,
+        order_off=(whole.fractional_order - hold_order(test.times, test.forces, test.hold).order)
+        / max(whole.fractional_order_sd, _TINY_DEVIATION),
     )
 
 
@@ -510,6 +520,7 @@ def _goals(
     width = float(np.median([o.half_width for o in beef])) if beef else math.nan
     moved = np.sqrt(np.mean([o.moved**2 for o in beef], axis=0)) if beef else np.full(3, math.nan)
     spread = np.median([o.estimate.deviations for o in beef], axis=0) if beef else moved
+    off = math.sqrt(float(np.mean([o.order_off**2 for o in beef]))) if beef else math.nan
     covered = float(np.mean([o.coverage for o in silicone])) if silicone else math.nan
     rate = alarms[0] / alarms[1]
     false_alarms = within(
@@ -543,6 +554,7 @@ def _goals(
             )
             for name, value in zip(("ln G", "ln Gn", "alpha"), moved.tolist(), strict=True)
         ),
+        within("beef: alpha, whole record against the hold itself, rms", off, (0.0, 1.5)),
         within("beef: deviation of ln Gn, median", float(spread[1]), (0.0, 0.1)),
         within("beef: deviation of alpha, median", float(spread[2]), (0.0, 0.05)),
         within("beef, alpha of others, given: median error, % of peak", given, (0.0, 3.0)),
@@ -607,6 +619,7 @@ def _own_figures(
         "coverage": float(np.mean([o.coverage for o in own])),
         "half_width": float(np.median([o.half_width for o in own])),
         "moved": np.sqrt(np.mean([o.moved**2 for o in own], axis=0)).tolist(),
+        "order_off": math.sqrt(float(np.mean([o.order_off**2 for o in own]))),
         "alpha": float(np.median([o.order for o in own])),
         "alpha_sd": float(np.median([o.order_sd for o in own])),
     }
@@ -630,6 +643,7 @@ def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Error
         "in 95 %",
         "± width",
         "moved",
+        "alpha off",
         "median",
         "90 %",
         "alpha",
@@ -641,12 +655,13 @@ def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Error
         figures = _own_figures(kind, tests, outcomes.get(name, {}))
         errors_of = [f"{np.median(own):.2f}", f"{np.percentile(own, 90.0):.2f}"]
         if figures["converged"] is None:
-            table.add_row(name, *[""] * 6, *errors_of)
+            table.add_row(name, *[""] * 7, *errors_of)
             continue
         shares = ("converged", "changed", "mismatch", "coverage")
         cells = [f"{100 * figures[key]:.0f} %" for key in shares]
         cells.append(f"{figures['half_width']:.1f}")
         cells.append(" ".join(f"{value:.1f}" for value in figures["moved"]))
+        cells.append(f"{figures['order_off']:.1f}")
         last = [f"{figures[key]:.3f}" for key in ("alpha", "alpha_sd")]
         table.add_row(name, *cells, *errors_of, *last)
     return table

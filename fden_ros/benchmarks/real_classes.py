@@ -24,23 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.benchmarks.peers import DiolaitiHuntCrossley, HaddadiHuntCrossley, KelvinVoigt
-from fden_ros.benchmarks.real import _WIDE, Test
+from fden_ros.benchmarks.real import _WIDE, Test, identify
 from fden_ros.core.classification.classifier import Likelihood, likelihood_of
-from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import ContactConfig
-from fden_ros.core.estimation.estimate import EstimatorConfig
-from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.outputs import Flag, Output, Status, TissueState
-from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.outputs import Flag
 from fden_ros.experiments.indentation import fit_indentation
 from fden_ros.tissues.training import Check, Contacts, check, contacts_of, learn
 
 Array = NDArray[np.float64]
 
-#: What the law misses of these forces, not the sensor's noise, limits the fit: some 5 % RMS of the
-#: peak (`fden benchmark real`). Twice that is taken for the force's noise.
-MISFIT = 0.1
-_SECOND = 1_000_000_000
 #: Spread that the classifier of FDEN's parameters takes for usual: others are scaled to it.
 _USUAL = np.array([0.28, 0.19, 0.02])
 _LEAST_DEVIATION = 0.05
@@ -76,10 +67,10 @@ def tell(tests: Sequence[Test], advance: Callable[[], None]) -> dict[str, Told]:
     """Return what each model's parameters tell, by its name."""
     means, covariances, mismatched = [], [], 0
     for test in tests:
-        mean, covariance, is_mismatch = _identify(test)
-        means.append(mean)
-        covariances.append(covariance)
-        mismatched += is_mismatch
+        estimate, state = identify(test, _WIDE, test.times.size)
+        means.append(estimate.mean)
+        covariances.append(estimate.covariance)
+        mismatched += Flag.MODEL_MISMATCH in state.flags
         advance()
     fden = contacts_of(
         [test.kind for test in tests],
@@ -100,44 +91,6 @@ def tell(tests: Sequence[Test], advance: Callable[[], None]) -> dict[str, Told]:
         told[name] = _told(tests, _as_contacts(tests, np.array([features(t) for t in tests])))
         advance()
     return told
-
-
-def _identify(test: Test) -> tuple[Array, Array, bool]:
-    last: list[TissueState] = []
-    flags = Flag.NONE
-
-    def keep(output: Output) -> None:
-        nonlocal flags
-        if isinstance(output, TissueState) and output.estimate is not None:
-            flags |= output.flags
-            # What is unexplained at the end does not undo what was known before.
-            last.append(output)
-
-    pipeline = Pipeline(
-        PipelineConfig(
-            library=None,
-            geometry=FlatPunch(area=1.0, thickness=test.thickness),
-            contact=ContactConfig(
-                measure_bias=False, force_noise=MISFIT * float(test.forces.max())
-            ),
-            estimator=EstimatorConfig(prior=_WIDE),
-            strain_origin=0.0,
-        ),
-        keep,
-    )
-    stamps = np.round(test.times * _SECOND).astype(np.int64) + _SECOND
-    for stamp, force, displacement in zip(
-        stamps.tolist(), test.forces.tolist(), test.displacements.tolist(), strict=True
-    ):
-        pipeline.add_displacement(stamp, displacement)
-        pipeline.add_force(stamp, force)
-    pipeline.finish()
-    known = [state for state in last if state.status is Status.CONVERGED] or last
-    estimate = known[-1].estimate if known else None
-    if estimate is None:
-        # Nothing is known: a likelihood without information.
-        return _WIDE.mean, np.diag([9.0, 0.64, 0.0225]), True
-    return estimate.mean, estimate.covariance, bool(flags & Flag.MODEL_MISMATCH)
 
 
 def _fitted(tests: Sequence[Test]) -> Contacts:

@@ -50,6 +50,8 @@ Array = NDArray[np.float64]
 
 #: The identifier's two observations, and the paper's own filter.
 STRESS, FRACTIONAL_STRESS, APPENDIX_D = "stress", "fractional_stress", "appendix_d"
+#: The stress, with `model_error.sd` at its default: the data have to find that there is none.
+MODEL_ERROR_LEARNED = "model_error_learned"
 
 _GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
 #: The last of the approach is at the rate of the press, for so long [s].
@@ -152,6 +154,13 @@ class Trial(NamedTuple):
     outcomes: dict[str, Outcome]
 
 
+#: Parameters of the identifier by method.
+_OWN_PARAMETERS: dict[str, dict[str, Any]] = {
+    STRESS: {"estimator.observation": STRESS},
+    FRACTIONAL_STRESS: {"estimator.observation": FRACTIONAL_STRESS},
+    MODEL_ERROR_LEARNED: {"model_error.sd": check({}).model_error.sd},
+}
+
 _LOST = Outcome(
     False, False, False, math.inf, np.full(4, np.nan), np.full((3, 3), np.nan), math.nan
 )
@@ -172,7 +181,7 @@ def run_trial(case: Case, number: int, methods: tuple[str, ...]) -> Trial:
         if method == APPENDIX_D:
             outcomes[method] = _by_appendix_d(case, recording, model, parameters)
         else:
-            own = parameters | {"estimator.observation": method}
+            own = parameters | _OWN_PARAMETERS[method]
             outcomes[method] = _by_pipeline(recording, model, own)
     return Trial(seed, model, _bound(case, scenario, recording, model, parameters), outcomes)
 

@@ -22,8 +22,10 @@ from __future__ import annotations
 
 import enum
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import median
 
 from numpy.typing import ArrayLike
 
@@ -53,8 +55,14 @@ REFUSED_FLAGS = (
     | Flag.HYSTERESIS
     | WITHHELD
 )
-#: The stress between two estimates farther apart than this is not known.
+#: The stress between two estimates is not known where they are farther apart than this time [s]
+#: and than this multiple of the usual step [1], the median of the last steps: slow sensors leave
+#: no gap, an estimate that was not heard does.
 _LONGEST_STEP = 0.05
+_LONGEST_STEP_RATIO, _USUAL_STEPS = 1.5, 9
+#: Share of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
+#: says.
+_UNLOADED_SHARE = 0.05
 #: So many estimates in a row that are surprised by more than this share of what was predicted and
 #: by five deviations are contradicted by the force.
 _SURPRISING_SHARE = 0.2
@@ -171,6 +179,8 @@ class LiveTissue:
         self._memory_site: int | None = None
         self._memory_ns = 0
         self._memory_whole = False
+        self._steps: deque[float] = deque(maxlen=_USUAL_STEPS)
+        self._peak_stress = 0.0
         self._surprises = 0
         self._contradicted: int | None = None
 
@@ -349,17 +359,32 @@ class LiveTissue:
         if step < SHORTEST_STEP:
             return
         in_contact = state.status in (Status.CONVERGING, Status.CONVERGED)
-        if step > _LONGEST_STEP and (in_contact or self._memory.strain > 0.0):
+        if self._is_gap(step) and (in_contact or self._memory.strain > 0.0):
             self._memory_whole = False
+        self._steps.append(step)
         signals, estimate = state.signals, state.estimate
         is_free = signals is None or not in_contact
-        if signals is not None and estimate is not None:
+        stress = signals.stress if signals is not None else 0.0
+        self._peak_stress = max(self._peak_stress, stress) if in_contact else 0.0
+        if signals is not None and estimate is not None and self._is_unloaded(stress):
             is_free |= self._memory.is_free(step, signals.strain, estimate)
         if signals is None or is_free:
             self._memory.rest(step)
         else:
             self._memory.press(step, signals.strain, signals.stress)
         self._memory_ns = state.stamp_ns
+
+    def _is_unloaded(self, stress: float) -> bool:
+        """Whether a stress [Pa] is so small that the tissue may have left the probe.
+
+        The law alone does not say so: where it is off by a fifth, pressed tissue would seem free.
+        """
+        return stress <= _UNLOADED_SHARE * self._peak_stress
+
+    def _is_gap(self, step: float) -> bool:
+        """Whether an estimate may have been missed in the `step` seconds since the last."""
+        usual = median(self._steps) if self._steps else 0.0
+        return step > max(_LONGEST_STEP, _LONGEST_STEP_RATIO * usual)
 
 
 def _started_again(before: TissueState, after: TissueState) -> bool:

@@ -1,0 +1,70 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+r"""The fractional order that a measured hold itself shows, whatever the stress-strain curve.
+
+The law with a free curve: every step of phi on the ramp is a parameter of its own, not negative,
+
+.. math:: f_n = \sum_j w_{nj}(\alpha)\, \Delta\varphi_j, \qquad
+    w_{nj} = \frac{(t_n-t_{j-1})^{1-\alpha} - (t_n-t_j)^{1-\alpha}}
+                  {\Gamma(2-\alpha)\,(t_j-t_{j-1})}
+
+The forces of the ramp are then met by any order, and the hold alone decides. No estimator, no
+prior and no exponential is in it: a truth for the orders that the estimator states.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar, nnls
+
+Array = NDArray[np.float64]
+
+#: Orders between which the best one is sought [1].
+_LEAST, _MOST = 0.005, 0.9
+_TOLERANCE = 1e-3
+
+
+class HoldOrder(NamedTuple):
+    """Order of a ramp and hold by a free stress-strain curve."""
+
+    order: float  #: [1]
+    misfit: float  #: root mean square over the largest force [1]
+
+
+def hold_order(times: Array, forces: Array, hold: int) -> HoldOrder:
+    """Return the order by which the force of a hold relaxes.
+
+    Parameters
+    ----------
+    times, forces : ndarray, shape (n,)
+        From the touch on [s, N].
+    hold : int
+        Index of the first sample of the hold, at least 1.
+    """
+
+    def misfit(order: float) -> float:
+        since = np.maximum(times[1:, None] - times[None, : hold + 1], 0.0) ** (1.0 - order)
+        weights = (since[:, :-1] - since[:, 1:]) / np.diff(times[: hold + 1])
+        return float(nnls(weights / math.gamma(2.0 - order), forces[1:])[1])
+
+    found = minimize_scalar(
+        misfit, bounds=(_LEAST, _MOST), method="bounded", options={"xatol": _TOLERANCE}
+    )
+    scale = math.sqrt(times.size) * float(forces.max())
+    return HoldOrder(float(found.x), float(found.fun) / scale)
