@@ -39,8 +39,9 @@ _MISMATCH_DELAY = LONGEST_CHANGE_WINDOW
 #: An innovation beyond this many standard deviations [1] makes the estimate doubtful for this many
 #: blocks [1]: by then the tests have decided what it was.
 _SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
-#: Blocks in a row [1] that each are a surprise and together are a change.
-_SURPRISES = 4
+#: Blocks in a row [1], and their time [s], that each are a surprise and together are a change: four
+#: of 10 ms, or two where a sensor is so slow that each of its samples is a block.
+_SURPRISES, _SURPRISE_TIME = 2, 0.0399
 #: After a change, for this time [s], the shape of the pulse matters too much to learn anything:
 #: ten blocks by default. Half finds the same changes; twice moves the estimates after one.
 _BLIND_TIME = 0.1
@@ -132,7 +133,8 @@ class TissueChange:
             self._first_surprise = block.memory_time
         if not is_surprising:
             self._before.append(innovation.normalized_squared)
-        if self._surprises >= _SURPRISES:
+        lasted = block.memory_time - self._first_surprise + block.duration
+        if self._surprises >= _SURPRISES and lasted >= _SURPRISE_TIME:
             return self._begin_anew(block, Change(self._first_surprise, None))
         if not (is_settled and known.is_fresh and known.is_exact):
             # Two innovations by one state are not independent.
