@@ -39,7 +39,7 @@ _MISMATCH_DELAY = LONGEST_CHANGE_WINDOW
 #: An innovation beyond this many standard deviations [1] makes the estimate doubtful for this many
 #: blocks [1]: by then the tests have decided what it was.
 _SURPRISING, _DOUBTFUL_BLOCKS = 4.5, 8
-#: Blocks in a row [1], and their time [s], that each are a surprise and together are a change: four
+#: Blocks in a row [1], and their time [s], that each are a surprise and together a change: four
 #: of 10 ms, or two where a sensor is so slow that each of its samples is a block.
 _SURPRISES, _SURPRISE_TIME = 2, 0.0399
 #: After a change, for this time [s], the shape of the pulse matters too much to learn anything:
