@@ -47,7 +47,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Press
-from fden_ros.core.site import Site, prepare
+from fden_ros.core.site import Site, dips, prepare
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
@@ -400,7 +400,9 @@ class Pipeline:
             self.site_count += 1
             site = Site(self.site_count, onset, self.config, self.rig, self.standing_flags)
             self._site = site
-            if before is not None and before.leaves_doubt(first.stamp_ns):
+            left_ns = self._detector.left_unseen_ns
+            is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
+            if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):
                 site.withdraw()
         self.contact_count += 1
         site.check_history(onset)

@@ -218,9 +218,8 @@ class Site:
         or in which it went as far to the side as to another site: the tissue that it meets next
         is of what it has just dragged along.
         """
-        since = (stamp_ns - self.last_ns) / NANOSECONDS
         is_doubted = Flag.ORIGIN_UNCERTAIN in self.flags or self._has_slid
-        return is_doubted and since < _DIP_TIME
+        return is_doubted and dips(stamp_ns - self.last_ns)
 
     @property
     def _has_slid(self) -> bool:
@@ -463,6 +462,11 @@ def prepare(config: PipelineConfig) -> None:
     """Compute the kernels' weights, which takes a moment: not only at the first touch."""
     FractionalIntegral(_orders(config))
     _new_estimator(config, 1.0, 1.0, PathNoise(), RigKnowledge.stated(config.estimator))
+
+
+def dips(duration_ns: int) -> bool:
+    """Whether a probe that was off the tissue for so long may just have dipped out of it."""
+    return duration_ns < _DIP_TIME * NANOSECONDS
 
 
 def _orders(config: PipelineConfig) -> tuple[float, ...]:

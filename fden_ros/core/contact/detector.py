@@ -229,6 +229,8 @@ class ContactDetector:
     def reset(self) -> None:
         """Forget all samples, the baseline and the contact."""
         self.in_contact = False
+        #: Newest time at which what was taken for the air turned out to be a contact.
+        self.left_unseen_ns: int | None = None
         self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
         config = self._config
         self._baseline = Baseline(
@@ -342,6 +344,7 @@ class ContactDetector:
             return
         # The chunks before were a contact, or the force has the wrong sign.
         self.below_baseline += 1
+        self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
         self._low_chunks = 0
         self._highest = None
         self._baseline.forget_all_but(MIN_CHUNKS)

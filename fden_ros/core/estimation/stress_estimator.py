@@ -437,7 +437,12 @@ class StressEstimator:
     def _finish_work(self) -> None:
         for _ in self._work:
             pass
-        self._is_at_work = False
+        self._work, self._is_at_work = iter(()), False
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return the state for a copy: what is under way is done first, as a block would."""
+        self._finish_work()
+        return self.__dict__
 
     def relinearise(self, *, fully: bool = False) -> None:
         """Do all that at once; `fully`: solve also where it is not due, and fit the law."""
