@@ -606,6 +606,8 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Sign
 def test_a_full_disk_leaves_no_results(tmp_path: Path) -> None:
     script = (
         "import resource, signal, sys\n"
+        # A module that is imported first here would leave a byte code of that size for good.
+        "sys.dont_write_bytecode = True\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
         "from fden_ros.cli import main\n"

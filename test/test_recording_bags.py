@@ -244,6 +244,8 @@ def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path: Path) -> None:
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     script = (
         "import resource, signal, sys\n"
+        # A module that is imported first here would leave a byte code of that size for good.
+        "sys.dont_write_bytecode = True\n"
         "from test_recording_bags import write_bag\n"
         "from fden_ros.errors import InputError\n"
         "from pathlib import Path\n"
