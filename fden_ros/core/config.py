@@ -83,7 +83,7 @@ class PipelineConfig:
     dither_frequencies: tuple[float, ...] = ()
     dither_periods: int = 4
     learns_rig: bool = False
-    learns_motion: bool = True
+    learns_motion: bool = False
     is_continuous: bool = False
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
 

@@ -248,9 +248,9 @@ class SurfaceParameters:
         0.1,
     )
     learn_motion: bool = flag(
-        True,
+        False,
         "Where contact after contact shows less motion, the next site begins with less: a quarter "
-        "of `surface.motion_sd` at least.",
+        "of `surface.motion_sd` at least. Not where the force creeps.",
     )
 
 
