@@ -128,7 +128,9 @@ class Site:
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
         self._variance_factor = 1.0
-        #: Of the first contact, the only one that begins at rest.
+        #: For the surface's motion: of the newest contact, and of the first, the only one that
+        #: begins at rest.
+        self._newest_evidence: list[float] | None = None
         self._motion_evidence: list[float] | None = None
 
     @property
@@ -434,10 +436,18 @@ class Site:
         if self._estimator is not None and self.is_usable and self.estimate is not None:
             self._estimator.relinearise(fully=True)
             self.refresh()
-            self.doubt(Flag.NONE, self._estimator.motion_factor)
+            self._newest_evidence = self._evidence_of_motion(self._estimator)
+            if self._newest_evidence is not None:
+                self.doubt(Flag.NONE, self._rig.motion_factor(self._newest_evidence))
             off = self._estimator.rig_deviations / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
+
+    def _evidence_of_motion(self, estimator: Estimator) -> list[float] | None:
+        """Return the evidence of a contact for the surface's motion where it is of use."""
+        if self.teaches_motion or self._rig.motion_share < 1.0:
+            return estimator.motion_evidence()
+        return None
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
@@ -446,7 +456,7 @@ class Site:
         known = self._estimator.rig() if self.teaches_rig else None
         if not self.teaches_motion:
             return known
-        self._motion_evidence = self._estimator.motion_evidence() or self._motion_evidence
+        self._motion_evidence = self._newest_evidence or self._motion_evidence
         if self._motion_evidence is None:
             return known
         return (known or self._rig).moved(self._motion_evidence)

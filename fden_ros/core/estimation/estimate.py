@@ -457,10 +457,6 @@ class Estimator(Protocol):
     def rig_deviations(self) -> float:
         """How far a contact that went in and out says the rig is from what is stated [1]."""
 
-    @property
-    def motion_factor(self) -> float:
-        """By which the variances are larger where the surface moved more than was learned [1]."""
-
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
 

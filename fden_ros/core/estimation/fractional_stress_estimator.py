@@ -129,7 +129,6 @@ class FractionalStressEstimator:
     is_doubtful = False
     change_count = 0
     rig_deviations = 0.0
-    motion_factor = 1.0
 
     def __init__(
         self,

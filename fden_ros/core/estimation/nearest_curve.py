@@ -22,11 +22,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import elastic_responses
-
-Array = NDArray[np.float64]
 
 #: Gauss-Newton steps of ln Gn, or halves of one, from each start [1], and the longest [1].
 _STEPS, _LONGEST_STEP = 12, 0.5

@@ -532,14 +532,6 @@ class StressEstimator:
                 found |= posterior.at_edge()
         return found
 
-    @property
-    def motion_factor(self) -> float:
-        """By which the variances are larger where the surface moved more than was learned [1]."""
-        if self._known_rig.motion_share == 1.0:
-            return 1.0
-        evidence = self.motion_evidence()
-        return 1.0 if evidence is None else self._known_rig.motion_factor(evidence)
-
     def motion_evidence(self) -> list[float] | None:
         """Return the evidence for shares of the stated motion; None where it tells nothing."""
         if self._is_exact or self._stated_config.uncertainty.surface_motion_sd == 0.0:
