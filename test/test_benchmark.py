@@ -284,6 +284,21 @@ def test_a_hold_shows_its_order_whatever_the_curve():
         assert found.order == pytest.approx(0.3, abs=0.005) and found.misfit < 1e-3
 
 
+def test_a_hold_beside_a_spring_shows_the_order_of_what_relaxes():
+    from fden_ros.benchmarks.hold_order import hold_order, hold_order_beside_spring
+
+    times = np.arange(0.0, 12.0, 0.1)
+    response = np.expm1(9.0 * 0.08 * np.minimum(times, 4.0))
+    since = np.maximum(times[:, None] - times, 0.0) ** 0.55
+    relaxing = (since[:, :-1] - since[:, 1:]) @ (np.diff(response) / np.diff(times))
+    forces = relaxing / math.gamma(1.55) + 0.2 * response
+    found = hold_order_beside_spring(times, forces, 40)
+    assert found.order == pytest.approx(0.45, abs=0.03)
+    assert found.spring == pytest.approx(0.2, abs=0.04) and found.misfit < 1e-3
+    alone = hold_order(times, forces, 40)
+    assert alone.order < 0.4 and alone.misfit > 2.0 * found.misfit
+
+
 def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     from fden_ros.benchmarks import real
     from fden_ros.core.estimation.estimate import Estimate
@@ -309,6 +324,7 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
             np.ones(3),
             estimate,
             order_off=2.0,
+            knows_order=True,
         )
         for error, coverage, mismatch in ((1.0, 0.9, True), (3.0, 1.0, False))
     ]

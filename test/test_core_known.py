@@ -28,6 +28,7 @@ import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
+from fden_ros.benchmarks.real import Test as Measured
 from fden_ros.benchmarks.real import identify as identify_measured
 from fden_ros.benchmarks.real import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
@@ -226,3 +227,24 @@ def test_measured_beef_and_silicone_are_identified_without_a_setting() -> None:
     }
     assert np.mean([estimate.converged for estimate in found["beef"]]) >= 0.8
     assert np.mean([estimate.knows(0) for estimate in found["silicone"]]) >= 0.8
+
+
+@pytest.mark.parametrize(("toe", "is_known"), [(0.0, True), (0.5, False)])
+def test_alpha_is_known_only_where_the_fit_of_the_relaxation_wants_the_same(
+    toe: float, is_known: bool
+) -> None:
+    """A curve that is stiffer at small strain, as beef's, makes of an alpha of 0.3 one of 0.39."""
+    times, fine = np.arange(0.0, 16.0, 0.1), np.arange(0.0, 16.005, 0.01)
+    strains = 0.08 * np.minimum(fine, 4.0)
+    law = np.where(strains < 0.125, strains, 0.125 * np.exp(8.0 * strains - 1.0))
+    response = law * (1.0 + toe * np.exp(-((strains / 0.1) ** 2)))
+    since = np.maximum(times[:, None] - fine, 0.0) ** 0.7
+    forces = (since[:, :-1] - since[:, 1:]) @ np.diff(response)
+    forces = forces / forces.max() + np.random.default_rng(0).normal(0.0, 1e-3, times.size)
+    depths = 0.02 * 0.08 * np.minimum(times, 4.0)
+    prior = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
+    test = Measured("simulated", "beef", times, forces, depths, 0.02)
+    estimate, state = identify_measured(test, prior, times.size)
+    assert estimate.converged and not state.flags
+    assert estimate.knows(2) == is_known
+    assert (abs(estimate.fractional_order - 0.3) < 2.5 * estimate.fractional_order_sd) == is_known

@@ -139,6 +139,7 @@ class LawDeviation:
     log_linear_stiffness: float  #: ln G of the law from which they deviate
     log_nonlinear_stiffness: float  #: its ln Gn
     fractional_order: float  #: its alpha [1]
+    fractional_order_sd: float  #: and the standard deviation of that [1]
     #: Logarithm of the evidence of a bent characteristic over that of the law's [1].
     curve_evidence: float
 
@@ -313,6 +314,7 @@ class LawFit:
             law[_LOG_G],
             law[_LOG_GN],
             law[_ORDER],
+            math.sqrt(covariance[_ORDER, _ORDER]),
             self._curve_evidence,
         )
 
