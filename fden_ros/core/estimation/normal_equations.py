@@ -162,10 +162,15 @@ class NormalEquations:
             (law, columns), weight, _ = self._newest
             self._sums.change_column(self._column(index), change, law, columns, weight)
 
-    def work_ahead(self) -> None:
-        """Bring the sums up to date if many blocks wait, while nobody waits for an estimate."""
-        if len(self._pending) >= MOST_BEHIND // 2:
-            self._add_up()
+    def work_ahead(self) -> bool:
+        """Bring the sums up to date if many blocks wait, while nobody waits for an estimate.
+
+        Return whether they do.
+        """
+        if len(self._pending) < MOST_BEHIND // 2:
+            return False
+        self._add_up()
+        return True
 
     def clear(self) -> None:
         """Forget all blocks."""

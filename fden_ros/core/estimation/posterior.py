@@ -368,9 +368,9 @@ class StressPosterior:
         due = _UNIMODAL_BLOCKS if self.is_unimodal else _MULTIMODAL_BLOCKS
         return self.blocks_since_solved >= due
 
-    def work_ahead(self) -> None:
-        """Do what a block would have to wait for otherwise."""
-        self._equations.work_ahead()
+    def work_ahead(self) -> bool:
+        """Do what a block would have to wait for otherwise; return whether there was any."""
+        return self._equations.work_ahead()
 
     def relinearise(self) -> Iterator[None]:
         """Solve for the posterior anew, with all blocks so far, step by step."""
