@@ -153,7 +153,8 @@ class StressPosterior:
         self.uncertainty = uncertainty
         self._config = config
         self._grid = grid
-        self._equations = NormalEquations(grid, origins, _LINEAR, _SCALED)
+        given_order = prior.fractional_order if config.fractional_order_given else None
+        self._equations = NormalEquations(grid, origins, _LINEAR, _SCALED, given_order)
         mean, deviations = np.zeros(len(StateIndex)), np.zeros(len(StateIndex))
         mean[:_ORIGIN], deviations[:_ORIGIN] = prior.mean, prior.deviations
         deviations[_ORIGIN] = origin_sd
