@@ -32,9 +32,9 @@ STATE = np.array([0.4, 2.13, 0.21, 0.004, 0.3, -0.4, 0.7])
 PRECISION = 0.3
 
 
-def blocks(count, seed=5):
+def blocks(count, seed=5, given_order=None):
     rng = np.random.default_rng(seed)
-    equations = NormalEquations(GRID, ORIGINS, LINEAR, ("scaled",))
+    equations = NormalEquations(GRID, ORIGINS, LINEAR, ("scaled",), given_order)
     inner = ORIGINS.size * len(order_nodes())
     return equations, [
         (
@@ -70,6 +70,19 @@ def test_sums_give_the_products_of_residuals_and_derivatives(group):
     expected = products(equations, taken, states[node])
     expected[2, :] = expected[:, 2] = 0.0
     assert equations.at_nodes(states)[node] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_sums_for_a_given_order_are_those_for_any():
+    states = np.tile(STATE, (GRID.nodes.size, 1))
+    states[:, 1] = GRID.nodes
+    found = []
+    for given_order in (None, float(STATE[2])):
+        equations, taken = blocks(2 * MOST_BEHIND + 9, given_order=given_order)
+        for response, noise in taken:
+            equations.add(response, noise, 10)
+        found.append((equations.at_state(STATE), equations.at_nodes(states)))
+    for given, learned in zip(found[1], found[0], strict=True):
+        assert given == pytest.approx(learned, rel=1e-9, abs=1e-9 * np.abs(learned).max())
 
 
 def test_derivatives_are_those_of_the_residual():

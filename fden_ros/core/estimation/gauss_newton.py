@@ -100,6 +100,15 @@ class _Steps(NamedTuple):
     decrements: Array  #: of minus twice the log-posterior, shape (m,); infinite without a solution
 
 
+class _Problem(NamedTuple):
+    """What stays the same during a solution."""
+
+    free: Indices  #: of the parameters that are solved for, shape (free,)
+    precision: Array  #: of their prior, shape (free, free)
+    longest: Array  #: their longest changes in a step, shape (free,)
+    bounds: tuple[Array, Array]  #: lowest and highest state, shape (n,) each
+
+
 class GaussNewton:
     """The solver of one posterior.
 
@@ -139,23 +148,19 @@ class GaussNewton:
         """Longest change of each parameter in a step, shape (n,)."""
         return np.concatenate([_LONGEST_STEP, self._reach[1:]])
 
-    def bounded(self, states: Array) -> Array:
-        """Keep states, shape (..., n), where the response is known, in place."""
+    @property
+    def _bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest state, shape (n,) each."""
         around, reach = self._prior.mean, self._reach
-        lowest, highest = np.empty_like(around), np.empty_like(around)
-        lowest[_LOG_G], highest[_LOG_G] = around[_LOG_G] - LOG_REACH, around[_LOG_G] + LOG_REACH
+        lowest, highest = around - LOG_REACH, around + LOG_REACH
         lowest[_LOG_GN], highest[_LOG_GN] = self._grid.lowest, self._grid.highest
         lowest[_ORDER], highest[_ORDER] = LOWEST_ORDER, HIGHEST_ORDER
-        np.subtract(around[_ORIGIN:], reach, out=lowest[_ORIGIN:])
-        np.add(around[_ORIGIN:], reach, out=highest[_ORIGIN:])
-        np.maximum(states, lowest, out=states)
-        bounded: Array = np.minimum(states, highest, out=states)
-        return bounded
+        lowest[_ORIGIN:], highest[_ORIGIN:] = around[_ORIGIN:] - reach, around[_ORIGIN:] + reach
+        return lowest, highest
 
-    def _bounded_nodes(self, states: Array) -> Array:
-        states = self.bounded(states)
-        states[:, _LOG_GN] = self._grid.nodes
-        return states
+    def bounded(self, states: Array) -> Array:
+        """Keep states, shape (..., n), where the response is known, in place."""
+        return _between(states, self._bounds)
 
     # Solutions
 
@@ -164,6 +169,9 @@ class GaussNewton:
         """Indices of the parameters that are learned, shape (free,)."""
         learned = self._prior.learned
         return learned if self._is_order_learned else learned[learned != _ORDER]
+
+    def _problem(self, free: Indices) -> _Problem:
+        return _Problem(free, self._prior.precision(free), self.longest_step[free], self._bounds)
 
     def solve(self, state: Array, covariance: Array) -> Generator[None, None, Solution]:
         """Return the maximum near a state, or the state where there is no step to take.
@@ -175,12 +183,13 @@ class GaussNewton:
         state : ndarray, shape (n,)
         covariance : ndarray, shape (n, n)
         """
-        free = self._free
+        problem = self._problem(self._free)
+        free = problem.free
         best = Solution(state, covariance, is_converged=False)
         least, remaining = math.inf, math.inf
         for _ in range(_MOST_STEPS):
             quadratic = self._equations.at_state(state)
-            solved = self._step(state[None], quadratic[None], free)
+            solved = self._step(state[None], quadratic[None], problem)
             decrement = float(solved.decrements[0])
             if not math.isfinite(decrement):
                 break
@@ -192,7 +201,7 @@ class GaussNewton:
                 evidence = -0.5 * (misfit + float(solved.log_determinants[0]))
                 evidence += self._equations.log_normalisation
                 best = Solution(state, covariance, is_converged=False, log_evidence=evidence)
-            state = self.bounded(state + solved.steps[0])
+            state = _between(state + solved.steps[0], problem.bounds)
             if decrement <= _CLOSE:
                 best = best._replace(state=state)
                 break
@@ -211,11 +220,14 @@ class GaussNewton:
         weights : ndarray, shape (nodes,)
             Of the nodes so far: those of no weight need not converge.
         """
-        free = self._free
-        free = free[free != _LOG_GN]
-        before = weights
+        learned = self._free
+        problem = self._problem(learned[learned != _LOG_GN])
+        free, before = problem.free, weights
+        quadratics = self._equations.at_nodes(states)
         for _ in range(_MOST_ROUNDS):
-            states, solved, quadratics = yield from self._approach(states, before, free)
+            states, solved, quadratics = yield from self._approach(
+                states, quadratics, before, problem
+            )
             weights, evidence = self._weights(states, solved, quadratics, free)
             likely = weights > _LEAST_WEIGHT
             remaining = weights[likely] @ solved.decrements[likely] if np.any(likely) else math.inf
@@ -246,17 +258,17 @@ class GaussNewton:
         return Solution(mean, covariance, is_converged=True)
 
     def _approach(
-        self, states: Array, weights: Array, free: Indices
+        self, states: Array, quadratics: Array, weights: Array, problem: _Problem
     ) -> Generator[None, None, tuple[Array, _Steps, Array]]:
         """Take steps at every node; return where they lead, the last ones, the products there."""
-        quadratics = self._equations.at_nodes(states)
         for _ in range(_MOST_NODE_STEPS):
             yield
-            solved = self._step(states, quadratics, free)
-            states = self._bounded_nodes(states + solved.steps)
+            solved = self._step(states, quadratics, problem)
+            states = _between(states + solved.steps, problem.bounds)
+            states[:, _LOG_GN] = self._grid.nodes
             quadratics = self._equations.at_nodes(states)
             close = solved.decrements <= _CLOSE
-            if np.all(close | (weights < _LEAST_WEIGHT)):
+            if (close | (weights < _LEAST_WEIGHT)).all():
                 break
         return states, solved, quadratics
 
@@ -283,22 +295,21 @@ class GaussNewton:
         total = float(weights.sum())
         return weights / total, highest + math.log(total) + _LOG_NODE_WIDTH
 
-    def _step(self, states: Array, quadratics: Array, free: Indices) -> _Steps:
+    def _step(self, states: Array, quadratics: Array, problem: _Problem) -> _Steps:
         """Return Gauss-Newton steps; none where the Hessian is not finite.
 
         Parameters
         ----------
         states : ndarray, shape (m, n)
         quadratics : ndarray, shape (m, n + 1, n + 1)
-        free : ndarray, shape (free,)
+        problem : _Problem
         """
-        precision = self._prior.precision(free)
+        free, precision, longest, _ = problem
         hessians = quadratics[:, 1 + free[:, None], 1 + free] + precision
         gradients = quadratics[:, 0, 1 + free] + (states - self._prior.mean)[:, free] @ precision
         roots, log_determinants = _inverse_roots(hessians, precision.diagonal())
-        longest = self.longest_step[free]
         wanted = -(roots.transpose(0, 2, 1) @ (roots @ gradients[:, :, None]))[:, :, 0]
-        is_solved = np.isfinite(log_determinants) & np.all(np.isfinite(wanted), axis=1)
+        is_solved = np.isfinite(log_determinants) & np.isfinite(wanted).all(axis=1)
         moved = np.where(
             is_solved[:, None], np.minimum(np.maximum(wanted, -longest), longest), 0.0
         )
@@ -338,6 +349,14 @@ class GaussNewton:
         return covariances
 
 
+def _between(states: Array, bounds: tuple[Array, Array]) -> Array:
+    """Keep states, shape (..., n), between bounds, shape (n,) each, in place."""
+    lowest, highest = bounds
+    np.maximum(states, lowest, out=states)
+    bounded: Array = np.minimum(states, highest, out=states)
+    return bounded
+
+
 def _inverse_roots(matrices: Array, least: Array) -> tuple[Array, Array]:
     """Return roots of the inverses of positive definite matrices, and their log-determinants.
 
@@ -356,12 +375,12 @@ def _inverse_roots(matrices: Array, least: Array) -> tuple[Array, Array]:
     log_determinants : ndarray, shape (m,)
         Of the matrices; NaN there too.
     """
-    diagonal = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), least)
+    diagonal = np.maximum(matrices.diagonal(axis1=1, axis2=2), least)
     scale = 1.0 / np.sqrt(diagonal)
     scaled = matrices * scale[:, :, None] * scale[:, None, :]
     roots, log_determinants = _scaled_inverse_roots(scaled)
     roots *= scale[:, None, :]
-    log_determinants += np.sum(np.log(diagonal), axis=1)
+    log_determinants += np.log(diagonal).sum(axis=1)
     return roots, log_determinants
 
 
@@ -376,10 +395,9 @@ def _scaled_inverse_roots(matrices: Array) -> tuple[Array, Array]:
     except np.linalg.LinAlgError:
         return _roots_by_eigenvalues(matrices)
     roots = _inverse_of_lower(factors)
-    diagonals = np.diagonal(roots, axis1=1, axis2=2)
-    log_determinants: Array = -2.0 * np.sum(np.log(diagonals), axis=1)
-    is_rounding = ~(np.sum(roots**2, axis=(1, 2)) < 1.0 / _SINGULAR)
-    if np.any(is_rounding):
+    log_determinants: Array = -2.0 * np.log(roots.diagonal(axis1=1, axis2=2)).sum(axis=1)
+    is_rounding = ~(np.einsum("ijk,ijk->i", roots, roots) < 1.0 / _SINGULAR)
+    if is_rounding.any():
         own = _roots_by_eigenvalues(matrices[is_rounding])
         roots[is_rounding], log_determinants[is_rounding] = own
     return roots, log_determinants
@@ -387,12 +405,12 @@ def _scaled_inverse_roots(matrices: Array) -> tuple[Array, Array]:
 
 def _inverse_of_lower(factors: Array) -> Array:
     """Return the inverses of lower triangular matrices, by forward substitution."""
-    inverses = np.zeros_like(factors)
-    reciprocals = 1.0 / np.diagonal(factors, axis1=1, axis2=2)
-    inverses[:, 0, 0] = reciprocals[:, 0]
-    for row in range(1, factors.shape[1]):
-        own = factors[:, row : row + 1, :row] @ inverses[:, :row, :row]
-        inverses[:, row, :row] = -reciprocals[:, row, None] * own[:, 0]
+    reciprocals = 1.0 / factors.diagonal(axis1=1, axis2=2)
+    scaled = -reciprocals[:, :, None] * factors
+    inverses = np.zeros(factors.shape)
+    for row in range(factors.shape[1]):
+        own = inverses[:, row : row + 1, :row]
+        np.matmul(scaled[:, row : row + 1, :row], inverses[:, :row, :row], out=own)
         inverses[:, row, row] = reciprocals[:, row]
     return inverses
 

@@ -83,6 +83,9 @@ class NormalEquations:
         Names of the linear columns.
     scaled : sequence of str
         Those of them that are given at G = 1 and multiplied by G.
+    given_order : float, optional
+        The alpha of every state [1], where it is given: then the responses there and their slopes
+        by alpha are all that is summed.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class NormalEquations:
         origins: Array,
         linear: Sequence[str],
         scaled: Sequence[str] = (),
+        given_order: float | None = None,
     ) -> None:
         self.linear = tuple(linear)
         self._scaled = np.array([name in scaled for name in linear])
@@ -98,10 +102,18 @@ class NormalEquations:
         self.size = _NONLINEAR + len(self.linear)
         self._grid = grid
         self._in_origin = Lagrange(origins)
-        self._in_order = order_interpolation()
-        self._column_count = _ORDERS + len(self.linear) + 1
+        self._in_order = self._in_all_orders = order_interpolation()
+        self._orders = orders = _ORDERS if given_order is None else 2
+        #: From the responses at the order nodes to the two that are summed, shape (11, 2).
+        self._to_given: Array | None = None
+        if given_order is not None:
+            # The tangent, at alpha and at alpha + 1.
+            weights, slopes = self._in_all_orders(given_order)
+            self._to_given = np.stack([weights, weights + slopes], axis=1)
+            self._in_order = Lagrange(given_order + np.arange(2.0))
+        self._column_count = orders + len(self.linear) + 1
         self._sums = ResponseSums(
-            grid.nodes.size, origins.size * _ORDERS, self._column_count, slice(_ORDERS, -1)
+            grid.nodes.size, origins.size * orders, self._column_count, slice(orders, -1)
         )
         self._pending: list[_Pending] = []
         self._deferred: list[Callable[[], None]] = []
@@ -122,15 +134,18 @@ class NormalEquations:
 
         Parameters
         ----------
-        law : ndarray, shape (nodes, origins * orders)
+        law : ndarray, shape (nodes, origins * 11)
             D^alpha phi at G = 1 [1].
-        free : ndarray, shape (orders,)
+        free : ndarray, shape (11,)
             D^alpha of phi in the air before [Pa].
         linear : sequence of float
             The linear columns, in the order of their names.
         stress : float
             Observed [Pa].
         """
+        if self._to_given is not None:
+            law = (law.reshape(-1, _ORDERS) @ self._to_given).reshape(law.shape[0], -1)
+            free = free @ self._to_given
         return BlockResponse(law, np.concatenate([free, linear, [stress]]))
 
     def add(self, response: BlockResponse, noise: float, size: int) -> None:
@@ -162,10 +177,15 @@ class NormalEquations:
             (law, columns), weight, _ = self._newest
             self._sums.change_column(self._column(index), change, law, columns, weight)
 
-    def work_ahead(self) -> None:
-        """Bring the sums up to date if many blocks wait, while nobody waits for an estimate."""
-        if len(self._pending) >= MOST_BEHIND // 2:
-            self._add_up()
+    def work_ahead(self) -> bool:
+        """Bring the sums up to date if many blocks wait, while nobody waits for an estimate.
+
+        Return whether they do.
+        """
+        if len(self._pending) < MOST_BEHIND // 2:
+            return False
+        self._add_up()
+        return True
 
     def clear(self) -> None:
         """Forget all blocks."""
@@ -269,9 +289,8 @@ class NormalEquations:
         """Let a linear parameter take the place of another, whose column was forgotten."""
         self._defer(functools.partial(self._sums.move, self._column(index), self._column(target)))
 
-    @staticmethod
-    def _column(index: int) -> int:
-        return index - _NONLINEAR + _ORDERS
+    def _column(self, index: int) -> int:
+        return index - _NONLINEAR + self._orders
 
     # One block
 
@@ -282,15 +301,15 @@ class NormalEquations:
         in_order, by_order = self._in_order(float(state[_ORDER]))
         in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
         law = response.law[first : first + STENCIL]
-        by_law = (in_gn @ law).reshape(-1, _ORDERS)
+        by_law = (in_gn @ law).reshape(-1, self._orders)
         at_order = g * (by_law @ in_order)
-        free = response.columns[:_ORDERS]
-        columns = response.columns[_ORDERS:-1] * self._factors(g)
+        free = response.columns[: self._orders]
+        columns = response.columns[self._orders : -1] * self._factors(g)
         stresses = columns * state[_NONLINEAR:]
         stress = in_origin @ at_order
         gradient = np.empty(self.size)
         gradient[_LOG_G] = stress + stresses @ self._scaled
-        gradient[_LOG_GN] = g * (in_origin @ (by_gn @ law).reshape(-1, _ORDERS) @ in_order)
+        gradient[_LOG_GN] = g * (in_origin @ (by_gn @ law).reshape(-1, self._orders) @ in_order)
         gradient[_ORDER] = g * (in_origin @ by_law @ by_order) + by_order @ free
         gradient[_ORIGIN] = by_origin @ at_order
         gradient[_NONLINEAR:] = columns
@@ -336,9 +355,12 @@ class NormalEquations:
         return first, math.exp(state[_LOG_G]) * np.outer(in_gn, in_origin)
 
     def law_step(self, before: BlockResponse, response: BlockResponse, state: Array) -> float:
-        """Return by how much the stress changes by the law alone, without linear columns [Pa]."""
+        """Return by how much the stress changes by the law alone, without linear columns [Pa].
+
+        Of both responses at all order nodes, F is all that counts of the columns.
+        """
         first, weights = self.law_weights(state)
-        in_order, _ = self._in_order(float(state[_ORDER]))
+        in_order, _ = self._in_all_orders(float(state[_ORDER]))
         used, free = slice(first, first + STENCIL), slice(0, _ORDERS)
         change = response.law[used] - before.law[used]
         by_order = weights.ravel() @ change.reshape(weights.size, _ORDERS)
@@ -391,7 +413,7 @@ class NormalEquations:
         in_origin, by_origin = self._in_origin(states[:, _ORIGIN])
         g = np.exp(states[:, _LOG_G])[:, None]
         in_origin, by_origin = g * in_origin, g * by_origin
-        nodes, inner = states.shape[0], in_origin.shape[1] * _ORDERS
+        nodes, inner = states.shape[0], in_origin.shape[1] * self._orders
         law = np.zeros((nodes, 1 + _NONLINEAR, inner))
         law[:, 0] = law[:, 1 + _LOG_G] = _outer(in_origin, in_order)
         law[:, 1 + _ORDER] = _outer(in_origin, by_order)
@@ -414,13 +436,13 @@ class NormalEquations:
             Of its own column in the derivative by each linear parameter.
         """
         columns = np.zeros((*states.shape[:-1], 1 + _NONLINEAR, self._column_count))
-        columns[..., 0, :_ORDERS] = in_order
+        columns[..., 0, : self._orders] = in_order
         columns[..., 0, -1] = -1.0
-        columns[..., 1 + _ORDER, :_ORDERS] = by_order
+        columns[..., 1 + _ORDER, : self._orders] = by_order
         factors = self._factors(np.exp(states[..., _LOG_G])[..., None])
         linear = factors * states[..., _NONLINEAR:]
-        columns[..., 0, _ORDERS:-1] = linear
-        columns[..., 1 + _LOG_G, _ORDERS:-1] = np.where(self._scaled, linear, 0.0)
+        columns[..., 0, self._orders : -1] = linear
+        columns[..., 1 + _LOG_G, self._orders : -1] = np.where(self._scaled, linear, 0.0)
         return columns, factors
 
 

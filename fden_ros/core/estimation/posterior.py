@@ -153,7 +153,8 @@ class StressPosterior:
         self.uncertainty = uncertainty
         self._config = config
         self._grid = grid
-        self._equations = NormalEquations(grid, origins, _LINEAR, _SCALED)
+        given_order = prior.fractional_order if config.fractional_order_given else None
+        self._equations = NormalEquations(grid, origins, _LINEAR, _SCALED, given_order)
         mean, deviations = np.zeros(len(StateIndex)), np.zeros(len(StateIndex))
         mean[:_ORIGIN], deviations[:_ORIGIN] = prior.mean, prior.deviations
         deviations[_ORIGIN] = origin_sd
@@ -368,9 +369,9 @@ class StressPosterior:
         due = _UNIMODAL_BLOCKS if self.is_unimodal else _MULTIMODAL_BLOCKS
         return self.blocks_since_solved >= due
 
-    def work_ahead(self) -> None:
-        """Do what a block would have to wait for otherwise."""
-        self._equations.work_ahead()
+    def work_ahead(self) -> bool:
+        """Do what a block would have to wait for otherwise; return whether there was any."""
+        return self._equations.work_ahead()
 
     def relinearise(self) -> Iterator[None]:
         """Solve for the posterior anew, with all blocks so far, step by step."""

@@ -463,7 +463,8 @@ class StressEstimator:
             return
         solved = False
         for posterior, weight in zip(self._bank, self._weights, strict=True):
-            posterior.work_ahead()
+            if posterior.work_ahead():
+                yield
             waiting = posterior.blocks_since_solved
             rarely = min(_RARELY, _RARELY_SHARE * self._block_count)
             if weight < _LEAST_WEIGHT and not fully and waiting < rarely:

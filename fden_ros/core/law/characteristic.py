@@ -96,10 +96,10 @@ def phi(
     result: Array = np.minimum(np.maximum(excess, 0.0), MAX_EXPONENT)
     np.exp(result, out=result)
     result += np.minimum(excess, 0.0)
-    if np.any(excess > MAX_EXPONENT):
+    if (excess > MAX_EXPONENT).any():
         result += math.exp(MAX_EXPONENT) * np.maximum(excess - MAX_EXPONENT, 0.0)
     result *= linear_stiffness / nonlinear_stiffness
-    return np.copysign(result, strain) if np.any(strain < 0.0) else result
+    return np.copysign(result, strain) if (strain < 0.0).any() else result
 
 
 def elastic_responses(

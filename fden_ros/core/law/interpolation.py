@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -41,12 +42,8 @@ class Lagrange:
     def __init__(self, nodes: Array) -> None:
         self._middle = 0.5 * float(nodes[0] + nodes[-1])
         self._half = 0.5 * float(nodes[-1] - nodes[0]) or 1.0
-        scaled = (nodes - self._middle) / self._half
-        cardinal = np.linalg.inv(chebyshev.chebvander(scaled, nodes.size - 1))
-        slope = np.zeros_like(cardinal)
-        slope[: max(nodes.size - 1, 1)] = chebyshev.chebder(cardinal) / self._half
         self._size = nodes.size
-        self._coefficients = np.hstack([cardinal, slope])
+        self._coefficients = _coefficients(tuple(nodes.tolist()), self._middle, self._half)
         #: The newest single value and what it gave: one estimate is asked for again and again.
         self._newest: tuple[float, tuple[Array, Array]] | None = None
 
@@ -60,12 +57,36 @@ class Lagrange:
         return newest[1]
 
     def _weights(self, value: float | Array) -> tuple[Array, Array]:
-        x = (value - self._middle) / self._half
-        polynomials = [x**0, x]
-        for _ in range(2, self._size):
-            polynomials.append(2.0 * x * polynomials[-1] - polynomials[-2])
-        both = np.array(polynomials[: self._size]).T @ self._coefficients
+        x = np.asarray((value - self._middle) / self._half)
+        powers = np.ones((*x.shape, self._size))
+        powers[..., 1:] = x[..., None]
+        np.multiply.accumulate(powers, axis=-1, out=powers)
+        both = powers @ self._coefficients
         return both[..., : self._size], both[..., self._size :]
+
+
+@functools.lru_cache(maxsize=64)
+def _coefficients(nodes: tuple[float, ...], middle: float, half: float) -> Array:
+    """Return, for the powers of a scaled value, the nodes' weights and slopes, shape (n, 2 n).
+
+    A new contact asks for the same ones again, and must not wait for them.
+    """
+    scaled = (np.array(nodes) - middle) / half
+    cardinal = np.linalg.inv(chebyshev.chebvander(scaled, len(nodes) - 1))
+    slope = np.zeros_like(cardinal)
+    slope[: max(len(nodes) - 1, 1)] = chebyshev.chebder(cardinal) / half
+    coefficients: Array = _powers_of_chebyshev(len(nodes)) @ np.hstack([cardinal, slope])
+    coefficients.flags.writeable = False
+    return coefficients
+
+
+def _powers_of_chebyshev(size: int) -> Array:
+    """Return the coefficients of the powers, by row, in the first Chebyshev polynomials."""
+    powers = np.eye(size)
+    for degree in range(2, size):
+        powers[:, degree] = -powers[:, degree - 2]
+        powers[1:, degree] += 2.0 * powers[:-1, degree - 1]
+    return powers
 
 
 class LogStiffnessGrid:

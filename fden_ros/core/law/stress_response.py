@@ -72,8 +72,8 @@ class StressBasis:
     def __init__(self, geometry: Geometry, log_gn_nodes: Array, origin_nodes: Array) -> None:
         self._geometry = geometry
         self._origins = [float(origin) for origin in origin_nodes]
-        #: Gn of each of the law's signals: the nodes of the origin run fastest.
-        self._gn = np.repeat(np.exp(log_gn_nodes), origin_nodes.size)
+        #: Gn of the law's signals, shape (n, 1): the nodes of the origin run fastest.
+        self._gn = np.exp(log_gn_nodes)[:, None]
         self._shape = (log_gn_nodes.size, origin_nodes.size)
         self._signal_count = log_gn_nodes.size * origin_nodes.size
         self._rates = relaxation_rates()
@@ -161,7 +161,8 @@ class StressBasis:
         signals[1:, : self._signal_count] = self._law(strains[1:])
         change = signals[1:] - signals[:-1]
         moved = np.ones((len(steps) + 1, 3))
-        moved[:, 0] = np.linspace(self._last_force, self._force, len(steps) + 1)
+        force_step = (self._force - self._last_force) / len(steps)
+        moved[:, 0] = self._last_force + force_step * np.arange(len(steps) + 1)
         moved[0, 1], moved[1:, 1] = self._last_jitter, jitters
         moved[0, 2] = self._last_shift
         moved *= self._slopes(strains)[:, None]
@@ -180,7 +181,8 @@ class StressBasis:
         self._memory *= self._whole_decay
         self._memory += gained[:size]
         before, strains = strains[:-1], strains[1:]
-        for k, origin in np.argwhere((before < 0.0) & (strains > 0.0)):
+        touches = (before < 0.0) & (strains > 0.0)
+        for k, origin in np.argwhere(touches) if touches.any() else ():
             share = strains[k, origin] / (strains[k, origin] - before[k, origin])
             columns = slice(origin, self._signal_count, self._shape[1])
             self._begin_within(int(k), share * float(steps[k]), columns, change[k, columns])
@@ -210,8 +212,8 @@ class StressBasis:
 
         Above the strain origin there is no contact, and phi is 0.
         """
-        touching = np.tile(np.maximum(strains, 0.0), self._shape[0])
-        return phi(touching, 1.0, self._gn)
+        touching = np.maximum(strains, 0.0)[:, None, :]
+        return phi(touching, 1.0, self._gn).reshape(strains.shape[0], -1)
 
     def _locals(self, steps: Array) -> Array:
         """Return what a change over each step counts for at its end, shape (orders, n)."""
