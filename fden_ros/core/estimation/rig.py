@@ -48,7 +48,9 @@ _STILL_SHARE = 0.5
 #: before: both are less certain by this many of its deviations [1]. Else a friction of any size
 #: would be found to be small.
 _TURN_DEVIATIONS = 2.0
-#: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
+#: Share of a block's unexpected stress [1] that the followed force takes up, once settled; while
+#: the probe holds still it averages over one block more each time. With the share itself the noise
+#: that is followed over 200 s would say of the compliance that it is many deviations off.
 _FOLLOWED_SHARE = 0.1
 
 
@@ -82,7 +84,7 @@ class RigResponse:
         self._has_loaded = self._has_unloaded = False
         self._direction = self.turn_variance = self.late_delay = 0.0
         self._delayed = 0.0
-        self._followed = 0
+        self._followed = self._still = 0
         self._stress = self._loading = self._relaxing = 0.0
 
     @property
@@ -179,7 +181,8 @@ class RigResponse:
             From the last block to this one, by the law [Pa].
         """
         self._followed += 1
+        self._still = 0 if self._direction else self._still + 1
         expected = self._stress + step
-        share = max(_FOLLOWED_SHARE, 1.0 / self._followed)
+        share = max(1.0 / (1.0 / _FOLLOWED_SHARE + self._still), 1.0 / self._followed)
         self._stress = expected + share * (stress - expected)
         self._relaxing = step - self._loading if self._followed > 1 else 0.0
