@@ -48,9 +48,7 @@ _STILL_SHARE = 0.5
 #: before: both are less certain by this many of its deviations [1]. Else a friction of any size
 #: would be found to be small.
 _TURN_DEVIATIONS = 2.0
-#: Share of a block's unexpected stress [1] that the followed force takes up, once settled; while
-#: the probe holds still it averages over one block more each time. With the share itself the noise
-#: that is followed over 200 s would say of the compliance that it is many deviations off.
+#: Share of a block's unexpected stress [1] that the followed force takes up, once settled.
 _FOLLOWED_SHARE = 0.1
 
 
@@ -172,6 +170,9 @@ class RigResponse:
 
     def follow(self, stress: float, step: float) -> None:
         """Follow the stress of the block that :meth:`bend` was for.
+
+        While the probe holds still it averages over one block more each time: of a long hold the
+        noise that a fixed share takes up would say that the compliance is many deviations off.
 
         Parameters
         ----------
