@@ -43,6 +43,7 @@ def finding(number=0, *, error=(0.01, 0.0, 0.0), **changes):
         "fractional_order": 0.13,
         "hold_s": 0.0,
         "rate_hz": 100.0,
+        "noise_pa": 3.0,
         "signal_to_noise": 50.0,
     }
     given = Finding(
@@ -137,6 +138,8 @@ def test_counts_are_of_contacts_and_claims_of_states():
     assert row["coverage"]["ln G"] == 0.75
     report = report_of(findings)
     assert [alarm["number"] for alarm in report.figures["alarms"]] == [1, 2, 3]
+    rows = report.figures["rows"]
+    assert rows["linear part seen"]["contacts"] == 5 and "linear part hidden" not in rows
 
 
 def test_limits_of_a_share_are_exact():

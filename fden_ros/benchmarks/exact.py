@@ -58,7 +58,8 @@ Drawn log-uniform: G 20 to 50,000, Gn 1 to 40, noise 3 to 300 Pa, 30 Hz to 1 kHz
 hold, three presses of one place. A press goes to a Gn x of 0.7 to 6, at most to half of the
 thickness, takes 20 times the noise or more and at most 63 N; what does not is drawn anew. Half of
 the priors are the default one, the others up to two of their deviations off; every other contact
-has 1 um of noise in the displacement.
+has 1 um of noise in the displacement. Linear part hidden: G/Gn, about the stress at the boundary
+strain, is below the noise of a sample.
 """
 
 _CONTACTS, _QUICK_CONTACTS, _QUICK_SAMPLES = 3000, 16, 1500
@@ -198,8 +199,20 @@ def _groups(findings: Sequence[Finding]) -> Iterator[tuple[str, list[Finding]]]:
         )
     for low, high in itertools.pairwise(_HOLDS_S[1:]):
         yield some(f"held for {_range(low, high)} s", between("hold_s", low, high))
+    for hidden in (True, False):
+        yield some(
+            f"linear part {'hidden' if hidden else 'seen'}",
+            lambda finding, hidden=hidden: _is_hidden(finding) == hidden,  # type: ignore[misc]
+        )
     for low, high in itertools.pairwise(_RATES_HZ):
         yield some(f"{_range(low, high)} Hz", between("rate_hz", low, high))
+
+
+def _is_hidden(finding: Finding) -> bool:
+    """Whether the stress at the boundary strain, about G/Gn, is below the noise of a sample."""
+    own = finding.drawn
+    stress = float(own["linear_stiffness"]) / float(own["nonlinear_stiffness"])
+    return stress < float(own["noise_pa"])
 
 
 def _range(low: float, high: float) -> str:

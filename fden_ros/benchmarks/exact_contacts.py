@@ -172,8 +172,8 @@ class Finding:
 
     @property
     def told_live(self) -> bool:
-        """Whether any state does."""
-        return self.live_mismatch or self.live_changed
+        """Whether any state or summary does."""
+        return self.live_mismatch or self.live_changed or self.told
 
     def json_object(self) -> dict[str, Any]:
         """Return the fields."""
