@@ -34,10 +34,19 @@ from fden_ros.core.estimation.rig import RigResponse
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.law.interpolation import LogStiffnessGrid
-from fden_ros.core.outputs import Flag
+from fden_ros.core.outputs import Flag, Phase, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.simulation.scenario import (
+    DisplacementSensor,
+    ForceSensor,
+    Geometry,
+    Scenario,
+    Site,
+    Tissue,
+)
 from fden_ros.simulation.simulate import simulate
+from fden_ros.simulation.trajectory import RampHold
 
 ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
 CONFIG = EstimatorConfig(uncertainty=ARM)
@@ -62,6 +71,47 @@ def test_noise_of_a_resting_probe_says_nothing_of_delay_and_friction():
     for index in (StateIndex.DELAY, StateIndex.FRICTION):
         assert not any(column[index] for column in columns)
     assert not rig.has_reversed
+
+
+def test_force_that_bends_the_tool_follows_less_noise_the_longer_the_probe_holds_still():
+    """With the noise of 200 s in it a compliance is said to be many of its deviations off."""
+    noise = np.random.default_rng(3).standard_normal(6000)
+    rig = RigResponse(ARM, GEOMETRY, 0.0)
+    forces = []
+    for k, stress in enumerate((100.0 + noise).tolist()):
+        block = Block(0.1, 0.0, k / 30.0, 1, 1.0 / 30.0, np.zeros(0))
+        forces.append(rig.bend(0.1, 1e4))
+        rig.columns(block, np.zeros(3), 0.0, 1.0)
+        rig.follow(stress, 0.0)
+    late = GEOMETRY.stress_per_force * np.array(forces[3000:])
+    assert late == pytest.approx(100.0, abs=0.1)
+    assert np.abs(np.diff(late)).max() < 2e-3
+
+
+def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
+    """Noise spoke of the compliance: alpha went on by a deviation in 30 s, 6 off after 200 s."""
+    tissue = Tissue(linear_stiffness=2234.0, nonlinear_stiffness=3.83, fractional_order=0.344)
+    scenario = Scenario(
+        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
+        sites=(Site(tissue, (RampHold(0.28, 0.25, 90.0, 0.6),)),),
+        force=ForceSensor(rate_hz=30.0, noise_stress_pa=6.2),
+        displacement=DisplacementSensor(rate_hz=30.0),
+    )
+    parameters = {
+        "geometry.area": math.pi * 1e-4,
+        "geometry.thickness": 0.02,
+        "prior.linear_stiffness": 185.0,
+        "prior.linear_stiffness_log_sd": 1.75,
+        "prior.nonlinear_stiffness": 7.2,
+        "prior.nonlinear_stiffness_log_sd": 0.6,
+        "prior.alpha": 0.46,
+        "prior.alpha_sd": 0.11,
+    }
+    _, outputs = identified(items_of(simulate(scenario, 1)), parameters)
+    held = [o.estimate for o in outputs if isinstance(o, TissueState) and o.phase is Phase.HOLDING]
+    early, late = held[900], held[-1]
+    moved = (late.fractional_order - early.fractional_order) / early.deviations[2]
+    assert abs(moved) < 0.3
 
 
 def test_a_delay_answers_to_the_mean_of_the_steps_before_and_after_a_block():

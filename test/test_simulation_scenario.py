@@ -32,6 +32,7 @@ from fden_ros.simulation.scenario import (
     scenario_names,
     scenario_of_mapping,
 )
+from fden_ros.simulation.simulate import simulate
 from fden_ros.simulation.trajectory import Palpation, Ramp
 
 GOOD = {
@@ -196,3 +197,29 @@ def test_giving_one_parameter_leaves_the_other_draws_alone():
     assert fixed.fractional_order == 0.2
     assert fixed.linear_stiffness == free.linear_stiffness
     assert fixed.nonlinear_stiffness == free.nonlinear_stiffness
+
+
+def test_staircase_goes_in_by_equal_steps_and_holds_each():
+    mapping = {
+        "geometry": {"kind": "flat_punch", "area_m2": 1e-4, "thickness_m": 0.02},
+        "sites": [
+            {
+                "tissue": {"draw": "liver"},
+                "presses": [
+                    {
+                        "kind": "staircase",
+                        "strain_rate": 0.5,
+                        "max_strain": 0.3,
+                        "steps": 3,
+                        "hold_s": 2.0,
+                    }
+                ],
+            }
+        ],
+        "force": {"noise_n": 0.0},
+    }
+    recording = simulate(scenario_of_mapping(mapping), 1)
+    strain = recording.displacement.value / 0.02
+    held = [np.mean(np.abs(strain - level) < 1e-9) for level in (0.1, 0.2, 0.3)]
+    duration = strain.size / 1000.0
+    assert duration * np.array(held) == pytest.approx([2.0] * 3, abs=0.01)

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 #: Name of every benchmark, which is that of its module, and what it measures in a line.
 BENCHMARKS: dict[str, str] = {
     "accuracy": "errors over the Cramér-Rao bound, honesty of the intervals; simulated contacts",
+    "exact": "false alarms, silent errors and honesty on tissue that obeys the law exactly",
+    "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
     "robots": "what a real rig adds: breathing, compliance, friction, hum; silent errors",
     "contact": "contacts invented, missed and split on a disturbed rig; detection alone",
     "replay": "speed and memory of replay and batch, beside merely decoding the same messages",

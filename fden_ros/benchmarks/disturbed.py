@@ -273,12 +273,12 @@ class Judged(NamedTuple):
     @property
     def is_off(self) -> bool:
         """Whether a parameter is off by more than the stated deviation allows."""
-        return _is_off(self.error, self.deviation)
+        return is_off(self.error, self.deviation)
 
     @property
     def is_silent(self) -> bool:
         """Whether nothing says that it is off."""
-        return self.converged and not self.flags & ~_HARMLESS and self.is_off
+        return self.converged and not warns(self.flags) and self.is_off
 
 
 class Trial(NamedTuple):
@@ -317,7 +317,7 @@ def run_trial(case: Case, number: int, parameters: Mapping[str, Any]) -> Trial:
     claims = [
         state.estimate
         for state in states
-        if state.status is Status.CONVERGED and state.estimate and not state.flags & ~_HARMLESS
+        if state.status is Status.CONVERGED and state.estimate and not warns(state.flags)
     ]
     return Trial(
         presses=len(presses),
@@ -325,7 +325,7 @@ def run_trial(case: Case, number: int, parameters: Mapping[str, Any]) -> Trial:
         clear_missed=sum(n not in found for n in range(len(presses))) if is_clear else 0,
         contacts=contacts,
         claims=len(claims),
-        wrong_claims=sum(_is_off(*_errors(claim, truth)) for claim in claims),
+        wrong_claims=sum(is_off(*errors_of(claim, truth)) for claim in claims),
         held=_held(states, presses[0], case.presses[0]),
         stuck=pipeline.rejected["force.stuck"] + pipeline.rejected["displacement.stuck"],
     )
@@ -448,7 +448,7 @@ def _judged(
     best = int(np.argmax(overlaps))
     error, deviation = np.full(3, np.nan), np.full(3, np.nan)
     if summary.estimate is not None:
-        error, deviation = _errors(summary.estimate, truth)
+        error, deviation = errors_of(summary.estimate, truth)
     return Judged(
         summary.converged,
         summary.flags,
@@ -458,7 +458,7 @@ def _judged(
     )
 
 
-def _errors(estimate: Estimate, truth: Array) -> tuple[Array, Array]:
+def errors_of(estimate: Estimate, truth: Array) -> tuple[Array, Array]:
     """Return errors of (ln G, ln Gn, alpha) and their stated deviations."""
     values = np.array(
         [
@@ -470,7 +470,13 @@ def _errors(estimate: Estimate, truth: Array) -> tuple[Array, Array]:
     return values - truth, np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
 
 
-def _is_off(error: Array, deviation: Array) -> bool:
+def warns(flags: Flag) -> bool:
+    """Return whether a flag says that something is wrong."""
+    return bool(flags & ~_HARMLESS)
+
+
+def is_off(error: Array, deviation: Array) -> bool:
+    """Return whether errors of (ln G, ln Gn, alpha) are beyond what is stated, each (3,)."""
     return bool(np.any((np.abs(error) > _DEVIATIONS * deviation) & (np.abs(error) > _SIZES)))
 
 

@@ -46,11 +46,12 @@ from fden_ros.simulation.trajectory import (
     Ramp,
     RampHold,
     Sinusoid,
+    Staircase,
     require_not_negative,
     require_positive,
 )
 
-Press = Ramp | RampHold | Palpation | Sinusoid
+Press = Ramp | RampHold | Staircase | Palpation | Sinusoid
 Axis = tuple[float, float, float]
 
 FORCE_MESSAGES = ("wrench", "joint_state")

@@ -148,8 +148,8 @@ class Tissue:
         self.step = step
         orders = [c.model.fractional_order for c in columns]
         self._orders = np.array(orders)
-        self._rates, self._weights = _kernel(orders, step)
         self._gamma = np.array([math.gamma(2.0 - order) for order in orders])
+        self._rates, self._weights = self._exponentials()
         self._whole = self._prepared(step)
         self._memory = np.zeros((len(columns), self._rates.size))
         self._phi = np.zeros(len(columns))
@@ -218,15 +218,24 @@ class Tissue:
         gain = np.ones_like(self._rates)
         gain[1:] = -np.expm1(-self._rates[1:] * duration) / (self._rates[1:] * duration)
         # Not 0, where the probe is on the surface at the end of the step.
-        slope = max(duration, 1e-12) ** -self._orders / self._gamma
+        slope = self._mean_kernel(max(duration, 1e-12))
         return _Step(decay, gain, self._weights * decay, slope)
+
+    def _exponentials(self) -> tuple[FloatArray, FloatArray]:
+        """Return rates (m,), the first 0, and weights (columns, m) of the kernel of the past."""
+        return springpot_exponentials(self._orders.tolist(), self.step)
+
+    def _mean_kernel(self, duration: float) -> FloatArray:
+        """Return the kernel's mean over the newest `duration` [s], (columns,)."""
+        mean: FloatArray = duration**-self._orders / self._gamma
+        return mean
 
     def surface(self, column: int = 0) -> float:
         """Return phi of a column's surface in Pa·s^alpha: 0 when fully recovered."""
         return float(self._phi[column])
 
 
-def _kernel(orders: Sequence[float], step: float) -> tuple[FloatArray, FloatArray]:
+def springpot_exponentials(orders: Sequence[float], step: float) -> tuple[FloatArray, FloatArray]:
     """Return rates (m,), the first 0, and weights (columns, m) of the kernel t^-a/Gamma(1-a)."""
     first, last = math.log(_SLOW / _LONGEST_MEMORY), math.log(_FAST / step)
     logs = np.arange(first, last + _LOG_STEP, _LOG_STEP)

@@ -210,6 +210,39 @@ class RampHold:
 
 
 @dataclass(frozen=True)
+class Staircase:
+    """Into the tissue in equal steps of strain, each a ramp that is held for `hold_s`.
+
+    Attributes
+    ----------
+    max_strain
+        Strain of the last step.
+    steps
+        How many.
+    strain_rate, hold_s, retract_rate
+        As in :class:`RampHold`.
+    """
+
+    kind: ClassVar[str] = "staircase"
+    strain_rate: float
+    max_strain: float
+    steps: int
+    hold_s: float
+    retract_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "strain_rate", "max_strain", "steps", "hold_s", "retract_rate")
+
+    def press(self, path: Path, approach: Approach) -> None:
+        """Append approach, steps and retreat to `path`."""
+        approach.descend(path)
+        for count in range(1, self.steps + 1):
+            path.go(self.max_strain * count / self.steps, self.strain_rate)
+            path.rest(self.hold_s)
+        approach.retract(path, self.retract_rate)
+
+
+@dataclass(frozen=True)
 class Palpation:
     """Repeated presses of one place: ramp, hold, out of contact, pause, and again.
 
@@ -294,6 +327,8 @@ class Sinusoid:
         approach.retract(path, self.retract_rate)
 
 
-TRAJECTORIES: dict[str, type[Ramp] | type[RampHold] | type[Palpation] | type[Sinusoid]] = {
-    trajectory.kind: trajectory for trajectory in (Ramp, RampHold, Palpation, Sinusoid)
+TRAJECTORIES: dict[
+    str, type[Ramp] | type[RampHold] | type[Staircase] | type[Palpation] | type[Sinusoid]
+] = {
+    trajectory.kind: trajectory for trajectory in (Ramp, RampHold, Staircase, Palpation, Sinusoid)
 }

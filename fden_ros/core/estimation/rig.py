@@ -82,7 +82,7 @@ class RigResponse:
         self._has_loaded = self._has_unloaded = False
         self._direction = self.turn_variance = self.late_delay = 0.0
         self._delayed = 0.0
-        self._followed = 0
+        self._followed = self._still = 0
         self._stress = self._loading = self._relaxing = 0.0
 
     @property
@@ -171,6 +171,9 @@ class RigResponse:
     def follow(self, stress: float, step: float) -> None:
         """Follow the stress of the block that :meth:`bend` was for.
 
+        While the probe holds still it averages over one block more each time: of a long hold the
+        noise that a fixed share takes up would say that the compliance is many deviations off.
+
         Parameters
         ----------
         stress : float
@@ -179,7 +182,8 @@ class RigResponse:
             From the last block to this one, by the law [Pa].
         """
         self._followed += 1
+        self._still = 0 if self._direction else self._still + 1
         expected = self._stress + step
-        share = max(_FOLLOWED_SHARE, 1.0 / self._followed)
+        share = max(1.0 / (1.0 / _FOLLOWED_SHARE + self._still), 1.0 / self._followed)
         self._stress = expected + share * (stress - expected)
         self._relaxing = step - self._loading if self._followed > 1 else 0.0
