@@ -269,9 +269,6 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         drawings.append(plots.convergence(contact, session.truth.get(summary.site_id)))
     if any(state.innovation is not None for state in states):
         drawings.append(plots.innovations(contact))
-    law = law_picture(session, contact, summary)
-    if law is not None:
-        drawings.append(law)
     place = ""
     if summary.position is not None:
         place = (
@@ -285,6 +282,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "place": place,
         "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
+        "law": law_picture(session, contact, summary),
         "test": contact.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (
