@@ -33,7 +33,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.simulated import (
@@ -47,6 +46,7 @@ from fden_ros.benchmarks.simulated import (
     Trial,
     run_trial,
 )
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EstimatorConfig
 from fden_ros.errors import InputError
 from fden_ros.simulation.trajectory import Palpation, Ramp, RampHold, Sinusoid
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:

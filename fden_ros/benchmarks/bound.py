@@ -36,12 +36,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.simulation.closed_form import FdenModel, LinearMove, Move, SineMove
 from fden_ros.simulation.contact import contacts_of_moves
-
-Array = NDArray[np.float64]
 
 #: Parameters, in this order everywhere.
 PARAMETERS = ("log_g", "log_gn", "alpha", "origin", "bias")

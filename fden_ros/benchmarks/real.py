@@ -38,7 +38,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.hold_order import hold_order
@@ -52,6 +51,7 @@ from fden_ros.benchmarks.peers import (
 )
 from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Prior, Uncertainty
@@ -67,7 +67,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, contact_bounds
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.core.outputs import ContactSummary, OrderSource, Output, Status
 from fden_ros.core.outputs import TissueState as State
@@ -45,8 +46,6 @@ from fden_ros.simulation.scenario import (
 )
 from fden_ros.simulation.simulate import END_PAUSE_S, START_NS, Recording, simulate
 from fden_ros.simulation.trajectory import Approach, Path
-
-Array = NDArray[np.float64]
 
 #: The identifier's two observations, and the paper's own filter.
 STRESS, FRACTIONAL_STRESS, APPENDIX_D = "stress", "fractional_stress", "appendix_d"

@@ -24,9 +24,9 @@ from matplotlib.figure import Figure
 
 from fden_ros.configure.finding import Finding
 from fden_ros.configure.session import Session
-from fden_ros.configure.streams import Array
 from fden_ros.configure.survey import Survey
 from fden_ros.configure.writer import value_text
+from fden_ros.core.arrays import Array
 
 _FORCE, _MOTION, _CONTACT, _LINE = "#0b5fa5", "#3f3f46", "#e8eef5", "#c2410c"
 _PARTS = ("x", "y", "z")

@@ -37,10 +37,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import (
     NOTHING_UNKNOWN,
     Estimate,
@@ -62,8 +63,6 @@ from fden_ros.core.law.characteristic import (
 )
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.errors import InputError
-
-Array = NDArray[np.float64]
 
 #: Just after the present [s]: the first instant of which the memory knows the whole past.
 _AT_ONCE = 1e-5

@@ -35,6 +35,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import gamma
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi
 from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.errors import InputError
@@ -45,7 +46,7 @@ from fden_ros.experiments.characteristic import (
 )
 from fden_ros.experiments.nonlinearity import appendix_d
 from fden_ros.experiments.regression import Solution, minimise
-from fden_ros.experiments.result import Array, Curve, Fit, Panel, Parameter, plain, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, plain, r_squared
 
 #: Change of strain within which phi is taken linear: an error of 2e-8 at Gn 10.
 _STRAIN_STEP = 5e-5

@@ -38,8 +38,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
-from fden_ros.experiments.result import Array
 
 #: Fewer rows say nothing about correlation.
 _MIN_ROWS_FOR_CORRELATION = 20

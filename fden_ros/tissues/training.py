@@ -35,6 +35,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
     Likelihood,
@@ -47,8 +48,6 @@ from fden_ros.core.classification.classifier import (
 from fden_ros.core.estimation.estimate import Prior
 from fden_ros.errors import InputError
 from fden_ros.tissues.library import FORMAT, parse_library
-
-Array = NDArray[np.float64]
 
 #: The prior of what classes have in common is worth so many specimens.
 SHRINKAGE = 4.0
