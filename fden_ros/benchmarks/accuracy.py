@@ -152,7 +152,8 @@ CASES = (
     Case("alpha_one_sd_wrong", Ramp(1.0, 0.25), alpha_off_sd=0.011, group=Group.HONEST),
 )
 
-#: A run of so many contacts decides by the figure itself, a shorter one by its interval.
+#: A run of at least this number of contacts decides by the figure itself, a shorter one by its
+#: interval.
 _ENOUGH = 1000
 _QUICK_CONTACTS = 6
 _TRIALS_PER_TASK = 3

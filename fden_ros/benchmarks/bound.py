@@ -139,7 +139,7 @@ def contact_bounds(
     for contact in contacts:
         inside |= (stamps > contact.start) & (stamps < contact.stop)
     times = stamps[inside]
-    # The stress is smooth: every so many samples stand for their neighbours.
+    # The stress is smooth: samples at even distances stand for their neighbours.
     stride = max(1, times.size // _TIMES)
     times = times[stride // 2 :: stride]
     weight = math.sqrt(inside.sum() / max(times.size, 1)) / noise_pa

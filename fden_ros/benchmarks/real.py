@@ -93,7 +93,7 @@ _WIDE = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
 _LEAST_ORDER_SD = 0.005
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY_DEVIATION = 1e-9
-#: Deviation of ln Gn of a converged estimate [1], as by default.
+#: Deviation of ln Gn of a converged estimate [1]: the default of `converged.log_sd`.
 _CONVERGED_LOG_SD = 0.1
 #: A testing machine: its rig leaves nothing out, the law does as on any tissue.
 _MACHINE = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
@@ -101,7 +101,7 @@ _TWO_SIDED_95 = 1.96
 _NANOSECONDS = 1_000_000_000
 #: Tests of each material, and simulated contacts, with --quick and without.
 _QUICK_TESTS, _QUICK_SIMULATED, _SIMULATED = 4, 20, 300
-#: The mismatch is told where the model is right at most so often.
+#: Largest share of presses with a mismatch where the model is right [1].
 FALSE_ALARMS = 0.01
 #: Forgetting of the estimators that forget: a time constant of 1 s.
 _FORGETTING_TIME = 1.0

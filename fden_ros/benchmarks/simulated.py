@@ -53,7 +53,7 @@ STRESS, FRACTIONAL_STRESS, APPENDIX_D = "stress", "fractional_stress", "appendix
 MODEL_ERROR_LEARNED = "model_error_learned"
 
 _GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
-#: The last of the approach is at the rate of the press, for so long [s].
+#: The last 0.3 s of the approach are at the rate of the press [s].
 _SLOW_TIME = 0.3
 #: Share of the white noise that remains in f'; see
 #: :mod:`fden_ros.core.estimation.fractional_stress_estimator`.

@@ -84,7 +84,7 @@ class Prediction:
     sd: Array  #: its standard deviation, shape (n,)
 
     def interval(self, deviations: float = 2.0) -> tuple[Array, Array]:
-        """Return lower and upper bound at so many standard deviations, each of shape (n,)."""
+        """Return lower and upper bound at a number of standard deviations, shape (n,) each."""
         return self.value - deviations * self.sd, self.value + deviations * self.sd
 
 

@@ -128,7 +128,8 @@ def _cells(
         g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
         g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
     apparent = DASH
-    if stiffness is not None and stiffness.sd < _UNKNOWN * stiffness.value:
+    is_plausible = Flag.IMPLAUSIBLE not in summary.flags
+    if stiffness is not None and is_plausible and stiffness.sd < _UNKNOWN * stiffness.value:
         apparent = plus_minus(stiffness.value, stiffness.sd, _DIGITS)
     numbers = (str(summary.contact_id), str(summary.site_id), g, g_n, alpha, apparent)
     label = DASH if on_path else label_words(summary)

@@ -49,7 +49,7 @@ from fden_ros.core.estimation.estimate import Prior
 from fden_ros.errors import InputError
 from fden_ros.tissues.library import FORMAT, parse_library
 
-#: The prior of what classes have in common is worth so many specimens.
+#: The prior of what classes have in common is worth 4 specimens.
 SHRINKAGE = 4.0
 #: Spread between specimens where nothing is known: of the paper's liver, alpha wider.
 _DEFAULT_SPREAD = np.diag(np.square([0.28, 0.19, 0.02]))
