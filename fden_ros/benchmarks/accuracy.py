@@ -47,7 +47,7 @@ from fden_ros.benchmarks.simulated import (
     run_trial,
 )
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.errors import InputError
 from fden_ros.simulation.trajectory import Palpation, Ramp, RampHold, Sinusoid
 

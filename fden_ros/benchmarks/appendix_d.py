@@ -36,7 +36,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 
 _START = 3
 

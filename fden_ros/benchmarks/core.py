@@ -42,7 +42,7 @@ from scipy.special import gamma
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.law.interpolation import LogStiffnessGrid

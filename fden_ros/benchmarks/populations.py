@@ -42,7 +42,8 @@ from fden_ros.core.classification.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.estimation.estimate import Estimate, Prior
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import Classification, ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config

@@ -54,7 +54,8 @@ from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
-from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig, Prior, Uncertainty
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline

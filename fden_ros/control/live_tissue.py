@@ -31,12 +31,8 @@ from numpy.typing import ArrayLike
 
 from fden_ros.control.prediction import Prediction, Predictor
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation.estimate import (
-    NOTHING_UNKNOWN,
-    Estimate,
-    ParameterSet,
-    Uncertainty,
-)
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.outputs import WITHHELD, Flag, Status, TissueState

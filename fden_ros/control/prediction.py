@@ -42,12 +42,8 @@ from scipy.linalg import solve_triangular
 
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import (
-    NOTHING_UNKNOWN,
-    Estimate,
-    StateIndex,
-    Uncertainty,
-)
+from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.estimation.unmodelled import (
     KERNEL_SHARE,
     SURFACE_TIME,

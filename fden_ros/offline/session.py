@@ -27,7 +27,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, Innovation, ParameterSet
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import (
     WITHHELD,

@@ -45,7 +45,7 @@ from fden_ros.core.classification.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.errors import InputError
 from fden_ros.tissues.library import FORMAT, parse_library
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Block
+from fden_ros.core.estimation.estimator import Block
 
 #: A block becomes a point when the compression has changed by this share, or by at least this much
 #: [1]; or when the time since the last point is this share of the loading's age [1]. Half of each

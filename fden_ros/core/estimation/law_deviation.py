@@ -45,7 +45,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.contact_record import ContactRecord
-from fden_ros.core.estimation.estimate import LawError, Prior, StateIndex, Uncertainty
+from fden_ros.core.estimation.estimate import LawError, StateIndex
+from fden_ros.core.estimation.estimator_config import Prior, Uncertainty
 from fden_ros.core.estimation.nearest_curve import beside_the_law, nearest_curve
 from fden_ros.core.estimation.unmodelled import (
     FRICTION_SPEED,
