@@ -58,8 +58,10 @@ Identify soft tissue from force and displacement with the FDEN model.
 
   fden bag ramp -o /tmp/ramp          make a synthetic palpation bag
   fden info /tmp/ramp                 what is in a bag, and what of it would be used
-  fden replay /tmp/ramp               estimate G and Gn from a bag
-  fden report /tmp/ramp -o ramp.html  a page to read: what was pressed, how well it is known
+  fden replay /tmp/ramp --config /tmp/ramp/identifier.yaml
+                                      estimate G and Gn from a bag
+  fden report /tmp/ramp --config /tmp/ramp/identifier.yaml -o ramp.html
+                                      a page to read: what was pressed, how well it is known
   fden batch archive -o results.parquet
                                       an archive of bags, a row a contact
   fden train liver/1=bags -o library.yaml

@@ -51,7 +51,7 @@ from fden_ros.ros.messages import state_of
 #: What the identifier offers; a feed cannot ask for less.
 OFFERED_DEADLINE = 0.05
 OFFERED_LEASE = 0.2
-#: The estimates are looked at so often per deadline, beside what DDS itself reports.
+#: The estimates are looked at five times per deadline, beside what DDS itself reports.
 _CHECKS_PER_DEADLINE = 5
 _SPIN_TIMEOUT = 0.02
 
@@ -73,7 +73,7 @@ class TissueFeed:
         The identifier's parameter file: predictions need the geometry, and what is not known of
         tissue and rig counts in their deviations.
     geometry : Geometry or None
-        The geometry itself, instead of a file; what is not known counts as by default.
+        The geometry itself, instead of a file; what is not known counts by its defaults.
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
     required : ParameterSet

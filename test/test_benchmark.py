@@ -27,7 +27,8 @@ from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, bounds, contact_bounds, slope
 from fden_ros.benchmarks.simulated import MODEL_ERROR_LEARNED, STRESS, Outcome, Trial, run_trial
 from fden_ros.cli import main
-from fden_ros.core.estimation.estimate import ParameterSet, Prior
+from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.simulation.closed_form import FdenModel, LinearMove
 
 # The framework

@@ -82,6 +82,9 @@ def test_a_table_shows_stiffness_and_alpha_and_no_prior(
     assert "dF/dd and α at places on the path" in text
     assert text.count("stiffness  ") > 20
     assert "3200" not in text
+    # The first places, before four windows of the palpation are over.
+    assert "Places" in text and "no stiffness yet" in text
+    assert not any(words in text for words in ("not converged", "origin", "undetermined"))
 
 
 def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
@@ -90,6 +93,12 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert "places on the path whose stiffness is known." in text
     assert "dF/dd for a motion of 0.1 s" in text
+    assert "<h2>Places</h2>" in text and "no stiffness yet" in text
+    # A press's words: what it was, which tissue, how the probe stood; one unpaired force is usual.
+    assert not any(
+        words in text
+        for words in ("max strain", "undetermined", "origin uncertain", "normal not", "rejected:")
+    )
     assert picture.stat().st_size > 10_000
     with table.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["apparent_stiffness"]]

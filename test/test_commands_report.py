@@ -338,7 +338,7 @@ def test_innovations_of_simulated_tissue_pass_their_test(session: Session) -> No
 
 
 def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None:
-    from fden_ros.core.estimation.estimate import Innovation
+    from fden_ros.core.estimation.estimator import Innovation
 
     def verdict(values: np.ndarray) -> str:
         contact = Contact(1)

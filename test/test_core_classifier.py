@@ -40,7 +40,7 @@ from fden_ros.core.classification.classifier import (
     posterior,
 )
 from fden_ros.core.classification.decision import Decider, DecisionConfig
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.tissues.library import load_library
 
 #: No test depends on the time it takes, nor on chance.

@@ -28,7 +28,7 @@ from pipeline_helpers import LIVER
 from property_helpers import examples
 from scipy.special import gamma
 
-from fden_ros.core.estimation.estimate import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalBlock, GaussianSum
 from fden_ros.core.law.geometry import PassThrough, Sphere
 

@@ -33,14 +33,8 @@ from fden_ros.benchmarks.real import identify as identify_measured
 from fden_ros.benchmarks.real import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
 from fden_ros.core.estimation.edge import weights_pile_up
-from fden_ros.core.estimation.estimate import (
-    KEYS,
-    PUBLISHED,
-    Estimate,
-    LawError,
-    ParameterSet,
-    Prior,
-)
+from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import contact_row

@@ -30,7 +30,7 @@ from fden_ros.core.classification.relative import (
     stack,
     without_prior,
 )
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import Classification as Answer

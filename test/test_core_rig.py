@@ -28,7 +28,9 @@ from pipeline_helpers import feed, identified, items_of, summaries_of
 
 from fden_ros.benchmarks.disturbed import CASES, PRIOR, run_trial, scenario_of
 from fden_ros.cli import main
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex, Uncertainty
+from fden_ros.core.estimation.estimate import StateIndex
+from fden_ros.core.estimation.estimator import Block
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.normal_equations import NormalEquations
 from fden_ros.core.estimation.rig import RigResponse
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge

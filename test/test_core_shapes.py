@@ -22,7 +22,9 @@ import re
 import numpy as np
 import pytest
 
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig, StateIndex
+from fden_ros.core.estimation.estimate import StateIndex
+from fden_ros.core.estimation.estimator import Block
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.gauss_newton import GaussNewton
 from fden_ros.core.estimation.normal_equations import NormalEquations
 from fden_ros.core.estimation.state_prior import StatePrior

@@ -27,7 +27,8 @@ from scipy.special import gamma
 from scipy.stats import chi2
 
 from fden_ros.benchmarks.simulated import STRESS, Case, run_trial
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig
+from fden_ros.core.estimation.estimator import Block
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.geometry import PassThrough
 from fden_ros.core.outputs import Flag, TissueState

@@ -39,16 +39,19 @@ from frame_helpers import (
     transforms,
     write_bag,
 )
+from pipeline_helpers import FORCE
 from ros_helpers import LOSSLESS, Bench, identifier
 from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.rotation import Transform, angle, slerp
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.errors import InputError
 from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import Replay, replay
+from fden_ros.offline.session import gather
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.cdr import serialize
 from fden_ros.recording.contents import inspect
@@ -341,6 +344,24 @@ def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
             player.wait_until_acknowledged()
         bench.wait_for(lambda: len(live_of(bench)) >= len(expected), "all outputs")
     assert sorted(live_of(bench)) == sorted(expected)
+
+
+def test_a_report_shows_force_and_displacement_along_their_axes(bag: Path) -> None:
+    session = gather(bag, read_parameter_file(bag / PARAMETER_FILE))
+    time, low, high = session.displacement.arrays(session.start_ns)
+    instants = session.start_ns + np.round(NANOSECONDS * time).astype(np.int64)
+    depth = np.array([tip_position(instant)[2] for instant in instants])
+    # A bucket holds 1 ms or more of a probe that goes at some mm/s.
+    assert time.size > 100 and np.abs(0.5 * (low + high) - depth).max() < 5e-4
+    assert high.max() - low.min() > 3e-3
+    _, least, largest = session.force.arrays(session.start_ns)
+    truth = [
+        item.value
+        for item in shift().items
+        if item.stream == FORCE and item.stamp_ns <= session.end_ns
+    ]
+    assert largest.max() == pytest.approx(max(truth), rel=0.01)
+    assert least.min() == pytest.approx(min(truth), abs=0.01 * max(truth))
 
 
 def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:

@@ -117,6 +117,13 @@ def test_a_site_is_one_marker_and_one_point_of_its_newest_contact() -> None:
     assert cloud["G_sd"] == pytest.approx([6.4, 18.0])
 
 
+def test_the_map_keeps_the_newest_thousand_sites() -> None:
+    stiffness_map = StiffnessMap()
+    for site in range(1, 1004):
+        stiffness_map.add(summary(site))
+    assert points(stiffness_map.cloud())["x"] == pytest.approx(0.01 * np.arange(4, 1004))
+
+
 def test_the_coordinates_of_the_map_are_float32_as_rviz_draws_no_others() -> None:
     stiffness_map = StiffnessMap()
     stiffness_map.add(summary(1))

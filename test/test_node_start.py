@@ -33,7 +33,8 @@ from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import GetState
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import LOSSLESS, Bench, identifier
+from ros_helpers import LOSSLESS, RELIABLE, Bench, identifier
+from sensor_msgs.msg import JointState
 
 from fden_ros.simulation.simulate import START_NS
 
@@ -105,6 +106,27 @@ def test_a_joint_that_is_not_in_the_messages_is_named_with_its_parameter() -> No
             "four diagnostics",
         )
     assert len(warnings_of(node, "set displacement.name")) == 1
+
+
+def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_said() -> None:
+    with Bench() as bench:
+        for publisher in (bench.force, bench.displacement):
+            bench.node.destroy_publisher(publisher)
+        with identifier({"autostart": True, **LOSSLESS}) as node:
+            wait_for_looks(bench, 3)
+            bench.force = bench.node.create_publisher(WrenchStamped, "/force", RELIABLE)
+            bench.displacement = bench.node.create_publisher(JointState, "/displacement", RELIABLE)
+            silent = "/displacement is published by /bench, but no message has come"
+            bench.wait_for(lambda: silent in bench.diagnostic().get("message", ""), silent)
+            seen = len(bench.diagnostics)
+            now = iter(range(START_NS, 2 * START_NS, STEP_NS))
+            bench.wait_for(
+                lambda: bench.publish(next(now), 0.0, 0.0) or len(bench.diagnostics) >= seen + 2,
+                "two diagnostics",
+            )
+    assert len(warnings_of(node, "nothing publishes /displacement")) == 1
+    assert not warnings_of(node, "no message has come")
+    assert node.output.count("force and displacement come now") == 1
 
 
 def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet() -> None:

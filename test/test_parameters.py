@@ -28,7 +28,7 @@ from sensor_msgs.msg import JointState
 from test_parameter_effects import EFFECTS
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimate import Uncertainty
+from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.errors import InputError
 from fden_ros.parameters import (

@@ -332,3 +332,22 @@ def test_the_rows_of_a_table_go_into_the_bag_of_results_and_replay_alike(tmp_pat
         assert replace(one, estimate=None, classes=None, stamp_ns=0) == replace(
             other, estimate=None, classes=None, stamp_ns=0
         )
+
+
+def test_the_words_on_what_cannot_be_are_whole_beside_numbers_of_any_size() -> None:
+    from fden_ros.core.outputs import ApparentStiffness
+
+    impossible = summary(
+        converged=False,
+        flags=Flag.IMPLAUSIBLE | Flag.ESTIMATE_AT_EDGE,
+        estimate=ESTIMATE._replace(
+            log_linear_stiffness=math.log(0.022),
+            covariance=np.diag([1.2, 0.0005, 0.0001]),
+            known=ParameterSet.NONE,
+            valid=ParameterSet.STIFFNESS,
+        ),
+        apparent_stiffness=ApparentStiffness(1.46e7, 1.5e7, 0.1),
+    )
+    text = printed(impossible)
+    assert "…" not in text and "e+07" not in text
+    assert "implausible" in text and "undetermined" in text

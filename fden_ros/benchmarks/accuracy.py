@@ -33,7 +33,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.simulated import (
@@ -47,7 +46,8 @@ from fden_ros.benchmarks.simulated import (
     Trial,
     run_trial,
 )
-from fden_ros.core.estimation.estimate import EstimatorConfig
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.errors import InputError
 from fden_ros.simulation.trajectory import Palpation, Ramp, RampHold, Sinusoid
 
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:
@@ -153,7 +152,8 @@ CASES = (
     Case("alpha_one_sd_wrong", Ramp(1.0, 0.25), alpha_off_sd=0.011, group=Group.HONEST),
 )
 
-#: A run of so many contacts decides by the figure itself, a shorter one by its interval.
+#: A run of at least this number of contacts decides by the figure itself, a shorter one by its
+#: interval.
 _ENOUGH = 1000
 _QUICK_CONTACTS = 6
 _TRIALS_PER_TASK = 3

@@ -34,11 +34,9 @@ import math
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from numpy.typing import NDArray
 
-from fden_ros.core.estimation.estimate import Prior
-
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimator_config import Prior
 
 _START = 3
 

@@ -36,12 +36,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.simulation.closed_form import FdenModel, LinearMove, Move, SineMove
 from fden_ros.simulation.contact import contacts_of_moves
-
-Array = NDArray[np.float64]
 
 #: Parameters, in this order everywhere.
 PARAMETERS = ("log_g", "log_gn", "alpha", "origin", "bias")
@@ -141,7 +139,7 @@ def contact_bounds(
     for contact in contacts:
         inside |= (stamps > contact.start) & (stamps < contact.stop)
     times = stamps[inside]
-    # The stress is smooth: every so many samples stand for their neighbours.
+    # The stress is smooth: samples at even distances stand for their neighbours.
     stride = max(1, times.size // _TIMES)
     times = times[stride // 2 :: stride]
     weight = math.sqrt(inside.sum() / max(times.size, 1)) / noise_pa

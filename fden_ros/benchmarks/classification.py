@@ -33,7 +33,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, real, within
 from fden_ros.benchmarks.lesions import (
@@ -68,6 +67,7 @@ from fden_ros.benchmarks.populations import (
     training_contacts,
 )
 from fden_ros.benchmarks.real_classes import ONLINE, Told, tell
+from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.classification.classifier import (
     Likelihood,
     Tissue,
@@ -85,8 +85,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 EPILOG = """\
 examples:

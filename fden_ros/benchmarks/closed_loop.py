@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import LiveTissue
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import apparent_stiffness_factor
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -39,8 +40,6 @@ from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.simulate import EXACT
 from fden_ros.simulation.tissue import Column, Inclusion
-
-Array = NDArray[np.float64]
 
 #: Range over the specimens of Table II, from the softest to the stiffest; alpha from the dynamic
 #: test.

@@ -36,8 +36,8 @@ from rich.table import Table
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.unknown_rigs import RigTruth, simulate_rig
 from fden_ros.configure.finding import Finding
-from fden_ros.configure.streams import Array
 from fden_ros.configure.survey import Survey, survey
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import FlatPunch
 
 #: Rigs of the benchmark begin here: those below were looked at while the findings were made.

@@ -33,7 +33,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.disturbed import CASES, Case, presses_of, scenario_of, streams_of
@@ -52,7 +51,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:

@@ -37,12 +37,12 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gamma
 
 from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.core.arrays import Array
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.law.interpolation import LogStiffnessGrid
@@ -57,7 +57,6 @@ from fden_ros.parameters import check, pipeline_config
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:

@@ -24,8 +24,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -46,8 +46,6 @@ from fden_ros.simulation.scenario import (
 )
 from fden_ros.simulation.simulate import EXACT, START_NS, Recording, simulate
 from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold
-
-Array = NDArray[np.float64]
 
 #: Summaries and states with another flag than these say that something is wrong.
 _HARMLESS = Flag.INPUT_REJECTED

@@ -34,10 +34,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 #: Orders between which the best one is sought [1].
 _LEAST, _MOST = 0.005, 0.9

@@ -30,6 +30,7 @@ from fden_ros.benchmarks.populations import (
     population,
     press,
 )
+from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import Likelihood, likelihood_of_estimate
 from fden_ros.core.classification.relative import (
     Comparison,
@@ -38,8 +39,6 @@ from fden_ros.core.classification.relative import (
     without_prior,
 )
 from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
-
-Array = NDArray[np.float64]
 
 SIDE, SPACING = 20, 5.0  #: sites, [mm]
 CONTRASTS = (1.5, 2.0, 4.0)

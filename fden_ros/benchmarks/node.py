@@ -48,12 +48,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:

@@ -32,10 +32,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gamma
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 #: A prior that says nothing: variance of every coefficient in units of its own scale squared.
 _WIDE = 1e6

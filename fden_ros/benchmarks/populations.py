@@ -28,11 +28,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
 from fden_ros.benchmarks.simulated import _feed
+from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
     Likelihood,
@@ -42,7 +42,8 @@ from fden_ros.core.classification.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.estimation.estimate import Estimate, Prior
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import Classification, ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
@@ -60,9 +61,6 @@ from fden_ros.simulation.scenario import Tissue as SimulatedTissue
 from fden_ros.simulation.simulate import START_NS, simulate
 from fden_ros.simulation.trajectory import Approach
 from fden_ros.tissues.training import _UNKNOWN_SPREAD, Contacts
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 #: The estimator's prior, as wide as these tissues are.
 PRIOR = Prior(750.0, 0.9, 8.5, 0.45, 0.17, 0.06)

@@ -38,7 +38,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.hold_order import hold_order
@@ -52,15 +51,11 @@ from fden_ros.benchmarks.peers import (
 )
 from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
-from fden_ros.core.estimation.estimate import (
-    Estimate,
-    EstimatorConfig,
-    Prior,
-    StateIndex,
-    Uncertainty,
-)
+from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -73,7 +68,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:
@@ -100,7 +94,7 @@ _WIDE = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
 _LEAST_ORDER_SD = 0.005
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY_DEVIATION = 1e-9
-#: Deviation of ln Gn of a converged estimate [1], as by default.
+#: Deviation of ln Gn of a converged estimate [1]: the default of `converged.log_sd`.
 _CONVERGED_LOG_SD = 0.1
 #: A testing machine: its rig leaves nothing out, the law does as on any tissue.
 _MACHINE = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
@@ -108,7 +102,7 @@ _TWO_SIDED_95 = 1.96
 _NANOSECONDS = 1_000_000_000
 #: Tests of each material, and simulated contacts, with --quick and without.
 _QUICK_TESTS, _QUICK_SIMULATED, _SIMULATED = 4, 20, 300
-#: The mismatch is told where the model is right at most so often.
+#: Largest share of presses with a mismatch where the model is right [1].
 FALSE_ALARMS = 0.01
 #: Forgetting of the estimators that forget: a time constant of 1 s.
 _FORGETTING_TIME = 1.0

@@ -21,16 +21,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks.peers import DiolaitiHuntCrossley, HaddadiHuntCrossley, KelvinVoigt
 from fden_ros.benchmarks.real import _WIDE, Test, identify
+from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import Likelihood, likelihood_of
 from fden_ros.core.outputs import Flag
 from fden_ros.experiments.indentation import fit_indentation
 from fden_ros.tissues.training import Check, Contacts, check, contacts_of, learn
-
-Array = NDArray[np.float64]
 
 #: Spread that the classifier of FDEN's parameters takes for usual: others are scaled to it.
 _USUAL = np.array([0.28, 0.19, 0.02])

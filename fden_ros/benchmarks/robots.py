@@ -34,10 +34,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.disturbed import CASES, Case, Trial, run_trial
+from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import Flag
 from fden_ros.errors import InputError
 from fden_ros.parameters import read_parameter_file
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-Array = NDArray[np.float64]
 
 EPILOG = """\
 examples:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks.appendix_d import identify
 from fden_ros.benchmarks.bound import PriorDeviations, contact_bounds
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.core.outputs import ContactSummary, OrderSource, Output, Status
 from fden_ros.core.outputs import TissueState as State
@@ -46,15 +47,13 @@ from fden_ros.simulation.scenario import (
 from fden_ros.simulation.simulate import END_PAUSE_S, START_NS, Recording, simulate
 from fden_ros.simulation.trajectory import Approach, Path
 
-Array = NDArray[np.float64]
-
 #: The identifier's two observations, and the paper's own filter.
 STRESS, FRACTIONAL_STRESS, APPENDIX_D = "stress", "fractional_stress", "appendix_d"
 #: The stress, with `model_error.sd` at its default: the data have to find that there is none.
 MODEL_ERROR_LEARNED = "model_error_learned"
 
 _GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
-#: The last of the approach is at the rate of the press, for so long [s].
+#: The last 0.3 s of the approach are at the rate of the press [s].
 _SLOW_TIME = 0.3
 #: Share of the white noise that remains in f'; see
 #: :mod:`fden_ros.core.estimation.fractional_stress_estimator`.

@@ -28,7 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.configure.streams import Array, Streams
+from fden_ros.configure.streams import Streams
+from fden_ros.core.arrays import Array
 
 Generator = np.random.Generator
 

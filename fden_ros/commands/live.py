@@ -54,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="parameters of the three nodes (default: config/tissue_simulator.yaml)",
     )
     parser.add_argument("--fixed", action="store_true", help="fixed gains")
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this time [s]")
     parser.set_defaults(run=run)
 
 

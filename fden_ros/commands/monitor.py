@@ -46,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "identifier", nargs="?", default="/identifier", help="its name (default: /identifier)"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this time [s]")
     parser.set_defaults(run=run)
 
 

@@ -26,7 +26,7 @@ from scipy.stats import t as student
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Contact, Session
 from fden_ros.configure.stiffening import stiffening
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 
 #: An axis is claimed from a standard deviation of its direction of this size on [rad]: 2 degrees
 #: are then 2.45 deviations, the 95 % of an error in two directions.

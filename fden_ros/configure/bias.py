@@ -25,7 +25,7 @@ from fden_ros.configure.axes import Axis
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Session, runs
 from fden_ros.configure.statistics import fit
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 
 #: The air that a bias rests on: the first stretch of at least this long, up to 5 s.
 _LEAST, _MOST = 1.0, 5.0

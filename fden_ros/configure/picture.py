@@ -24,9 +24,9 @@ from matplotlib.figure import Figure
 
 from fden_ros.configure.finding import Finding
 from fden_ros.configure.session import Session
-from fden_ros.configure.streams import Array
 from fden_ros.configure.survey import Survey
 from fden_ros.configure.writer import value_text
+from fden_ros.core.arrays import Array
 
 _FORCE, _MOTION, _CONTACT, _LINE = "#0b5fa5", "#3f3f46", "#e8eef5", "#c2410c"
 _PARTS = ("x", "y", "z")
@@ -53,6 +53,12 @@ def save_picture(survey: Survey, path: str | Path) -> None:
 def _title(panel: Panel, finding: Finding) -> None:
     text = value_text(finding) if finding.claim else "cannot tell"
     panel.set_title(f"{finding.subject}: {text}", fontsize=10, loc="left")
+
+
+def _without_data(panel: Panel, finding: Finding) -> None:
+    """Say in place of a picture why there is none."""
+    panel.set_axis_off()
+    panel.text(0.02, 0.8, finding.evidence, transform=panel.transAxes, wrap=True, color=_MOTION)
 
 
 def _along(survey: Survey, session: Session) -> tuple[Array, Array]:
@@ -104,7 +110,7 @@ def _weight(panel: Panel, survey: Survey) -> None:
     finding, weight = survey.finding("tool mass"), survey.weight
     _title(panel, finding)
     if weight is None:
-        panel.text(0.02, 0.5, finding.evidence, transform=panel.transAxes, wrap=True)
+        _without_data(panel, finding)
         return
     streams = survey.sessions[0].streams
     load = weight.load(streams)
@@ -141,7 +147,7 @@ def _rigid(panel: Panel, survey: Survey) -> None:
     _title(panel, finding)
     axes = survey.axes
     if not survey.presses or axes.force is None or axes.displacement is None:
-        panel.text(0.02, 0.5, finding.evidence, transform=panel.transAxes, wrap=True)
+        _without_data(panel, finding)
         return
     for press in survey.presses:
         session, contact = press.session, press.contact
@@ -161,7 +167,7 @@ def _places(panel: Panel, survey: Survey) -> None:
     scan = survey.scan
     panel.set_title("touches, seen along the approach", fontsize=10, loc="left")
     if not scan.touches:
-        panel.text(0.02, 0.5, scan.finding.evidence, transform=panel.transAxes, wrap=True)
+        _without_data(panel, scan.finding)
         return
     into = np.mean([touch.approach for touch in scan.touches], axis=0)
     sideways = np.linalg.svd(into[None])[2][1:]
@@ -184,7 +190,7 @@ def _surface(panel: Panel, survey: Survey) -> None:
     scan = survey.scan
     _title(panel, scan.finding)
     if scan.plane is None:
-        panel.text(0.02, 0.5, scan.finding.evidence, transform=panel.transAxes, wrap=True)
+        _without_data(panel, scan.finding)
         return
     into = np.mean([touch.approach for touch in scan.touches], axis=0)
     into /= np.linalg.norm(into)

@@ -25,7 +25,7 @@ from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.rigid import Press
 from fden_ros.configure.session import Contact, Session
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import Geometry
 
 #: Deviations of the logarithms, and alpha: wide, since the same contacts are then identified.

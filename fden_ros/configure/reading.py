@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.configure.streams import Array, Streams
+from fden_ros.configure.streams import Streams
+from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.parameters import check
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of

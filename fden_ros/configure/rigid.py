@@ -27,7 +27,7 @@ from fden_ros.configure.axes import Axes, Axis
 from fden_ros.configure.sampling import step_of
 from fden_ros.configure.session import Contact, Mask, Session
 from fden_ros.configure.statistics import Fit, fit, inflation
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 
 #: Delays that are searched [s].
 _EARLIEST, _LATEST = -0.03, 0.08

@@ -25,7 +25,7 @@ from fden_ros.configure.axes import Axis
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Mask, Session, runs
 from fden_ros.configure.statistics import noise_of
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 from fden_ros.configure.finding import Seconds
 from fden_ros.configure.statistics import noise_of
-from fden_ros.configure.streams import Array, Streams
+from fden_ros.configure.streams import Streams
+from fden_ros.core.arrays import Array
 
 Mask = NDArray[np.bool_]
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 
 #: The median of the magnitude of a normal variable, in standard deviations.
 _MEDIAN_OF_NORMAL = 0.6745

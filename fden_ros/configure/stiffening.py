@@ -36,7 +36,7 @@ from scipy.signal import fftconvolve
 
 from fden_ros.configure.session import Mask, Session
 from fden_ros.configure.statistics import Fit, fit
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 
 #: Step of the grid [s], and the most points that it has.
 _STEP, _MOST = 5e-3, 20_000

@@ -26,7 +26,7 @@ from fden_ros.configure.axes import LARGEST_SD, Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.rigid import Press
 from fden_ros.configure.session import Contact, Session
-from fden_ros.configure.streams import Array
+from fden_ros.core.arrays import Array
 from fden_ros.core.contact.surface import find_surface
 from fden_ros.offline.surface_plane import LEAST_UNSTATED, NoPlaneError, SurfacePlane, fit_plane
 

@@ -33,7 +33,8 @@ from scipy.optimize import minimize_scalar
 from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, runs
 from fden_ros.configure.statistics import angle_between, inflation, noise_of
-from fden_ros.configure.streams import Array, Streams
+from fden_ros.configure.streams import Streams
+from fden_ros.core.arrays import Array
 
 GRAVITY = 9.80665
 #: The tool turns above this rate [rad/s]; rests between turns of up to 2 s count as turning.

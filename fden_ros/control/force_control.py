@@ -102,8 +102,7 @@ class ForceControlConfig:
                 )
 
 
-#: The secant is taken over so long [s], over so long a way at least [m], less so many of its
-#: deviations.
+#: The secant is taken over 25 ms [s] and 20 um [m] at least, less a multiple of its deviation.
 _WINDOW = 0.025
 _LEAST_MOTION = 2e-5
 _CERTAIN = 3.0

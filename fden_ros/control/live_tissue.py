@@ -31,12 +31,8 @@ from numpy.typing import ArrayLike
 
 from fden_ros.control.prediction import Prediction, Predictor
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation.estimate import (
-    NOTHING_UNKNOWN,
-    Estimate,
-    ParameterSet,
-    Uncertainty,
-)
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.outputs import WITHHELD, Flag, Status, TissueState
@@ -63,8 +59,8 @@ _LONGEST_STEP_RATIO, _USUAL_STEPS = 1.5, 9
 #: Share of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
 #: says.
 _UNLOADED_SHARE = 0.05
-#: So many estimates in a row that are surprised by more than this share of what was predicted and
-#: by five deviations are contradicted by the force.
+#: The force contradicts what was known where three estimates in a row are surprised by more than
+#: 20 % of what was predicted and by five deviations.
 _SURPRISING_SHARE = 0.2
 _SURPRISING_NIS = 25.0
 _SURPRISES = 3

@@ -37,16 +37,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation.estimate import (
-    NOTHING_UNKNOWN,
-    Estimate,
-    StateIndex,
-    Uncertainty,
-)
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.estimation.unmodelled import (
     KERNEL_SHARE,
     SURFACE_TIME,
@@ -62,8 +59,6 @@ from fden_ros.core.law.characteristic import (
 )
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.errors import InputError
-
-Array = NDArray[np.float64]
 
 #: Just after the present [s]: the first instant of which the memory knows the whole past.
 _AT_ONCE = 1e-5
@@ -85,7 +80,7 @@ class Prediction:
     sd: Array  #: its standard deviation, shape (n,)
 
     def interval(self, deviations: float = 2.0) -> tuple[Array, Array]:
-        """Return lower and upper bound at so many standard deviations, each of shape (n,)."""
+        """Return lower and upper bound at a number of standard deviations, shape (n,) each."""
         return self.value - deviations * self.sd, self.value + deviations * self.sd
 
 

@@ -20,17 +20,14 @@ import copy
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fden_ros.core.arrays import own_copy
+from fden_ros.core.arrays import Array, own_copy
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.interpolation import LogStiffnessGrid
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
 from fden_ros.core.law.stress_response import StressBasis
-
-Array = NDArray[np.float64]
 
 #: Range of Gn [1] between whose nodes the response is interpolated.
 _LOWEST_GN, _HIGHEST_GN = 0.5, 60.0

@@ -24,7 +24,7 @@ from fden_ros.core.classification.decision import DecisionConfig
 from fden_ros.core.classification.labelling import Labeller, Surroundings
 from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.contact.detector import ContactConfig
-from fden_ros.core.estimation.estimate import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.samples import lateral_distance

@@ -25,7 +25,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.streams.guard import StreamGuard

@@ -24,7 +24,8 @@ from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, L
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
-from fden_ros.core.estimation.estimate import Block, Estimate, Innovation, ParameterSet
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.outputs import (
     WITHHELD,
     ApparentStiffness,

@@ -23,15 +23,9 @@ import numpy as np
 from fden_ros.core.block import Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import (
-    Block,
-    Estimate,
-    Estimator,
-    Innovation,
-    Observation,
-    ParameterSet,
-    converged,
-)
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged
+from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
+from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,

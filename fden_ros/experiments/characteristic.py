@@ -23,9 +23,10 @@ import math
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi
 from fden_ros.experiments.regression import Solution
-from fden_ros.experiments.result import Array, Parameter, positive
+from fden_ros.experiments.result import Parameter, positive
 
 #: Gn outside of this is no tissue; the fits stay within.
 LOG_NONLINEAR_RANGE = (math.log(0.3), math.log(100.0))

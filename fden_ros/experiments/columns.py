@@ -23,9 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import TorsionalRheometer
 from fden_ros.errors import InputError
-from fden_ros.experiments.result import Array
 
 #: The columns that experiments read, and their units.
 UNITS = {

@@ -31,8 +31,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import digamma, gammaln
 
+from fden_ros.core.arrays import Array
 from fden_ros.experiments.regression import line_through_logarithms, require_positive
-from fden_ros.experiments.result import Array, Curve, Fit, Panel, plain, positive, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, plain, positive, r_squared
 
 
 def fit_creep(time: Array, strain: Array, stress: float) -> Fit:

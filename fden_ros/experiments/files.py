@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import TorsionalRheometer
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import Table, csv_files, read_table
@@ -30,7 +31,7 @@ from fden_ros.experiments.dynamic import fit_bode, fit_complex_modulus
 from fden_ros.experiments.indentation import fit_indentation
 from fden_ros.experiments.nonlinearity import CreepTest, fit_creep_series, fit_nonlinearity
 from fden_ros.experiments.relaxation import Hold, fit_relaxation
-from fden_ros.experiments.result import Array, Fit, undetermined
+from fden_ros.experiments.result import Fit, undetermined
 
 #: The paper leaves the first second of a creep test out: the rheometer still vibrates.
 CREEP_START = 1.0

@@ -35,6 +35,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import gamma
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi
 from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.errors import InputError
@@ -45,11 +46,11 @@ from fden_ros.experiments.characteristic import (
 )
 from fden_ros.experiments.nonlinearity import appendix_d
 from fden_ros.experiments.regression import Solution, minimise
-from fden_ros.experiments.result import Array, Curve, Fit, Panel, Parameter, plain, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, plain, r_squared
 
 #: Change of strain within which phi is taken linear: an error of 2e-8 at Gn 10.
 _STRAIN_STEP = 5e-5
-#: Beyond so many pairs of sample and stretch even jittered samples go by a uniform grid.
+#: Beyond this number of pairs of sample and stretch even jittered samples go by a uniform grid.
 _MOST_PAIRS = 3_000_000
 _MOST_GRID = 1 << 20
 #: Steps that differ by less than this part are equal.
@@ -58,7 +59,7 @@ _ORDER_RANGE = (1e-3, 0.95)
 _WEAK_ORDER_SD = 0.05
 #: Gn from which a fit starts, the best of each pair.
 _START_NONLINEARITIES = ((1.5, 3.0), (5.0, 8.0), (12.0, 20.0))
-#: Appendix F takes so many samples, at strains from this part of the largest on.
+#: Appendix F takes 60 samples, at strains from a fifth of the largest on.
 _STATIC_FROM = 0.2
 _STATIC_PAIRS = 60
 

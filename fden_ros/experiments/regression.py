@@ -38,8 +38,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
-from fden_ros.experiments.result import Array
 
 #: Fewer rows say nothing about correlation.
 _MIN_ROWS_FOR_CORRELATION = 20
@@ -131,8 +131,8 @@ def minimise(
     bounds : tuple of ndarray, optional
         Least and greatest parameters.
     prior_rows : int
-        So many rows at the end are prior knowledge in units of its deviation, while the others
-        are data of unknown noise: their weight is set so that both count rightly.
+        Number of rows at the end that are prior knowledge in units of its deviation, while the
+        others are data of unknown noise: their weight is set so that both count rightly.
     """
     limits = bounds if bounds is not None else (-np.inf, np.inf)
 

@@ -41,6 +41,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma, gamma, gammaln
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi
 from fden_ros.errors import InputError
 from fden_ros.experiments.characteristic import (
@@ -56,7 +57,7 @@ from fden_ros.experiments.regression import (
     minimise,
     require_positive,
 )
-from fden_ros.experiments.result import Array, Curve, Fit, Panel, plain, positive, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, plain, positive, r_squared
 
 _NODES = 24
 _LEAST_ORDER, _GREATEST_ORDER = 1e-4, 0.999

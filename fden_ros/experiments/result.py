@@ -22,10 +22,9 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 #: Probability that an interval covers the truth.
 CONFIDENCE = 0.95

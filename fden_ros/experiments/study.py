@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gamma
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi
 from fden_ros.core.law.fractional_integral import fractional_stress
 from fden_ros.experiments.creep import fit_creep
@@ -40,7 +41,7 @@ from fden_ros.experiments.nonlinearity import (
     fit_nonlinearity,
 )
 from fden_ros.experiments.regression import line_through, minimise
-from fden_ros.experiments.result import Array, Fit, r_squared
+from fden_ros.experiments.result import Fit, r_squared
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 
 STRESSES = np.array([25.0, 50, 75, 100, 150, 200, 300, 400, 500, 600, 750])  # Pa

@@ -25,9 +25,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from fden_ros.core.arrays import Array
 from fden_ros.experiments.dynamic import fit_bode
 from fden_ros.experiments.plot import draw_panel, save_figure
-from fden_ros.experiments.result import Array, Curve, Panel
+from fden_ros.experiments.result import Curve, Panel
 from fden_ros.experiments.study import (
     OMEGAS,
     PAPER,

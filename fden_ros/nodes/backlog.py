@@ -14,9 +14,9 @@
 
 """What the node does when messages come faster than it computes: batches, and counts.
 
-Most of the time a message is read as it comes. Every so often, the node looks whether more have
-come; then it takes all that wait out of the middleware at once, before its queues overflow, and
-works them off in order. What is too much even for that, the oldest, is dropped and counted.
+Most of the time a message is read as it comes. After every 32 messages the node looks whether more
+have come; then it takes all that wait out of the middleware at once, before its queues overflow,
+and works them off in order. What is too much even for that, the oldest, is dropped and counted.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-#: After so many messages it is looked whether more wait, and after so many worked off again.
+#: Whether more messages wait is looked at after every 32, read one by one or worked off.
 _LOOK_EVERY = 32
-#: Timers and services get their turn after so long [s].
+#: Timers and services get their turn after at most 50 ms of working off [s].
 _LONGEST_TURN = 0.05
 #: More waiting messages than this are dropped, the oldest first: 2 s of two streams at 5 kHz.
 _MOST_WAITING = 20_000

@@ -31,9 +31,6 @@ from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs
 from fden_ros.ros.status import PipelineProblems, diagnostic_status
 
 _PERIOD = 1.0
-#: Drivers may start after the node: what its inputs lack is logged from this look on, 2 s after
-#: the activation.
-_FIRST_LOGGED = 2
 #: The same words come into the log no more often than this [s].
 _THROTTLE = 10.0
 
@@ -73,8 +70,9 @@ class Diagnostics:
         self._inputs = inputs
         self._listened_to = listened_to
         self._pipeline_problems = PipelineProblems(pipeline)
-        self._looks = 0
         self._told: set[str] = set()
+        self._seen_before: set[str] = set()
+        self._has_paired = False
         self._lost.clear()
         self._lost_before = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -140,9 +138,10 @@ class Diagnostics:
         pairing = pipeline.transform_problem or pairing_problem(pipeline, self._inputs)
         always = [clock] if clock else []
         first = [*inputs, pairing] if pairing else inputs
-        self._looks += 1
-        if self._looks >= _FIRST_LOGGED:
-            self._tell(always if pipeline.pair_count else [*first, *always])
+        self._tell(always if pipeline.pair_count else [*first, *always])
+        if pipeline.pair_count and self._told and not self._has_paired:
+            self._node.get_logger().info("force and displacement come now")
+        self._has_paired = pipeline.pair_count > 0
         return [*first, *always]
 
     def _problems_of(self, one: ListenedTo) -> list[str]:
@@ -152,10 +151,15 @@ class Diagnostics:
         return one.problems(self._node, has_come=self._inputs.has_come(one.what))
 
     def _tell(self, problems: Sequence[str]) -> None:
+        """Log, once each, the problems that were seen at the last look too.
+
+        A publisher that has just been discovered has sent nothing yet.
+        """
         for problem in problems:
-            if problem not in self._told:
+            if problem in self._seen_before and problem not in self._told:
                 self._told.add(problem)
                 self._node.get_logger().warning(problem)
+        self._seen_before = set(problems)
 
     def _log_rejected(self, pipeline: Pipeline, rejected: int) -> None:
         if not rejected:

@@ -53,8 +53,12 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("surface", 0.0, "displacement at the surface [m]"),
     ("deadline", 0.1, "older estimates are refused [s]"),
     ("rate", 200.0, "of the control loop [Hz]"),
-    ("tare_time", 2.0, "the force is measured in the air for so long first [s]"),
-    ("patience", 20.0, "the first touch waits so long for the identifier, which must see it [s]"),
+    ("tare_time", 2.0, "the force is measured in the air for this time first [s]"),
+    (
+        "patience",
+        20.0,
+        "the first touch waits for the identifier, which must see it, for at most this time [s]",
+    ),
     ("program.forces", [0.0], "forces of a program, one after the other [N]; all 0: none"),
     ("program.duration", 3.0, "of each force [s]"),
     ("program.x", [0.0], "places to press, one after the other [m]"),
@@ -66,7 +70,7 @@ _LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-#: Without a force for so long the probe is stopped [s].
+#: After 0.1 s without a force the probe is stopped [s].
 _INPUT_TIMEOUT = 0.1
 
 

@@ -113,7 +113,7 @@ class Monitor:
         rclpy.try_shutdown(context=self._context)
 
     def spin(self, seconds: float) -> None:
-        """Receive for so long."""
+        """Receive for `seconds`."""
         self._ask_geometry()
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:

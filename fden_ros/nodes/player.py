@@ -74,7 +74,7 @@ class Player:
     remap
         New names of topics.
     clock_hz
-        Publish the bag's time on ``/clock`` so often a second; None: not at all.
+        Rate at which the bag's time is published on ``/clock`` [Hz]; None: not at all.
     domain_id
         The ROS domain; None: the environment's.
 

@@ -58,7 +58,7 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("displacement.noise", 1e-6, "standard deviation per sample [m]"),
     ("displacement.delay", 0.0, "how much too late the position is stamped [s]"),
     ("command.delay", 0.01, "from a command to the axis taking it [s]"),
-    ("command.timeout", 0.2, "a velocity without a new command for so long becomes 0 [s]"),
+    ("command.timeout", 0.2, "a velocity becomes 0 after this time without a new command [s]"),
     ("axis.lag", 0.015, "time constant of the axis's velocity [s]"),
     ("axis.max_speed", 0.05, "[m/s]"),
     ("axis.force_gain", 0.02, "velocity per error of a commanded force [m/(N s)]"),

@@ -38,17 +38,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import find_peaks
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import Position
+from fden_ros.core.streams.samples import Position, Sink
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters
 from fden_ros.recording.source import Selection, open_source
-
-Array = NDArray[np.float64]
 
 #: A turning point of the displacement stands out by this share of its whole range ...
 _PROMINENCE = 0.02
@@ -446,7 +444,7 @@ def _harmonic_fit(
 
 
 @dataclass
-class _Collector:
+class _Collector(Sink):
     """Keeps the samples of a recording."""
 
     forces: list[tuple[int, float]] = field(default_factory=list)
@@ -469,12 +467,6 @@ class _Collector:
     def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
         """Refuse it: nothing is calibrated in frames that move."""
         raise InputError("calibrate takes signals in fixed frames: unset frames.base")
-
-    def add_transform(self, *transform: object, is_static: bool) -> None:
-        """Leave it out."""
-
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Leave it out: what is rigid does not breathe."""
 
     def reject(self, stream: str, reason: str) -> None:
         self.rejected += 1

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from fden_ros.core.classification.classifier import UNKNOWN
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import read_table

@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import Listener, Position
+from fden_ros.core.streams.samples import Position, Sink
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, takes_surface
@@ -116,7 +116,7 @@ class _Copy:
         self._writer.write(message.topic, message.data, message.log_time_ns)
 
 
-class _RowCopy(Listener):
+class _RowCopy(Sink):
     """Writes the samples of a table as joint states."""
 
     def __init__(self, writer: BagWriter, parameters: Parameters) -> None:

@@ -17,16 +17,18 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fden_ros.core.estimation.estimate import Estimate, Innovation, ParameterSet
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import (
     WITHHELD,
@@ -36,17 +38,16 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
-from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import NANOSECONDS, Listener, Position
+from fden_ros.core.streams.rotation import Quaternion, Transform
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Sink
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import Parameters, geometry_of
+from fden_ros.parameters import Parameters, geometry_of, pipeline_config
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, is_table
 from fden_ros.recording.synthetic import read_truth
 
-Array = NDArray[np.float64]
-
-#: So many contacts are shown in detail; of the others the summary.
+#: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60
 _STATES_A_CONTACT = 1500
 _BUCKETS = 1500
@@ -233,24 +234,24 @@ def gather(
     InputError
         As :func:`fden_ros.offline.replay.replay`.
     """
-    gatherer = _Gatherer()
+    gatherer, signals = _Gatherer(), _signals_of(parameters)
     result = replay(
         bag,
         parameters,
         selection,
         progress=progress,
         on_output=gatherer.take,
-        listener=gatherer,
+        listener=signals,
     )
     return Session(
         path=Path(bag),
         parameters=parameters,
         replay=result,
         contacts=[c for c in gatherer.contacts if c.summary is not None],
-        force=gatherer.force,
-        displacement=gatherer.displacement,
-        start_ns=gatherer.start_ns or 0,
-        end_ns=gatherer.end_ns,
+        force=signals.force,
+        displacement=signals.displacement,
+        start_ns=signals.start_ns or 0,
+        end_ns=signals.end_ns,
         geometry=geometry_of(parameters),
         truth=_truth(bag, selection),
     )
@@ -263,14 +264,11 @@ def _truth(bag: str | Path, selection: Selection | None) -> dict[int, dict[str, 
     return {site["site"]: site for site in truth["sites"]} if truth else {}
 
 
-class _Gatherer(Listener):
-    """Listens before and after the pipeline: a sink of samples, and what takes the outputs."""
+class _Gatherer:
+    """Takes the outputs, contact by contact."""
 
     def __init__(self) -> None:
         self.contacts: list[Contact] = []
-        self.force, self.displacement = Envelope(), Envelope()
-        self.start_ns: int | None = None
-        self.end_ns = 0
 
     def take(self, output: Output, frame: str) -> None:
         if isinstance(output, TissueState):
@@ -285,6 +283,15 @@ class _Gatherer(Listener):
         if not self.contacts or self.contacts[-1].contact_id != contact_id:
             self.contacts.append(Contact(contact_id))
         return self.contacts[-1]
+
+
+class _Signals(Sink):
+    """Force and displacement over the whole recording, sample by sample."""
+
+    def __init__(self) -> None:
+        self.force, self.displacement = Envelope(), Envelope()
+        self.start_ns: int | None = None
+        self.end_ns = 0
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         self._see(stamp_ns)
@@ -301,14 +308,63 @@ class _Gatherer(Listener):
         self._see(stamp_ns)
         self.displacement.add(stamp_ns, displacement)
 
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
-        self._see(stamp_ns)
-        self.force.add(stamp_ns, math.hypot(*force))
-
     def _see(self, stamp_ns: int) -> None:
         if self.start_ns is None:
             self.start_ns = stamp_ns
         self.end_ns = max(self.end_ns, stamp_ns)
+
+
+class _TurnedSignals(_Signals):
+    """The same where frames move: along the axes only once they are paired."""
+
+    def __init__(self, config: SynchronizeConfig) -> None:
+        super().__init__()
+        self._synchronizer = Synchronizer(config, self._take, Counter())
+
+    def add_force(self, stamp_ns: int, force: float) -> None:
+        self._see(stamp_ns)
+        self._synchronizer.add_force(stamp_ns, force)
+
+    def add_displacement(
+        self,
+        stamp_ns: int,
+        displacement: float,
+        position: Position | None = None,
+        load: float = 0.0,
+        turn: Quaternion | None = None,
+    ) -> None:
+        self._see(stamp_ns)
+        self._synchronizer.add_displacement(stamp_ns, displacement, position, load, turn)
+
+    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
+        self._see(stamp_ns)
+        self._synchronizer.add_force_vector(stamp_ns, frame, force)
+
+    def add_transform(
+        self,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        translation: Position,
+        rotation: Quaternion,
+        *,
+        is_static: bool,
+    ) -> None:
+        place = Transform(translation, rotation)
+        self._synchronizer.add_transform(stamp_ns, parent, child, place, is_static=is_static)
+
+    def add_surface(self, stamp_ns: int, surface: float) -> None:
+        self._synchronizer.add_surface(stamp_ns, surface)
+
+    def _take(self, pair: Pair) -> None:
+        self.force.add(pair.stamp_ns, pair.force)
+        self.displacement.add(pair.stamp_ns, pair.displacement)
+
+
+def _signals_of(parameters: Parameters) -> _Signals:
+    config = pipeline_config(parameters).synchronize
+    is_turned = config.frames is not None or config.tool_path is not None
+    return _TurnedSignals(config) if is_turned else _Signals()
 
 
 def normalized_innovation(innovation: Innovation) -> float:

@@ -23,7 +23,7 @@ from fden_ros.core.classification.decision import DecisionConfig
 from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
-from fden_ros.core.estimation.estimate import (
+from fden_ros.core.estimation.estimator_config import (
     EstimatorConfig,
     Observation,
     Prior,

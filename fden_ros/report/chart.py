@@ -25,7 +25,8 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
 from rich.text import Text
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
+
 Dots = NDArray[np.bool_]
 
 _BRAILLE = 0x2800

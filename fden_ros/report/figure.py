@@ -25,14 +25,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import phi
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.report.limits import interval_limits, symmetric_limit
 from fden_ros.report.path_picture import draw_path
-
-Array = NDArray[np.float64]
 
 _ESTIMATE = "#0b5fa5"
 _TRUTH = "#c2410c"
@@ -161,10 +159,13 @@ def _draw_parameter(
             label="truth" if number == 0 else None,
         )
     values = np.array([_exp(s.estimate.mean[index]) for s in session.summaries if s.estimate])
-    # Room for the legend.
     axes.set_ylim(0.0, 1.25 * interval_limits(values, values, values)[1])
     axes.set_ylabel(label)
-    axes.legend(loc="upper left", ncols=4, fontsize="x-small", frameon=False)
+    if index == 0:
+        # For both parameters, above the panel: its curves begin at its left end, far up.
+        axes.legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize="small", frameon=False
+        )
 
 
 def _draw_characteristics(axes: Axes, session: Session) -> None:

@@ -22,14 +22,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.contact_record import ContactRecord
-from fden_ros.core.estimation.estimate import Block
+from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.law_deviation import Deviation, LawDeviation, LawFit, is_enough
 from fden_ros.core.estimation.unmodelled import LoadingAge
 from fden_ros.core.law.characteristic import elastic_response, phi
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.offline.session import Array, Contact, Session
+from fden_ros.offline.session import Contact, Session
 from fden_ros.parameters import pipeline_config
 from fden_ros.report.plots import ESTIMATE, MEASURED, draw
 
@@ -52,15 +53,15 @@ def law_picture(session: Session, contact: Contact, summary: ContactSummary) -> 
         _draw(left, times, times**-found.fractional_order, found.kernel)
         left.set_xscale("log")
         left.set_yscale("log")
-        left.set_title(f"Relaxation: off by {error.kernel:.3f} ± {error.kernel_sd:.3f}")
+        left.set_title(f"Relaxation, {error.kernel:.3f} ± {error.kernel_sd:.3f} off the law")
         left.set_xlabel("time [s]")
-        left.set_ylabel("of a unit step")
+        left.set_ylabel("stress after a unit step [1]")
         strains = found.characteristic.points
         gn = math.exp(found.log_nonlinear_stiffness)
         law = phi(strains, math.exp(found.log_linear_stiffness), gn)
         _draw(right, strains, law, found.characteristic)
         right.set_title(
-            f"Curve: off by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}, "
+            f"Elastic response, {error.characteristic:.3f} ± {error.characteristic_sd:.3f} off, "
             f"{error.loaded:.3f} where loaded"
         )
         right.set_xlabel("strain")

@@ -17,9 +17,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
 
 #: Values farther than this factor from the median are astray.
 _ASTRAY = 20.0

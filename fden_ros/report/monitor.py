@@ -28,9 +28,10 @@ from rich.table import Table
 from rich.text import Text
 
 from fden_ros.control.live_tissue import Refusal
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
-from fden_ros.report.chart import Array, Chart
+from fden_ros.report.chart import Chart
 from fden_ros.report.limits import interval_limits
 from fden_ros.report.table import DASH, contact_table
 

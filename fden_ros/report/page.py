@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections import Counter
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -27,6 +28,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
 from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.input_warnings import unusual
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
@@ -35,7 +37,7 @@ from fden_ros.offline.surface_plane import LEAST_TOUCHES, NoPlaneError, fit_plan
 from fden_ros.report import plots
 from fden_ros.report.law_picture import law_picture
 from fden_ros.report.path_picture import draw_path
-from fden_ros.report.table import DASH, plus_minus, status_words
+from fden_ros.report.table import DASH, label_words, plus_minus, status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -103,7 +105,8 @@ def page(session: Session) -> str:
         site_map=(
             plots.site_map(session) if any(s.position for s in summaries) and not is_path else None
         ),
-        rows=[_row(summary) for summary in summaries],
+        is_path=is_path,
+        rows=[_row(summary, on_path=is_path) for summary in summaries],
         time_scale=f"{session.parameters.estimate.time_scale:g}",
         contacts=[_contact(session, contact) for contact in detailed],
         left_out=0 if is_path else max(0, len(summaries) - DETAILED_CONTACTS),
@@ -137,12 +140,14 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
 
 def _surface(session: Session) -> str:
     """Return the plane through the first touches of the sites, and how the probe stands on it."""
-    first = {s.site_id: s.position for s in reversed(session.replay.summaries) if not s.is_of_path}
+    first = {s.site_id: s.position for s in reversed(session.replay.summaries)}
     places = [place for place in first.values() if place is not None]
     parameters = session.parameters
     stated = any(parameters.surface.normal)
-    if len(places) < LEAST_TOUCHES or (parameters.displacement.along_tool and not stated):
-        # Along the tool only the orientation of its poses tells which side the tissue is on.
+    if len(places) < LEAST_TOUCHES or parameters.contact.mode == "continuous":
+        return ""
+    if parameters.displacement.along_tool and not stated:
+        # Only the orientation of its poses tells which side the tissue is on.
         return ""
     axis = parameters.surface.normal if stated else parameters.displacement.axis
     try:
@@ -196,9 +201,11 @@ def _count(number: int, noun: str) -> str:
 def _warnings(session: Session) -> Iterator[str]:
     for warning in session.replay.warnings:
         yield warning[:1].upper() + warning[1:] + "."
-    for reason, count in session.replay.rejected.items():
+    rejected = session.replay.rejected
+    for reason, count in rejected.items() if unusual(Counter(rejected)) else ():
         stream, _, why = reason.partition(".")
-        yield f"{count} samples of the {stream} were rejected: {why.replace('_', ' ')}."
+        were = f"{_count(count, 'sample')} of the {stream} {'was' if count == 1 else 'were'}"
+        yield f"{were} rejected: {why.replace('_', ' ')}."
     summaries = session.replay.summaries
     if any(summary.is_of_path for summary in summaries):
         return
@@ -217,7 +224,7 @@ def _warnings(session: Session) -> Iterator[str]:
         )
 
 
-def _row(summary: ContactSummary) -> dict[str, Any]:
+def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
     """Return a line of the table: texts, and a dash where there is nothing."""
     row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha", "apparent"), DASH)
     estimate = summary.estimate
@@ -246,16 +253,10 @@ def _row(summary: ContactSummary) -> dict[str, Any]:
         "seconds": f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
         "strain": f"{summary.max_strain:.3f}",
         "force": f"{summary.max_force:.3g}",
-        "status": status_words(summary),
+        "status": status_words(summary, on_path=on_path),
         "converged": summary.converged,
-        "label": _label(summary),
+        "label": label_words(summary),
     }
-
-
-def _label(summary: ContactSummary) -> str:
-    if summary.classes is None:
-        return "undetermined"
-    return summary.classes.words
 
 
 def _contact(session: Session, contact: Contact) -> dict[str, Any]:
@@ -269,9 +270,6 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         drawings.append(plots.convergence(contact, session.truth.get(summary.site_id)))
     if any(state.innovation is not None for state in states):
         drawings.append(plots.innovations(contact))
-    law = law_picture(session, contact, summary)
-    if law is not None:
-        drawings.append(law)
     place = ""
     if summary.position is not None:
         place = (
@@ -280,11 +278,12 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         if summary.position_frame:
             place += f" in {summary.position_frame}"
     return {
-        "row": _row(summary),
+        "row": _row(summary, on_path=False),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
         "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
+        "law": law_picture(session, contact, summary),
         "test": contact.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (

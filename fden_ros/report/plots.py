@@ -401,7 +401,11 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
             axes.set_ylim(final - 1.3 * spread - 0.02 * final, final + 1.3 * spread + 0.02 * final)
             axes.set_ylabel(label)
         figure.axes[0].set_title("The estimate converging")
-        figure.axes[0].legend(loc="best", ncols=2)
+        # Beside the title: the band may fill the whole panel.
+        figure.axes[0].legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0,
+            columnspacing=1.0, handlelength=1.4,
+        )  # fmt: skip
         figure.axes[-1].set_xlabel("time since the touch [s]")
         figure.align_ylabels()
 

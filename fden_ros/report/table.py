@@ -48,13 +48,15 @@ def contact_table(
         Site number to its true ``linear_stiffness`` and ``nonlinear_stiffness``, shown below the
         estimates.
     """
-    table = Table(title="Contacts", box=box.SIMPLE_HEAD, padding=0)
+    shown = list(summaries)
+    on_path = any(summary.is_of_path for summary in shown)
+    table = Table(title="Places" if on_path else "Contacts", box=box.SIMPLE_HEAD, padding=0)
     for name in ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m"):
         table.add_column(Text(name), justify="right", no_wrap=True)
     table.add_column("status", min_width=10)
     table.add_column("tissue", min_width=12)
-    for summary in summaries:
-        table.add_row(*_cells(summary, truth))
+    for summary in shown:
+        table.add_row(*_cells(summary, truth, on_path=on_path))
         if summary.is_of_path:
             table.caption = "contact.mode continuous: dF/dd and α at places on the path"
         elif summary.estimate is not None and summary.estimate.valid != ParameterSet.ALL:
@@ -77,11 +79,15 @@ def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
     return f"{value:.{places}f} ± {shown if float(shown) else f'{deviation:.1g}'}"
 
 
-def status_words(summary: ContactSummary) -> str:
-    """Return how far a contact's parameters are known, and its flags."""
+def status_words(summary: ContactSummary, *, on_path: bool = False) -> str:
+    """Return how far a contact's parameters are known, and its flags.
+
+    `on_path`: it is one of the places on the path of a continuous contact, where none has an
+    origin.
+    """
     words = "not converged"
-    if summary.is_of_path:
-        words = "stiffness"
+    if on_path:
+        words = "stiffness" if summary.is_of_path else "no stiffness yet"
     elif summary.converged:
         words = "converged"
     elif summary.estimate is not None and ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
@@ -91,12 +97,14 @@ def status_words(summary: ContactSummary) -> str:
         flag.name.lower().replace("_", " ")
         for flag in Flag
         if flag and flag.name and flag & summary.flags
-        if not (flag is Flag.ORIGIN_UNCERTAIN and summary.is_of_path)
+        if not (flag is Flag.ORIGIN_UNCERTAIN and on_path)
     ]
     return ", ".join(parts)
 
 
-def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | None) -> list[str]:
+def _cells(
+    summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | None, *, on_path: bool
+) -> list[str]:
     estimate, stiffness = summary.estimate, summary.apparent_stiffness
     g = g_n = alpha = DASH
     if estimate is not None:
@@ -120,15 +128,14 @@ def _cells(summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | Non
         g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
         g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
     apparent = DASH
-    if stiffness is not None and stiffness.sd < _UNKNOWN * stiffness.value:
+    is_plausible = Flag.IMPLAUSIBLE not in summary.flags
+    if stiffness is not None and is_plausible and stiffness.sd < _UNKNOWN * stiffness.value:
         apparent = plus_minus(stiffness.value, stiffness.sd, _DIGITS)
     numbers = (str(summary.contact_id), str(summary.site_id), g, g_n, alpha, apparent)
-    return [*numbers, status_words(summary), _label(summary)]
+    label = DASH if on_path else label_words(summary)
+    return [*numbers, status_words(summary, on_path=on_path), label]
 
 
-def _label(summary: ContactSummary) -> str:
-    if summary.is_of_path:
-        return DASH
-    if summary.classes is None:
-        return "undetermined"
-    return summary.classes.words
+def label_words(summary: ContactSummary) -> str:
+    """Return which tissue it is, as far as that is said."""
+    return summary.classes.words if summary.classes is not None else "undetermined"

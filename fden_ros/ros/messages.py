@@ -23,13 +23,8 @@ from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import (
-    PUBLISHED,
-    Estimate,
-    Innovation,
-    LawError,
-    ParameterSet,
-)
+from fden_ros.core.estimation.estimate import PUBLISHED, Estimate, LawError, ParameterSet
+from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
     ApparentStiffness,

@@ -62,7 +62,7 @@ class RigConfig:
     force_gain
         Velocity per force error in m/(N s), of the rig's own force control.
     command_timeout
-        A velocity without a new command for so long becomes 0, in s.
+        Time after which a velocity without a new command becomes 0, in s.
     height
         Where the probe begins, in m above the surface.
     force_noise, force_bias

@@ -35,6 +35,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
     Likelihood,
@@ -44,13 +45,11 @@ from fden_ros.core.classification.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.estimation.estimate import Prior
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.errors import InputError
 from fden_ros.tissues.library import FORMAT, parse_library
 
-Array = NDArray[np.float64]
-
-#: The prior of what classes have in common is worth so many specimens.
+#: The prior of what classes have in common is worth 4 specimens.
 SHRINKAGE = 4.0
 #: Spread between specimens where nothing is known: of the paper's liver, alpha wider.
 _DEFAULT_SPREAD = np.diag(np.square([0.28, 0.19, 0.02]))

@@ -54,7 +54,8 @@ import numpy as np
 from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, Prior
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import Prior
 
 UNKNOWN = "unknown"
 

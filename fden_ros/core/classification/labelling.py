@@ -36,7 +36,8 @@ from fden_ros.core.classification.relative import (
     stack,
     without_prior,
 )
-from fden_ros.core.estimation.estimate import Estimate, EstimatorConfig
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.core.streams.samples import NANOSECONDS, Position
 

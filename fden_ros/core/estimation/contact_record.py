@@ -17,11 +17,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fden_ros.core.estimation.estimate import Block
-
-Array = NDArray[np.float64]
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimator import Block
 
 #: A block becomes a point when the compression has changed by this share, or by at least this much
 #: [1]; or when the time since the last point is this share of the loading's age [1]. Half of each

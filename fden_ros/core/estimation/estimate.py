@@ -12,22 +12,19 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Input and output of an estimator: prior, block, innovation, estimate; indices of a state."""
+"""The parameters of the tissue and how well they are known; indices of a state."""
 
 from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.characteristic import elastic_response, exponential_scale
-
-if TYPE_CHECKING:
-    from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
 class StateIndex(enum.IntEnum):
@@ -73,176 +70,6 @@ _EACH = (
 #: The data have determined ln G or alpha when its standard deviation is below this share of its
 #: prior's [1]: then they say three times as much as the prior.
 _LEARNED_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known of the tissue before it is touched; by default what soft tissue can be.
-
-    Two standard deviations either way hold G from 10 Pa s^alpha to 1 MPa s^alpha, Gn from 1 to 40
-    and alpha from 0.02 to 0.6.
-
-    Parameters
-    ----------
-    linear_stiffness, nonlinear_stiffness : float
-        Medians of G [Pa s^alpha] and Gn [1], both log-normal.
-    linear_stiffness_log_sd, nonlinear_stiffness_log_sd : float
-        Standard deviations of ln G and ln Gn [1].
-    fractional_order, fractional_order_sd : float
-        alpha [1] and its standard deviation [1].
-    """
-
-    linear_stiffness: float = 3200.0
-    linear_stiffness_log_sd: float = 2.9
-    nonlinear_stiffness: float = 6.3
-    nonlinear_stiffness_log_sd: float = 0.92
-    fractional_order: float = 0.31
-    fractional_order_sd: float = 0.145
-
-    @property
-    def mean(self) -> Array:
-        """(ln G, ln Gn, alpha), shape (3,)."""
-        return np.array(
-            [
-                math.log(self.linear_stiffness),
-                math.log(self.nonlinear_stiffness),
-                self.fractional_order,
-            ]
-        )
-
-    @property
-    def deviations(self) -> Array:
-        """Standard deviations of (ln G, ln Gn, alpha), shape (3,)."""
-        return np.array(
-            [
-                self.linear_stiffness_log_sd,
-                self.nonlinear_stiffness_log_sd,
-                self.fractional_order_sd,
-            ]
-        )
-
-
-class Observation(enum.Enum):
-    """The quantity whose innovation an estimator takes."""
-
-    STRESS = "stress"
-    FRACTIONAL_STRESS = "fractional_stress"
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """What is not known of model and rig, as standard deviations; 0: nothing.
-
-    Parameters
-    ----------
-    kernel_sd, characteristic_sd : float
-        Relative deviations of relaxation kernel and characteristic from the law [1].
-    surface_motion_sd : float
-        Way of the tissue's surface in one second [m].
-    force_drift_sd : float
-        Change of the force's zero in one second of contact [N].
-    friction_sd : float
-        Friction against the motion of the probe [N].
-    compliance_sd : float
-        Compliance of tool and robot that `displacement` does not allow for [m/N].
-    delay_sd : float
-        Delay between force and displacement [s].
-    thickness_sd : float
-        Relative deviation of the geometry's length [1].
-    """
-
-    kernel_sd: float = 0.0
-    characteristic_sd: float = 0.0
-    surface_motion_sd: float = 0.0
-    force_drift_sd: float = 0.0
-    friction_sd: float = 0.0
-    compliance_sd: float = 0.0
-    delay_sd: float = 0.0
-    thickness_sd: float = 0.0
-
-    @property
-    def rig_sd(self) -> tuple[float, float]:
-        """Deviations of what is learned of the rig: delay [s] and friction [N]."""
-        return self.delay_sd, self.friction_sd
-
-    @property
-    def walks(self) -> bool:
-        """Whether there is anything that changes with time."""
-        return any(
-            (self.kernel_sd, self.characteristic_sd, self.surface_motion_sd, self.force_drift_sd)
-        )
-
-
-#: A model and a rig that are exact.
-NOTHING_UNKNOWN = Uncertainty()
-
-
-@dataclass(frozen=True)
-class EstimatorConfig:
-    """Prior, observation, and thresholds of convergence.
-
-    Parameters
-    ----------
-    prior : Prior
-    observation : Observation
-        STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
-    fractional_order_given : bool
-        alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
-    converged_log_sd, converged_linear_log_sd, converged_order_sd : float
-        Gn, G and alpha have converged only while the standard deviations of ln Gn, ln G and alpha
-        are at most these [1].
-    converged_probability : float
-        Gn is observable only while P(largest strain > 1/Gn) is at least this [1].
-    uncertainty : Uncertainty
-        What is not known of model and rig. Whether the model's error is there at all, the evidence
-        of the data decides.
-    friction : float
-        Friction that is expected [N]; counts where its deviation is not 0.
-    """
-
-    prior: Prior = Prior()
-    observation: Observation = Observation.STRESS
-    fractional_order_given: bool = False
-    converged_log_sd: float = 0.05
-    converged_linear_log_sd: float = 0.5
-    converged_order_sd: float = 0.05
-    converged_probability: float = 0.99
-    uncertainty: Uncertainty = Uncertainty()
-    friction: float = 0.0
-
-    @property
-    def is_order_given(self) -> bool:
-        """Whether alpha is a setting and not learned."""
-        return (
-            self.fractional_order_given
-            or self.observation is Observation.FRACTIONAL_STRESS
-            or self.prior.fractional_order_sd == 0.0
-        )
-
-
-class Block(NamedTuple):
-    """Means over a block of samples."""
-
-    compression: float  #: u, from the nominal strain origin [1]
-    stress: float  #: f [Pa]
-    memory_time: float  #: t since the memory began [s]
-    size: int  #: samples in the block
-    duration: float  #: from the first sample to the last and one step more [s]
-    fractional_integrals: Array  #: D^-beta f [Pa s^beta], shape (orders,)
-
-
-class Innovation(NamedTuple):
-    """How one block compared with its prediction."""
-
-    predicted_fractional_stress: float  #: [Pa s^alpha]
-    predicted_stress: float | None  #: [Pa]; None where the fractional stress is observed
-    innovation: float  #: observed less predicted [Pa, or Pa s^alpha]
-    variance: float  #: of the innovation, in its unit squared
-
-    @property
-    def normalized_squared(self) -> float:
-        """Normalised innovation squared (NIS) [1]."""
-        return self.innovation**2 / self.variance
 
 
 class LawError(NamedTuple):
@@ -436,56 +263,3 @@ def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -
         if is_close:
             found |= parameter
     return found & valid
-
-
-class Estimator(Protocol):
-    """An observation model with its filter; the pipeline asks for nothing else."""
-
-    @property
-    def is_mismatch(self) -> bool:
-        """Whether the innovations are larger or slower than model and noise explain."""
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether a surprise or a mismatch of late is not explained yet."""
-
-    @property
-    def change_count(self) -> int:
-        """Changes of the tissue under the probe that were found."""
-
-    @property
-    def rig_deviations(self) -> float:
-        """How far a contact that went in and out says the rig is from what is stated [1]."""
-
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
-        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
-
-    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
-        """Take the motion of a sample in contact, `step` seconds after the last.
-
-        `surface` is what its measured place has taken off the compression [1].
-        """
-
-    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
-        """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""
-
-    def skip(self) -> None:
-        """Let the samples since the last block go by."""
-
-    def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction."""
-
-    def estimate(self) -> Estimate:
-        """Return the present estimate."""
-
-    def motion_evidence(self) -> list[float] | None:
-        """Return the evidence of a contact for shares of the surface's stated motion, or None."""
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after a contact; None where it tells nothing."""
-
-    def work_ahead(self, steps: int, *, begins: bool) -> None:
-        """Do some steps of solving anew, where that is due; `begins`: a new block does."""
-
-    def relinearise(self, *, fully: bool = False) -> None:
-        """Solve anew about the present state, when that is due; `fully`: now, at the end."""

@@ -50,14 +50,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import (
-    Block,
-    Estimate,
-    EstimatorConfig,
-    Innovation,
-    converged,
-    determined,
-)
+from fden_ros.core.estimation.estimate import Estimate, converged, determined
+from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
 
@@ -107,7 +102,7 @@ def exact_orders(config: EstimatorConfig) -> tuple[float, float, float]:
 
 
 class FractionalStressEstimator:
-    """The Gaussian sum as an :class:`~fden_ros.core.estimation.estimate.Estimator`.
+    """The Gaussian sum as an :class:`~fden_ros.core.estimation.estimator.Estimator`.
 
     The blocks' fractional integrals begin with those of :func:`exact_orders`. They hold all of the
     past, so that motion, rest and relinearisation are nothing to this estimator.

@@ -41,11 +41,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.contact_record import ContactRecord
-from fden_ros.core.estimation.estimate import LawError, Prior, StateIndex, Uncertainty
+from fden_ros.core.estimation.estimate import LawError, StateIndex
+from fden_ros.core.estimation.estimator_config import Prior, Uncertainty
 from fden_ros.core.estimation.nearest_curve import beside_the_law, nearest_curve
 from fden_ros.core.estimation.unmodelled import (
     FRICTION_SPEED,
@@ -58,8 +59,6 @@ from fden_ros.core.law.characteristic import (
 )
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
-
-Array = NDArray[np.float64]
 
 #: MODEL_MISMATCH when the kernel's error is above this with a probability of 95 % [1]: its lower
 #: bound is at most 0.053 on 78 presses of beef, and 0.066 to 0.097 on linear solids of 0.3 to 3 s.

@@ -19,15 +19,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.contact_record import ContactRecord
-from fden_ros.core.estimation.estimate import Block, Prior, Uncertainty
+from fden_ros.core.estimation.estimator import Block
+from fden_ros.core.estimation.estimator_config import Prior, Uncertainty
 from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit, is_enough
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.law.geometry import Geometry
-
-Array = NDArray[np.float64]
 
 #: The first fit begins after this time in contact [s], and every later one when it has lasted
 #: longer by this factor [1]: the fits of a contact cost no more than three of the whole.

@@ -37,7 +37,7 @@ from scipy.special import ive
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.complex_modulus import Phasors
-from fden_ros.core.estimation.estimate import Uncertainty
+from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.palpation import Palpated
 
 #: Harmonics that are looked at [1].

@@ -33,14 +33,8 @@ import numpy as np
 from scipy.special import digamma
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import (
-    Estimate,
-    EstimatorConfig,
-    ParameterSet,
-    Uncertainty,
-    converged,
-    determined,
-)
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged, determined
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.local_stiffness import Stiffness
 from fden_ros.core.estimation.unmodelled import KERNEL_LENGTH
 from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER

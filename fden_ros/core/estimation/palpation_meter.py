@@ -20,7 +20,7 @@ import math
 from typing import NamedTuple
 
 from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
-from fden_ros.core.estimation.estimate import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.local_stiffness import LocalStiffness
 from fden_ros.core.estimation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
 from fden_ros.core.estimation.palpation import Palpated, palpated, with_nonlinearity

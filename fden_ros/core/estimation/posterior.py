@@ -51,7 +51,9 @@ from fden_ros.core.estimation.edge import (
     order_is_at_end,
     weights_pile_up,
 )
-from fden_ros.core.estimation.estimate import Block, EstimatorConfig, ParameterSet, StateIndex
+from fden_ros.core.estimation.estimate import ParameterSet, StateIndex
+from fden_ros.core.estimation.estimator import Block
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton, Solution
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations

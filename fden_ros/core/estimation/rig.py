@@ -35,7 +35,9 @@ import math
 from collections import deque
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Block, StateIndex, Uncertainty
+from fden_ros.core.estimation.estimate import StateIndex
+from fden_ros.core.estimation.estimator import Block
+from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.law.geometry import Geometry
 
 #: The velocity is taken over this many blocks [1] ...

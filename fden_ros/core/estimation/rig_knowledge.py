@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.motion_scale import NO_EVIDENCE, Evidence, pooled, share_of
 
 #: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at

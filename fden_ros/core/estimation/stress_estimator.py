@@ -34,15 +34,14 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.edge import EDGE_SHARE
 from fden_ros.core.estimation.estimate import (
-    Block,
     Estimate,
-    EstimatorConfig,
-    Innovation,
     ParameterSet,
     StateIndex,
     converged,
     determined,
 )
+from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.law_watch import LawWatch
 from fden_ros.core.estimation.motion_jitter import MotionJitter

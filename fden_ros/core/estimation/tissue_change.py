@@ -23,7 +23,7 @@ from statistics import median
 from typing import NamedTuple
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Block, Innovation
+from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.innovation_monitor import (
     CHANGE_DEVIATIONS,
     LONGEST_CHANGE_WINDOW,

@@ -42,7 +42,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from fden_ros.core.estimation.estimate import Uncertainty
+from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.law.geometry import Geometry
 
 #: The kernel's relative error over that of the characteristic [1], as on beef: 0.05 against 0.2

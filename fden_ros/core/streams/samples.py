@@ -98,7 +98,11 @@ def lateral_distance(axis: Position, a: Position, b: Position) -> float:
 
 
 class Sink(Protocol):
-    """Takes samples: a pipeline, or what stands before it."""
+    """Takes samples: a pipeline, or what stands before it.
+
+    A class that inherits from it lets go by what it has no method of its own for, but force and
+    displacement.
+    """
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Take a force sample [N]."""
@@ -115,6 +119,7 @@ class Sink(Protocol):
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
         """Take a force [N] or torque [N m] in a frame that moves."""
+        return
 
     def add_transform(
         self,
@@ -127,38 +132,12 @@ class Sink(Protocol):
         is_static: bool,
     ) -> None:
         """Take where a frame is in its parent [m], and its rotation as a quaternion."""
+        return
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         """Take a place of the tissue's surface, along the way of the displacement [m]."""
+        return
 
     def reject(self, stream: str, reason: str) -> None:
         """Count a sample that could not be read."""
-
-
-class Listener(Sink):
-    """A sink that lets go by what it has no method of its own for."""
-
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
-        """Let it go by."""
-        return
-
-    def add_transform(
-        self,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        translation: Vector,
-        rotation: Quaternion,
-        *,
-        is_static: bool,
-    ) -> None:
-        """Let it go by."""
-        return
-
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Let it go by."""
-        return
-
-    def reject(self, stream: str, reason: str) -> None:
-        """Let it go by."""
         return

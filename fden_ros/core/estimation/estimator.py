@@ -1,0 +1,101 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What an estimator offers the pipeline, the blocks it takes, and its innovations."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+
+
+class Block(NamedTuple):
+    """Means over a block of samples."""
+
+    compression: float  #: u, from the nominal strain origin [1]
+    stress: float  #: f [Pa]
+    memory_time: float  #: t since the memory began [s]
+    size: int  #: samples in the block
+    duration: float  #: from the first sample to the last and one step more [s]
+    fractional_integrals: Array  #: D^-beta f [Pa s^beta], shape (orders,)
+
+
+class Innovation(NamedTuple):
+    """How one block compared with its prediction."""
+
+    predicted_fractional_stress: float  #: [Pa s^alpha]
+    predicted_stress: float | None  #: [Pa]; None where the fractional stress is observed
+    innovation: float  #: observed less predicted [Pa, or Pa s^alpha]
+    variance: float  #: of the innovation, in its unit squared
+
+    @property
+    def normalized_squared(self) -> float:
+        """Normalised innovation squared (NIS) [1]."""
+        return self.innovation**2 / self.variance
+
+
+class Estimator(Protocol):
+    """An observation model with its filter; the pipeline asks for nothing else."""
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the innovations are larger or slower than model and noise explain."""
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a surprise or a mismatch of late is not explained yet."""
+
+    @property
+    def change_count(self) -> int:
+        """Changes of the tissue under the probe that were found."""
+
+    @property
+    def rig_deviations(self) -> float:
+        """How far a contact that went in and out says the rig is from what is stated [1]."""
+
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
+
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
+        """Take the motion of a sample in contact, `step` seconds after the last.
+
+        `surface` is what its measured place has taken off the compression [1].
+        """
+
+    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
+        """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by."""
+
+    def update(self, block: Block) -> Innovation:
+        """Take one block; return how it compared with the prediction."""
+
+    def estimate(self) -> Estimate:
+        """Return the present estimate."""
+
+    def motion_evidence(self) -> list[float] | None:
+        """Return the evidence of a contact for shares of the surface's stated motion, or None."""
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
+
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Do some steps of solving anew, where that is due; `begins`: a new block does."""
+
+    def relinearise(self, *, fully: bool = False) -> None:
+        """Solve anew about the present state, when that is due; `fully`: now, at the end."""

@@ -1,0 +1,170 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What an estimator knows before the data: prior, what model and rig leave open, thresholds."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the tissue before it is touched; by default what soft tissue can be.
+
+    Two standard deviations either way hold G from 10 Pa s^alpha to 1 MPa s^alpha, Gn from 1 to 40
+    and alpha from 0.02 to 0.6.
+
+    Parameters
+    ----------
+    linear_stiffness, nonlinear_stiffness : float
+        Medians of G [Pa s^alpha] and Gn [1], both log-normal.
+    linear_stiffness_log_sd, nonlinear_stiffness_log_sd : float
+        Standard deviations of ln G and ln Gn [1].
+    fractional_order, fractional_order_sd : float
+        alpha [1] and its standard deviation [1].
+    """
+
+    linear_stiffness: float = 3200.0
+    linear_stiffness_log_sd: float = 2.9
+    nonlinear_stiffness: float = 6.3
+    nonlinear_stiffness_log_sd: float = 0.92
+    fractional_order: float = 0.31
+    fractional_order_sd: float = 0.145
+
+    @property
+    def mean(self) -> Array:
+        """(ln G, ln Gn, alpha), shape (3,)."""
+        return np.array(
+            [
+                math.log(self.linear_stiffness),
+                math.log(self.nonlinear_stiffness),
+                self.fractional_order,
+            ]
+        )
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of (ln G, ln Gn, alpha), shape (3,)."""
+        return np.array(
+            [
+                self.linear_stiffness_log_sd,
+                self.nonlinear_stiffness_log_sd,
+                self.fractional_order_sd,
+            ]
+        )
+
+
+class Observation(enum.Enum):
+    """The quantity whose innovation an estimator takes."""
+
+    STRESS = "stress"
+    FRACTIONAL_STRESS = "fractional_stress"
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What is not known of model and rig, as standard deviations; 0: nothing.
+
+    Parameters
+    ----------
+    kernel_sd, characteristic_sd : float
+        Relative deviations of relaxation kernel and characteristic from the law [1].
+    surface_motion_sd : float
+        Way of the tissue's surface in one second [m].
+    force_drift_sd : float
+        Change of the force's zero in one second of contact [N].
+    friction_sd : float
+        Friction against the motion of the probe [N].
+    compliance_sd : float
+        Compliance of tool and robot that `displacement` does not allow for [m/N].
+    delay_sd : float
+        Delay between force and displacement [s].
+    thickness_sd : float
+        Relative deviation of the geometry's length [1].
+    """
+
+    kernel_sd: float = 0.0
+    characteristic_sd: float = 0.0
+    surface_motion_sd: float = 0.0
+    force_drift_sd: float = 0.0
+    friction_sd: float = 0.0
+    compliance_sd: float = 0.0
+    delay_sd: float = 0.0
+    thickness_sd: float = 0.0
+
+    @property
+    def rig_sd(self) -> tuple[float, float]:
+        """Deviations of what is learned of the rig: delay [s] and friction [N]."""
+        return self.delay_sd, self.friction_sd
+
+    @property
+    def walks(self) -> bool:
+        """Whether there is anything that changes with time."""
+        return any(
+            (self.kernel_sd, self.characteristic_sd, self.surface_motion_sd, self.force_drift_sd)
+        )
+
+
+#: A model and a rig that are exact.
+NOTHING_UNKNOWN = Uncertainty()
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """Prior, observation, and thresholds of convergence.
+
+    Parameters
+    ----------
+    prior : Prior
+    observation : Observation
+        STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
+    fractional_order_given : bool
+        alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
+    converged_log_sd, converged_linear_log_sd, converged_order_sd : float
+        Gn, G and alpha have converged only while the standard deviations of ln Gn, ln G and alpha
+        are at most these [1].
+    converged_probability : float
+        Gn is observable only while P(largest strain > 1/Gn) is at least this [1].
+    uncertainty : Uncertainty
+        What is not known of model and rig. Whether the model's error is there at all, the evidence
+        of the data decides.
+    friction : float
+        Friction that is expected [N]; counts where its deviation is not 0.
+    """
+
+    prior: Prior = Prior()
+    observation: Observation = Observation.STRESS
+    fractional_order_given: bool = False
+    converged_log_sd: float = 0.05
+    converged_linear_log_sd: float = 0.5
+    converged_order_sd: float = 0.05
+    converged_probability: float = 0.99
+    uncertainty: Uncertainty = Uncertainty()
+    friction: float = 0.0
+
+    @property
+    def is_order_given(self) -> bool:
+        """Whether alpha is a setting and not learned."""
+        return (
+            self.fractional_order_given
+            or self.observation is Observation.FRACTIONAL_STRESS
+            or self.prior.fractional_order_sd == 0.0
+        )
