@@ -52,10 +52,15 @@ def fitted(
     seed: int,
     uncertainty: Uncertainty = NOTHING_UNKNOWN,
     relative_noise: float = 1e-3,
+    surface: Array | float = 0.0,
 ) -> LawDeviation:
-    """Fit to a ramp and a hold, whose stress is a discrete convolution."""
+    """Fit to a ramp and a hold, whose stress is a discrete convolution.
+
+    `surface`: how far the surface goes away from the probe, as compression.
+    """
     strains = np.minimum(STRAIN * TIMES / RAMP, STRAIN)
-    change = np.diff(2000.0 * characteristic(strains), prepend=0.0)
+    pressed = np.maximum(strains - surface, 0.0)
+    change = np.diff(2000.0 * characteristic(pressed), prepend=0.0)
     # The mean of the kernel over a step, by its middle; over the first, where it is singular, by
     # many.
     weights = kernel(TIMES - 0.5 * STEP)
@@ -124,6 +129,33 @@ def test_what_the_rig_may_leave_out_is_not_the_tissues() -> None:
     assert fitted(drifts, exponential, 1).kernel.error > 0.05
     widened = fitted(drifts, exponential, 1, drifting)
     assert widened.kernel.error - 1.645 * widened.kernel.error_sd < 0.03
+
+
+RESTS = Uncertainty(surface_motion_sd=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_surface_that_rests_widens_nothing(seed: int) -> None:
+    deviation = fitted(power_law, exponential, seed, RESTS, relative_noise=0.01)
+    assert deviation.motion_covariance is None
+
+
+@pytest.mark.parametrize("phase", np.arange(8) * math.pi / 4.0)
+def test_a_surface_that_moves_more_than_is_stated_widens_the_covariance(phase: float) -> None:
+    """1 mm of breathing, over 20 mm."""
+    phases = 2.0 * math.pi * 0.25 * TIMES + phase
+    surface = (np.sin(phases) - math.sin(phase)) * 0.5e-3 / 0.02
+    deviation = fitted(power_law, exponential, 1, RESTS, 0.01, surface)
+    assert deviation.motion_covariance is not None
+    deviations = np.sqrt(deviation.motion_covariance.diagonal())
+    # By a batch computation 0.05 and 0.02 where 0.1 mm a second counts.
+    assert deviations[0] > 0.05 and deviations[2] > 0.02
+
+
+def test_a_rig_that_is_said_to_rest_is_not_asked_for_motion() -> None:
+    surface = 0.5e-3 / 0.02 * np.sin(2.0 * math.pi * 0.25 * TIMES)
+    deviation = fitted(power_law, exponential, 1, NOTHING_UNKNOWN, 0.01, surface)
+    assert deviation.motion_covariance is None
 
 
 def test_a_record_stays_short_however_long_the_contact() -> None:

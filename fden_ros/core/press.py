@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 
@@ -48,7 +49,7 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 #: Multiples of the release force: beyond the first the probe meets the tissue (it leaves it below
 #: 1, so that noise does neither); a first contact that stays below the second is faint.
 _CLEAR, _FAINT = 2.0, 4.0
-#: A probe has moved back when it has by this share of its compression [1].
+#: A probe has moved back, or in again, when it has by this share of its compression [1].
 _RETREAT = 0.02
 
 
@@ -103,6 +104,8 @@ class Press:
         self._is_first = first.stamp_ns == site.start_ns
         self._is_pressed = False
         self._is_free = True
+        #: Least compression since the tissue let go of the probe.
+        self._lowest = math.inf
         #: Compression and force of the newest sample whose force noise does not make, the time
         #: since, and the compression at which the tissue stayed behind.
         self._pressed: tuple[float, float] | None = None
@@ -148,18 +151,35 @@ class Press:
         if self._is_first and not self._is_pressed:
             self._is_free = False
         elif step > 0.0 and site.is_known and abs(force) <= hidden:
-            # Where noise hides the force, the law says where the surface is; a probe that has left
-            # it meets it again only by a force that noise does not make.
-            self._is_free = self._is_left_behind(compression) or site.is_above_surface(
-                step, compression
-            )
+            # Where noise hides the force, the law says where the surface is.
+            self._is_free = self._is_hidden_free(step, compression)
         elif self._is_free:
             self._is_free = force <= clear
         else:
             self._is_free = force <= self._release_force and self._has_retreated(compression)
         if force > clear:
             self._since_pressed, self._pressed, self._left_at = 0.0, (compression, force), None
+        self._lowest = min(self._lowest, compression) if self._is_free else math.inf
         return self._is_free
+
+    def _is_hidden_free(self, step: float, compression: float) -> bool:
+        """Whether the law says that the tissue is off the probe, where noise hides the force.
+
+        It knows the stress to a few deviations of the noise, not to none: near the surface it
+        would change its mind from sample to sample, and each time the memory would take what noise
+        makes for a touch or a release. So the probe has to move on: back since the last force that
+        noise does not make, or in again since the tissue let go.
+        """
+        if self._is_free and not self._has_returned(compression):
+            return True
+        if self._is_left_behind(compression):
+            return True
+        is_settled = self._is_free or self._has_retreated(compression)
+        return is_settled and self._site.is_above_surface(step, compression)
+
+    def _has_returned(self, compression: float) -> bool:
+        """Whether the probe has moved in again since the tissue let go of it."""
+        return compression > self._lowest + _RETREAT * abs(self._lowest)
 
     def _has_retreated(self, compression: float) -> bool:
         """Whether the probe has moved back since a force that noise does not make.

@@ -177,7 +177,7 @@ class DisplacementParameters:
         1.0,
     )
     compliance_sd: float = number(
-        0.00015,
+        0.0002,
         "m/N",
         "Standard deviation of the compliance that displacement.compliance leaves; 0: none.",
         0.0,
@@ -240,7 +240,7 @@ class SurfaceParameters:
     )
 
     motion_sd: float = number(
-        0.0002,
+        0.00012,
         "m",
         "Standard deviation of its motion in one second, by breathing and heartbeat, that is not "
         "measured; 0: it rests.",

@@ -37,8 +37,9 @@ Kennedy and O'Hagan, J. R. Statist. Soc. B 63 (2001) 425. MacKay, Neural Computa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -100,6 +101,13 @@ _CLOSE = 0.01
 #: presses of beef are a mismatch.
 _LEAST_ORIGIN_SD = 0.003
 _LONGEST_STEP = 0.5
+#: How much more the surface moves than is stated is found by steps of this factor, up to this
+#: multiple of what is stated [1].
+_MOTION_STEP, _MOST_MOTION = 2.0, 16.0
+#: A breath takes 4 s: its radian [s].
+_BREATH = 4.0 / (2.0 * math.pi)
+#: Least deviation of alpha in a covariance [1]: that of one that is given exactly.
+_LEAST_ORDER_SD = 1e-6
 #: Gauss-Newton steps for the evidence of a scale [1].
 _EVIDENCE_STEPS = 4
 _DIFFERENCE = 1e-4
@@ -141,6 +149,9 @@ class LawDeviation:
     fractional_order_sd: float  #: and the standard deviation of that [1]
     #: Logarithm of the evidence of a bent characteristic over that of the law's [1].
     curve_evidence: float
+    #: Covariance of (ln G, ln Gn, alpha) with the motion of the surface that the evidence wants,
+    #: shape (3, 3), where that is more than is stated.
+    motion_covariance: Array | None
 
     @property
     def error(self) -> LawError:
@@ -160,6 +171,13 @@ class LawDeviation:
         kernel = self.kernel.error - _ONE_SIDED_95 * self.kernel.error_sd
         is_bent = self.curve_evidence > _DECISIVE
         return kernel > KERNEL_MISMATCH or (is_bent and self.loaded.error > LOADED_MISMATCH)
+
+
+class _AtMotion(NamedTuple):
+    """What a scale of the surface's motion makes of a record, with the law taken for exact."""
+
+    log_evidence: float  #: by Laplace's approximation [1]
+    covariance: Array  #: of ln G, ln Gn and alpha, shape (3, 3)
 
 
 class LawFit:
@@ -226,6 +244,8 @@ class LawFit:
         rough = np.hypot(_ROUGHNESS * peak, _STEP_ROUGHNESS * np.diff(stresses))
         self._white = noise_sd**2 * shares[1:] + rough**2
         self._uncertainty = uncertainty
+        self._order_sd = max(float(prior.deviations[_ORDER]), _LEAST_ORDER_SD)
+        self._motion_covariance: Array | None = None
         self._take_rig(uncertainty)
 
     def steps(self) -> Iterator[None]:
@@ -236,6 +256,7 @@ class LawFit:
         numpy.linalg.LinAlgError
             If the normal equations are singular.
         """
+        yield from self._weigh_motion()
         kernel_scale, characteristic_scale = _FIRST_SCALES
         for _ in range(_ROUNDS):
             self._precision[_KERNEL, _KERNEL] = self._kernel_unit / kernel_scale**2
@@ -265,26 +286,77 @@ class LawFit:
             If the normal equations are singular.
         """
         state, found = self._state.copy(), []
-        precision, mean = self._precision[_LAW, _LAW], self._mean[_LAW]
-        for scale in scales:
-            motion = scale * self._uncertainty.surface_motion_sd
-            self._take_rig(replace(self._uncertainty, surface_motion_sd=motion))
-            for _ in range(_EVIDENCE_STEPS):
-                residual, jacobian = self._respond(state)
-                law, off = jacobian[:, _LAW], state[_LAW] - mean
-                factor = cho_factor(law.T @ law + precision)
-                found_at = residual @ residual + off @ precision @ off
-                step = cho_solve(factor, law.T @ residual - precision @ off)
-                state[_LAW] += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
-                state[_ORDER] = min(max(state[_ORDER], LOWEST_ORDER), HIGHEST_ORDER)
-            determinants = np.log(self._noise.diagonal()), np.log(factor[0].diagonal())
-            found.append(float(-0.5 * found_at - sum(np.sum(d) for d in determinants)))
+
+        def compare() -> Iterator[None]:
+            for scale in scales:
+                motion = yield from self._at_motion(scale, 0.0, state)
+                found.append(motion.log_evidence)
+
+        for _ in compare():
+            pass
         self._take_rig(self._uncertainty)
         return found
 
-    def _take_rig(self, uncertainty: Uncertainty) -> None:
-        """Let the rig leave out what an uncertainty says."""
-        noise = np.diag(self._white) + self._rig_covariance(uncertainty)
+    def _weigh_motion(self) -> Iterator[None]:
+        """Find whether the surface moves more than is stated, by doubling as long as that helps.
+
+        In two ways: a wider walk, which is rough as a heartbeat is, or a wave beside it, as smooth
+        as a breath. A walk that is wide enough for a wave's data is too narrow for what the wave
+        does to G, Gn and alpha, which absorb most of it.
+        """
+        if self._uncertainty.surface_motion_sd == 0.0:
+            return
+        state = self._state.copy()
+        stated = best = yield from self._at_motion(1.0, 0.0, state)
+        for is_wave in (False, True):
+            wide, scale = stated, 1.0
+            while scale <= _MOST_MOTION:
+                walk, wave = (1.0, scale) if is_wave else (_MOTION_STEP * scale, 0.0)
+                tried = yield from self._at_motion(walk, wave, state)
+                if tried.log_evidence < wide.log_evidence:
+                    break
+                wide, scale = tried, _MOTION_STEP * scale
+            best = max(best, wide, key=lambda motion: motion.log_evidence)
+        self._take_rig(self._uncertainty)
+        if best is not stated:
+            self._motion_covariance = best.covariance
+
+    def _at_motion(
+        self, walk: float, wave: float, state: Array
+    ) -> Generator[None, None, _AtMotion]:
+        """Return what motion of the surface makes of the law's parameters, step by step.
+
+        Parameters
+        ----------
+        walk, wave : float
+            Scale of the walk, and deviation of the wave, both in the stated motion [1].
+        state : ndarray, shape (22,)
+            Where the steps begin; moved to the maximum.
+        """
+        precision, mean = self._precision[_LAW, _LAW], self._mean[_LAW]
+        stated = self._uncertainty.surface_motion_sd
+        moving = replace(self._uncertainty, surface_motion_sd=walk * stated)
+        self._take_rig(moving, wave * stated)
+        for _ in range(_EVIDENCE_STEPS):
+            residual, jacobian = self._respond(state)
+            law, off = jacobian[:, _LAW], state[_LAW] - mean
+            information = law.T @ law
+            factor = cho_factor(information + precision)
+            found_at = residual @ residual + off @ precision @ off
+            step = cho_solve(factor, law.T @ residual - precision @ off)
+            state[_LAW] += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+            state[_ORDER] = min(max(state[_ORDER], LOWEST_ORDER), HIGHEST_ORDER)
+            yield
+        determinants = np.log(self._noise.diagonal()), np.log(factor[0].diagonal())
+        evidence = float(-0.5 * found_at - sum(np.sum(d) for d in determinants))
+        # The fit leaves alpha open; the estimate does not.
+        known = precision.copy()
+        known[_ORDER, _ORDER] = self._order_sd**-2.0
+        return _AtMotion(evidence, np.linalg.inv(information + known)[:_ORIGIN, :_ORIGIN])
+
+    def _take_rig(self, uncertainty: Uncertainty, wave: float = 0.0) -> None:
+        """Let the rig leave out what an uncertainty says, and the surface's waves [m]."""
+        noise = np.diag(self._white) + self._rig_covariance(uncertainty, wave)
         self._noise = np.linalg.cholesky(noise)
 
     def result(self) -> LawDeviation:
@@ -315,6 +387,7 @@ class LawFit:
             law[_ORDER],
             math.sqrt(covariance[_ORDER, _ORDER]),
             self._curve_evidence,
+            self._motion_covariance,
         )
 
     @property
@@ -420,7 +493,7 @@ class LawFit:
         square = float(value @ unit @ value + np.sum(unit * self._covariance[part, part]))
         return min(max(math.sqrt(square / _KNOTS), _LEAST_SCALE), _MOST_SCALE)
 
-    def _rig_covariance(self, uncertainty: Uncertainty) -> Array:
+    def _rig_covariance(self, uncertainty: Uncertainty, wave: float) -> Array:
         """Return the covariance of the stress that the rig leaves out, memoryless (n, n)."""
         state, scale = self._state, self._geometry.stress_per_force
         elastic = elastic_responses(
@@ -443,7 +516,17 @@ class LawFit:
             ]
         )
         covariance: Array = np.minimum.outer(grown, grown) + columns.T @ columns
+        if wave > 0.0:
+            covariance += np.outer(wave * stiffness, wave * stiffness) * self._wave()
         return covariance
+
+    def _wave(self) -> Array:
+        """Return the covariance of a smooth motion since the touch, of deviation 1, (n, n)."""
+        times = np.cumsum(self._steps)
+        since_touch = np.exp(-0.5 * (times / _BREATH) ** 2)
+        between = np.exp(-0.5 * (np.subtract.outer(times, times) / _BREATH) ** 2)
+        moved: Array = between - since_touch[:, None] - since_touch + 1.0
+        return moved
 
 
 def is_enough(record: ContactRecord) -> bool:

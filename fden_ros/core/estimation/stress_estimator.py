@@ -499,6 +499,10 @@ class StressEstimator:
             covariance *= self._change.inflation
             if self.is_mismatch:
                 covariance += self._prior_covariance
+        deviation = self._law.deviation
+        if deviation is not None and deviation.motion_covariance is not None:
+            own = covariance[:_ORIGIN, :_ORIGIN]
+            own += _positive(deviation.motion_covariance - own)
         thickness = config.uncertainty.thickness_sd
         # Strain goes with 1/h: ln G and ln Gn are off together.
         covariance[:_ORDER, :_ORDER] += thickness**2
@@ -528,7 +532,7 @@ class StressEstimator:
             sample_count=self._sample_count,
             model_error=self._model_error,
             loading_age=self._age.age,
-            law_error=self._law.deviation.error if self._law.deviation is not None else None,
+            law_error=deviation.error if deviation is not None else None,
         )
 
     def _order_is_disputed(self, order: float, deviation: float) -> bool:
@@ -604,6 +608,13 @@ class StressEstimator:
             [posterior.probability_beyond_boundary(strain) for posterior in self._bank]
         )
         return min(float(self._weights @ beyond), 1.0)
+
+
+def _positive(matrix: Array) -> Array:
+    """Return the positive part of a symmetric matrix, shape (n, n)."""
+    values, vectors = np.linalg.eigh(matrix)
+    part: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return part
 
 
 def _at_scales(config: EstimatorConfig) -> list[EstimatorConfig]:
