@@ -52,22 +52,26 @@ class FreeOrder:
     variance: float
     direction: Array
 
-    def added_variance(self, jacobian: Array, variance: float) -> float:
+    @classmethod
+    def nothing(cls) -> FreeOrder:
+        """Return that alpha is as free as it can be."""
+        return cls(0.0, 0.0, np.zeros(len(StateIndex)))
+
+    def added_variance(self, jacobian: Array, covariance: Array) -> float:
         """Return by how much a prediction is more uncertain with alpha anywhere up to there.
 
         Parameters
         ----------
         jacobian : ndarray, shape (n,)
             Of the prediction by the state.
-        variance : float
-            Of alpha in the prediction's own spread [1].
+        covariance : ndarray, shape (n,)
+            Of the state with alpha. It knows as few of the newest blocks as the prediction does;
+            where alpha is given without a deviation, `direction` stands in.
         """
-        by_order = float(jacobian @ self.direction)
+        variance = float(covariance[_ORDER])
+        direction = covariance / variance if variance > 0.0 else self.direction
+        by_order = float(jacobian @ direction)
         return by_order**2 * (max(self.variance - variance, 0.0) + self.shift**2)
-
-
-#: Alpha is as free as it can be.
-NOTHING_FREE = FreeOrder(0.0, 0.0, np.zeros(len(StateIndex)))
 
 
 def free_order(quadratic: Array, state: Array, prior: StatePrior) -> FreeOrder:
@@ -81,7 +85,7 @@ def free_order(quadratic: Array, state: Array, prior: StatePrior) -> FreeOrder:
     prior : StatePrior
     """
     if prior.deviations[_ORDER] >= _WIDE.fractional_order_sd:
-        return NOTHING_FREE
+        return FreeOrder.nothing()
     learned = prior.learned
     others = learned[learned != _ORDER]
     precision = prior.precision(others)
@@ -90,7 +94,7 @@ def free_order(quadratic: Array, state: Array, prior: StatePrior) -> FreeOrder:
     try:
         along = -np.linalg.solve(hessian, coupling)
     except np.linalg.LinAlgError:
-        return NOTHING_FREE
+        return FreeOrder.nothing()
     off = state - prior.mean
     gradient = quadratic[0, 1 + others] + off[others] @ precision
     wide = _WIDE.fractional_order_sd**-2.0

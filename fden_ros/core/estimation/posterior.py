@@ -52,7 +52,7 @@ from fden_ros.core.estimation.edge import (
     weights_pile_up,
 )
 from fden_ros.core.estimation.estimate import Block, EstimatorConfig, ParameterSet, StateIndex
-from fden_ros.core.estimation.free_order import NOTHING_FREE, free_order
+from fden_ros.core.estimation.free_order import FreeOrder, free_order
 from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton, Solution
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations
 from fden_ros.core.estimation.random_walk import RandomWalk
@@ -179,7 +179,7 @@ class StressPosterior:
         self._node_states = np.empty((grid.nodes.size, self.state.size))
         self._begin_nodes()
         #: What the data say of alpha beside what is stated, before the newest surprise.
-        self._free_order = NOTHING_FREE
+        self._free_order = FreeOrder.nothing()
         #: Whether the posterior of ln Gn is normal.
         self.is_unimodal = False
         #: Whether the last solution converged.
@@ -350,8 +350,7 @@ class StressPosterior:
         if is_first:
             quadratic = self._equations.at_state(self.state)
             self._free_order = free_order(quadratic, self.state, self._prior)
-        variance = float(self.covariance[_ORDER, _ORDER])
-        return self._free_order.added_variance(prediction.jacobian, variance)
+        return self._free_order.added_variance(prediction.jacobian, self.covariance[:, _ORDER])
 
     def law_weights(self) -> tuple[int, Array]:
         """Return the first node of ln Gn used at the state, and the weights (8, origins)."""
