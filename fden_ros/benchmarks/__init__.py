@@ -54,6 +54,7 @@ BENCHMARKS: dict[str, str] = {
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
     "robots": "what a real rig adds: breathing, compliance, friction, hum; silent errors",
     "contact": "contacts invented, missed and split on a disturbed rig; detection alone",
+    "changes": "inclusions and slides under the probe: how soon they are told; false ones",
     "replay": "speed and memory of replay and batch, beside merely decoding the same messages",
     "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
     "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",

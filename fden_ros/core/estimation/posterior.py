@@ -54,8 +54,8 @@ from fden_ros.core.estimation.edge import (
 from fden_ros.core.estimation.estimate import ParameterSet, StateIndex
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.free_order import FreeOrder, free_order
 from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton, Solution
-from fden_ros.core.estimation.innovation_monitor import CHANGE_DEVIATIONS
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations
 from fden_ros.core.estimation.random_walk import RandomWalk
 from fden_ros.core.estimation.state_prior import StatePrior
@@ -181,6 +181,8 @@ class StressPosterior:
         self.covariance = self._prior.covariance
         self._node_states = np.empty((grid.nodes.size, self.state.size))
         self._begin_nodes()
+        #: What the data say of alpha beside what is stated, before the newest surprise.
+        self._free_order = FreeOrder.nothing()
         #: Whether the posterior of ln Gn is normal.
         self.is_unimodal = False
         #: Whether the last solution converged.
@@ -327,13 +329,31 @@ class StressPosterior:
             self.state = self._solver.bounded(self.state + step)
             self.covariance = covariance
 
-    def is_beyond_all_nodes(self, prediction: Prediction, noise: float) -> bool:
-        """Whether an innovation is a surprise for every likely ln Gn as well."""
-        variance = noise + prediction.spread
-        residuals = self._equations.node_residuals(prediction.response, self._node_states)
-        mean = self._node_weights @ residuals
-        spread = self._node_weights @ (residuals - mean) ** 2
-        return bool(mean**2 > CHANGE_DEVIATIONS**2 * (variance + spread))
+    def foreseen(self, prediction: Prediction) -> tuple[float, float]:
+        """Return squared residual and variance [Pa^2] of a prediction, over the nodes of ln Gn.
+
+        Each node has fitted the other parameters to the data: how their predictions differ is not
+        what it is in first order about the mean.
+        """
+        if self.is_unimodal or not self.is_solved:
+            return prediction.residual**2, prediction.spread
+        weights, states = self._node_weights, self._node_states
+        residuals = self._equations.node_residuals(prediction.response, states)
+        mean = weights @ residuals
+        in_first_order = (states - weights @ states) @ prediction.jacobian
+        apart = float(weights @ (residuals - mean) ** 2 - weights @ in_first_order**2)
+        return float(mean**2), max(prediction.spread + apart, 0.0)
+
+    def order_variance(self, prediction: Prediction, *, is_first: bool) -> float:
+        """Return the variance that a prediction gains where alpha is left to the data [Pa^2].
+
+        `is_first`: no surprise came before; one that did would tell of alpha what it does not
+        know.
+        """
+        if is_first:
+            quadratic = self._equations.at_state(self.state)
+            self._free_order = free_order(quadratic, self.state, self._prior)
+        return self._free_order.added_variance(prediction.jacobian, self.covariance[:, _ORDER])
 
     def law_weights(self) -> tuple[int, Array]:
         """Return the first node of ln Gn used at the state, and the weights (8, origins)."""

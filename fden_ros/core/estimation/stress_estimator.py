@@ -23,7 +23,6 @@ where they are not, the deviations say so.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Iterator
@@ -86,12 +85,19 @@ _SCALES = (0.0, 1.0)
 _SHORTEST_BLOCK = 0.002
 #: Weight [1] below which a scale is solved for only where _RARELY blocks wait.
 _LEAST_WEIGHT = 1e-4
-#: Blocks [1], and share of all blocks so far [1], after which a scale of less weight than that is
-#: solved for all the same: early on its solution may be the wrong maximum.
-_RARELY, _RARELY_SHARE = 40, 0.5
+#: Blocks [1], their time [s], and share of all blocks so far [1], after which a scale of less
+#: weight than that is solved for all the same: early on its solution may be the wrong maximum, and
+#: an old one predicts a change so badly that it is none.
+_RARELY, _RARELY_TIME, _RARELY_SHARE = 40, 0.4, 0.5
 #: Share of the prior's deviation of ln G [1] below which the data have said something, and
 #: deviation of ln G [1] above which the stress is not normal about its prediction.
 _KNOWN_SHARE, _KNOWN_LOG_SD = 0.5, 0.5
+#: A scale's likelihood ratio against it, -2 ln of its weight [1], counts up to this [1]: it has to
+#: be surprised by three deviations all the same, because tissue may begin to leave the law.
+_MOST_AGAINST, _TINY_WEIGHT = 27.0, 1e-12
+#: A surprise that follows one has to be one by this share of the squared deviations [1], four of
+#: them: it has only to show that the first was no outlier.
+_FOLLOWING = 4.0 / 9.0
 _NOISELESS = PathNoise()
 #: Alpha is not known where it is farther than this from that of the law's fit, in deviations of
 #: both [1]: on 78 presses of beef the ones kept are then 1.4 of their deviations off the order of
@@ -160,6 +166,7 @@ class StressEstimator:
         ]
         self._weights = np.full(len(self._bank), 1.0 / len(self._bank))
         self._block_count = 0
+        self._block_duration = _SHORTEST_BLOCK  # of the newest [s]
         self._best = self._bank[-1]
         self._prior_covariance = self._best.covariance.copy()
         self._age = LoadingAge()
@@ -167,6 +174,7 @@ class StressEstimator:
         self._last_response: BlockResponse | None = None
         self._step = 0.0  # of the law's stress up to the newest block [Pa]
         self._has_newest = False  # the last block of this contact was taken
+        self._steady_stress = 0.0  # magnitude at the last block that was no surprise [Pa]
         self._max_compression = 0.0
         self._sample_count = 0
         self._contact_start: float | None = None
@@ -215,6 +223,7 @@ class StressEstimator:
         self._last_response = None
         self._has_newest = False
         self._contact_start = None
+        self._steady_stress = 0.0
         shift_sd = self._follow_surface()
         for posterior in self._bank:
             posterior.begin_contact(bias_sd, drift_sd, shift_sd)
@@ -280,6 +289,8 @@ class StressEstimator:
         change = self._change.watch(block, innovation, known)
         if change is not None:
             self._start_anew(change, innovation, block)
+        if not self._change.is_suspected:
+            self._steady_stress = abs(block.stress)
         self._has_newest = not self._change.is_blind(block.memory_time)
         if self._has_newest:
             self._take(block, noise, predictions)
@@ -306,10 +317,13 @@ class StressEstimator:
         rig_error = rig_error_variance(
             self._config.uncertainty, self._geometry, block.duration, stiffness
         )
+        # A jump is none of the law's error: what it adds to the stress would excuse it.
+        highest = self._steady_stress * math.exp(growth.loading)
+        stress = min(abs(block.stress), highest + CHANGE_DEVIATIONS * math.sqrt(noise))
         predictions = []
         for posterior in self._bank:
             posterior.amend_newest(before, late)
-            model_error = model_error_variance(posterior.uncertainty, block.stress, growth)
+            model_error = model_error_variance(posterior.uncertainty, stress, growth)
             predictions.append(posterior.predict(*response, block, model_error + rig_error))
         total = noise + sum(prediction.residual + prediction.spread for prediction in predictions)
         if not (noise > 0.0 and math.isfinite(total)):
@@ -330,12 +344,40 @@ class StressEstimator:
             is_unimodal=posterior.is_unimodal,
             is_fresh=posterior.is_unimodal or posterior.blocks_since_solved == 0,
             is_exact=self._is_exact,
-            is_beyond_model_error=self._is_tissue_known
-            and all(
-                prediction.residual**2 > CHANGE_DEVIATIONS**2 * (noise + prediction.spread)
-                for prediction in predictions
-            ),
-            is_beyond_all_nodes=functools.partial(posterior.is_beyond_all_nodes, best, noise),
+            is_surprise=self._is_surprise(noise, predictions),
+        )
+
+    def _is_surprise(self, noise: float, predictions: list[Prediction]) -> bool:
+        """Whether no scale of the model's error foresaw a block, whatever alpha is.
+
+        A scale that the data have spoken against need not be so surprised, but for the exact law;
+        and what one scale foresaw is no surprise within the deviation of another.
+        """
+        least = _FOLLOWING * (CHANGE_DEVIATIONS**2 - _MOST_AGAINST) * noise
+        if not self._is_tissue_known or any(p.residual**2 <= least for p in predictions):
+            return False
+        against = np.minimum(-2.0 * np.log(np.maximum(self._weights, _TINY_WEIGHT)), _MOST_AGAINST)
+        against[0] = 0.0
+        is_first = not self._change.is_suspected
+        share = 1.0 if is_first else _FOLLOWING
+        thresholds = (share * (CHANGE_DEVIATIONS**2 - against)).tolist()
+        squares, spreads = zip(
+            *(posterior.foreseen(p) for posterior, p in zip(self._bank, predictions, strict=True)),
+            strict=True,
+        )
+        square = min(squares)
+        if any(
+            square <= threshold * (noise + spread)
+            for threshold, spread in zip(thresholds, spreads, strict=True)
+        ):
+            return False
+        return all(
+            square
+            > threshold
+            * (noise + spread + posterior.order_variance(prediction, is_first=is_first))
+            for posterior, prediction, threshold, spread in zip(
+                self._bank, predictions, thresholds, spreads, strict=True
+            )
         )
 
     def _take(self, block: Block, noise: float, predictions: list[Prediction]) -> None:
@@ -348,6 +390,7 @@ class StressEstimator:
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         self._block_count += 1
+        self._block_duration = max(block.duration, _SHORTEST_BLOCK)
         self._rig.follow(block.stress, self._step)
         if not self._is_exact:
             self._law.add(block, self._age.age, self._best.state[: _ORIGIN + 1])
@@ -460,12 +503,12 @@ class StressEstimator:
             yield
         if self._change.is_suspected:
             return
-        solved = False
+        solved, in_time = False, _RARELY_TIME / self._block_duration
         for posterior, weight in zip(self._bank, self._weights, strict=True):
             if posterior.work_ahead():
                 yield
             waiting = posterior.blocks_since_solved
-            rarely = min(_RARELY, _RARELY_SHARE * self._block_count)
+            rarely = min(_RARELY, in_time, _RARELY_SHARE * self._block_count)
             if weight < _LEAST_WEIGHT and not fully and waiting < rarely:
                 continue
             if posterior.is_due() or (fully and waiting):

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from statistics import median
 from typing import NamedTuple
 
@@ -33,6 +32,9 @@ from fden_ros.core.estimation.innovation_monitor import (
 #: An innovation whose variance is below this many times the noise's [1] is the noise's, not the
 #: state's: only such are tested.
 _MOST_NOISE_SHARE = 2.0
+#: Any innovation is tested whose square is beyond the threshold by this factor [1]: in first order
+#: a state is not known to be off by more than twice its deviations.
+_CLEARLY = 4.0
 #: Innovations [1] after which a mismatch is reported, unless a change of the tissue explains it: a
 #: change shows within the longest window of change.
 _MISMATCH_DELAY = LONGEST_CHANGE_WINDOW
@@ -69,10 +71,7 @@ class Knowledge(NamedTuple):
     is_fresh: bool  #: the state holds all blocks before this one
     #: The law holds without a model's error: only then is a deviation that came slowly a change.
     is_exact: bool
-    #: The innovation is a surprise at every scale of the model's error.
-    is_beyond_model_error: bool
-    #: Whether it is a surprise for every likely ln Gn; asked where the posterior is not normal.
-    is_beyond_all_nodes: Callable[[], bool]
+    is_surprise: bool  #: no scale of the model's error foresaw the block
 
 
 class TissueChange:
@@ -159,15 +158,15 @@ class TissueChange:
     ) -> bool:
         """Whether an innovation may be the first of a change, or goes on with one.
 
-        A first surprise needs a state that is known better than the noise (`is_settled`); one that
-        follows a surprise does not, because the surprise has widened the state.
+        A first surprise needs a state that is known better than the noise (`is_settled`), or to be
+        one of a much less certain state; one that follows a surprise does not, because the
+        surprise has widened the state.
         """
+        is_clear = innovation.innovation**2 > CHANGE_DEVIATIONS**2 * _CLEARLY * innovation.variance
         return (
-            innovation.normalized_squared > CHANGE_DEVIATIONS**2
-            and (is_settled or not known.is_unimodal or self._surprises > 0)
-            and known.is_beyond_model_error
+            known.is_surprise
+            and (is_settled or is_clear or not known.is_unimodal or self._surprises > 0)
             and (known.is_exact or self._surprises > 0 or self._fitted)
-            and (known.is_unimodal or known.is_beyond_all_nodes())
         )
 
     def _begin_anew(self, block: Block, change: Change) -> Change:
