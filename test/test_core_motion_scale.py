@@ -102,9 +102,9 @@ def ratios(name, numbers):
 
 
 def test_a_surface_that_moves_far_more_than_is_stated_counts_in_the_deviations():
-    """Breathing of 1 mm was 2.1, 2.2 and 1.8 deviations off."""
+    """Breathing of 1 mm was 1.9, 2.5 and 2.2 deviations off in these contacts."""
     off = np.sqrt(np.mean(ratios("breathing_1mm", range(8)) ** 2, axis=0))
-    assert np.all(off < 1.7)
+    assert np.all(off < 1.9)
 
 
 def test_the_steps_of_an_encoder_count_as_noise():

@@ -288,12 +288,11 @@ NARROW = {"prior.nonlinear_stiffness": 30.0, "prior.nonlinear_stiffness_log_sd":
 
 def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
     result = identified(NARROW)
-    assert not any(converged(result))
-    assert all(summary.classes is None for summary in result.summaries)
-    second = result.summaries[1]
-    assert second.flags == Flag.ESTIMATE_AT_EDGE and second.estimate is not None
-    assert ParameterSet.NONLINEAR_STIFFNESS in second.estimate.at_edge
-    assert nonlinear(result) == pytest.approx([23.1, 17.9], abs=0.1)
+    for summary in result.summaries:
+        assert not summary.converged and summary.flags == Flag.ESTIMATE_AT_EDGE
+        assert summary.estimate is not None and summary.classes is None
+        assert ParameterSet.NONLINEAR_STIFFNESS in summary.estimate.at_edge
+    assert nonlinear(result) == pytest.approx([20.3, 18.0], abs=0.1)
     wide = {**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT}
     for summary, truth in zip(identified(wide).summaries, (9.0, 8.0), strict=True):
         assert summary.converged and summary.estimate is not None
