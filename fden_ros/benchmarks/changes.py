@@ -26,9 +26,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks.processes import completed
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
@@ -49,7 +48,7 @@ from fden_ros.simulation.closed_form import (
 )
 from fden_ros.simulation.contact import Stiffening, contacts_of_moves
 from fden_ros.simulation.scenario import Geometry
-from fden_ros.simulation.simulate import EXACT, START_NS
+from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,8 +79,6 @@ _SLIDE_TIME, _SLIDE_AFTER = 0.04, (0.6, 1.2)
 #: Noise of the stress [Pa] and of the displacement as a share of the length [1].
 _NOISE_PA, _NOISE_SHARE = 3.0, 5e-5
 _NANO = 1e-9
-#: A rig that is known, as in `config/bench.yaml`, with the law's error at its default.
-_BENCH = {name: value for name, value in EXACT.items() if name != "model_error.sd"}
 
 
 @dataclass(frozen=True)
@@ -130,17 +127,17 @@ class Row:
 
 
 ROWS = (
-    Row("flat_10", _FLAT, 10.0, _BENCH),
-    Row("flat_30", _FLAT, 30.0, _BENCH),
-    Row("sphere_30", _SPHERE, 30.0, _BENCH),
-    Row("pass_through_30", _PASS, 30.0, _BENCH),
+    Row("flat_10", _FLAT, 10.0, KNOWN_RIG),
+    Row("flat_30", _FLAT, 30.0, KNOWN_RIG),
+    Row("sphere_30", _SPHERE, 30.0, KNOWN_RIG),
+    Row("pass_through_30", _PASS, 30.0, KNOWN_RIG),
     Row("flat_30_arm", _FLAT, 30.0, {}),
-    Row("flat_100", _FLAT, 100.0, _BENCH),
+    Row("flat_100", _FLAT, 100.0, KNOWN_RIG),
     Row("flat_100_arm", _FLAT, 100.0, {}),
-    Row("flat_300", _FLAT, 300.0, _BENCH),
-    Row("sphere_300", _SPHERE, 300.0, _BENCH),
-    Row("pass_through_300", _PASS, 300.0, _BENCH),
-    Row("flat_1000", _FLAT, 1000.0, _BENCH),
+    Row("flat_300", _FLAT, 300.0, KNOWN_RIG),
+    Row("sphere_300", _SPHERE, 300.0, KNOWN_RIG),
+    Row("pass_through_300", _PASS, 300.0, KNOWN_RIG),
+    Row("flat_1000", _FLAT, 1000.0, KNOWN_RIG),
 )
 
 
@@ -198,7 +195,7 @@ def run(args: argparse.Namespace) -> Report:
     ]
     found: dict[tuple[str, str, int], Told] = {}
     with progress("presses", len(tasks)) as advance:
-        for (row, change, number), told in _completed(tasks, parameters, args.jobs):
+        for (row, change, number), told in completed(run_press, tasks, parameters, jobs=args.jobs):
             found[row.name, change.name, number] = told
             advance()
     cells = {
@@ -234,25 +231,6 @@ def chosen(names: str | None) -> list[Row]:
     if unknown or not wanted:
         raise InputError(f"there is no row {', '.join(unknown)!r}; there are {', '.join(by_name)}")
     return [by_name[name] for name in wanted]
-
-
-_Task = tuple[Row, Change, int]
-
-
-def _completed(
-    tasks: Sequence[_Task], parameters: Mapping[str, Any], jobs: int
-) -> Iterator[tuple[_Task, Told]]:
-    if jobs == 1:
-        for task in tasks:
-            yield task, run_press(*task, parameters)
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        futures = {pool.submit(run_press, *task, parameters): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 # A press

@@ -24,10 +24,8 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -36,6 +34,7 @@ import numpy as np
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.disturbed import CASES, Case, presses_of, scenario_of, streams_of
+from fden_ros.benchmarks.processes import completed
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.site import ORIGIN_WIDENING
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
@@ -146,7 +145,9 @@ def run(args: argparse.Namespace) -> Report:
     ]
     found: dict[tuple[str, int], Approached] = {}
     with progress("recordings", len(tasks)) as advance:
-        for (case, number, _), trial in _completed(tasks, parameters, args.jobs):
+        for (case, number, _), trial in completed(
+            run_approaches, tasks, parameters, jobs=args.jobs
+        ):
             found[case.name, number] = trial
             advance()
     trials = {
@@ -181,25 +182,6 @@ def chosen(names: str | None) -> list[Case]:
     if not rows:
         raise InputError(f"no case is named; there are {', '.join(by_name)}")
     return rows
-
-
-_Task = tuple[Case, int, float]
-
-
-def _completed(
-    tasks: Sequence[_Task], parameters: Mapping[str, Any], jobs: int
-) -> Iterator[tuple[_Task, Approached]]:
-    if jobs == 1:
-        for task in tasks:
-            yield task, run_approaches(*task, parameters)
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        futures = {pool.submit(run_approaches, *task, parameters): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 # Trials

@@ -27,9 +27,7 @@ import argparse
 import itertools
 import json
 import math
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +36,7 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.exact_contacts import ARM, LARGEST_SAMPLES, MOTIONS, RIGID, Finding, find
+from fden_ros.benchmarks.processes import completed
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ def run(args: argparse.Namespace) -> Report:
     ):
         for finding in done.values():
             _write(file.write, finding)
-        for finding in _completed(left, samples, args.jobs):
+        for _, finding in completed(find, [(number,) for number in left], samples, jobs=args.jobs):
             done[finding.number] = finding
             _write(file.write, finding)
             file.flush()
@@ -149,18 +148,6 @@ def read_findings(path: Path) -> list[Finding]:
 
 def _write(write: Callable[[str], Any], finding: Finding) -> None:
     write(json.dumps(finding.json_object()) + "\n")
-
-
-def _completed(numbers: Sequence[int], samples: int, jobs: int) -> Iterator[Finding]:
-    if jobs == 1:
-        yield from (find(number, samples) for number in numbers)
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        for future in as_completed([pool.submit(find, number, samples) for number in numbers]):
-            yield future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 # Figures

@@ -37,7 +37,7 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import EXACT, Recording, simulate
+from fden_ros.simulation.simulate import EXACT, KNOWN_RIG, Recording, simulate
 from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold, Staircase
 
 Array = NDArray[np.float64]
@@ -301,7 +301,7 @@ def parameters_of(contact: Contact, recording: Recording) -> dict[str, Any]:
     for name in (*EXACT, "alpha.learn", "prior.alpha", "prior.alpha_sd"):
         own.pop(name, None)
     if contact.rig == RIGID:
-        own |= {name: value for name, value in EXACT.items() if name != "model_error.sd"}
+        own |= KNOWN_RIG
     return own | dict(contact.prior)
 
 

@@ -39,7 +39,7 @@ from fden_ros.simulation.other_laws import (
     standard_linear_solid,
     stress_of_law,
 )
-from fden_ros.simulation.simulate import EXACT, START_NS
+from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ RIGID, ARM = "testing machine", "arm's defaults"
 #: The rig's deviations of a testing machine, as in `config/bench.yaml`: the law's error keeps its
 #: default.
 _RIG: Mapping[str, Mapping[str, float]] = {
-    RIGID: {name: value for name, value in EXACT.items() if name != "model_error.sd"},
+    RIGID: KNOWN_RIG,
     ARM: {},
 }
 _RADIUS_M, _THICKNESS_M = 0.01, 0.02

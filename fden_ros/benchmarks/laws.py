@@ -26,9 +26,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +43,7 @@ from fden_ros.benchmarks.law_presses import (
     Trial,
     run_trial,
 )
+from fden_ros.benchmarks.processes import completed
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -99,7 +98,7 @@ def run(args: argparse.Namespace) -> Report:
     ]
     done: dict[_Task, Trial] = {}
     with progress("recordings", len(tasks)) as advance:
-        for task, trial in _completed(tasks, args.jobs):
+        for task, trial in completed(_run_task, tasks, jobs=args.jobs):
             done[task] = trial
             advance()
     rows = [
@@ -131,23 +130,9 @@ def _chosen(names: str | None, is_quick: bool) -> list[Case]:
 _Task = tuple[str, int, str]
 
 
-def _run_task(task: _Task) -> Trial:
+def _run_task(name: str, number: int, rig: str) -> Trial:
     # A law is a function, which no process can be sent: its name is.
-    name, number, rig = task
     return run_trial(next(case for case in CASES if case.name == name), number, rig)
-
-
-def _completed(tasks: Sequence[_Task], jobs: int) -> Iterator[tuple[_Task, Trial]]:
-    if jobs == 1:
-        yield from ((task, _run_task(task)) for task in tasks)
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        futures = {pool.submit(_run_task, task): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 # Figures

@@ -26,9 +26,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +35,7 @@ import numpy as np
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.disturbed import CASES, Case, Trial, run_trial
+from fden_ros.benchmarks.processes import completed
 from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import Flag
 from fden_ros.errors import InputError
@@ -121,8 +120,6 @@ def _chosen(names: str | None, is_quick: bool) -> list[Case]:
 
 # Trials
 
-_Task = tuple[Case, int]
-
 
 def _trials(
     cases: Sequence[Case], contacts: int, parameters: Mapping[str, Any], jobs: int
@@ -135,28 +132,12 @@ def _trials(
     ]
     done: dict[tuple[str, int], Trial] = {}
     with progress("recordings", len(tasks)) as advance:
-        for (case, number), trial in _completed(tasks, parameters, jobs):
+        for (case, number), trial in completed(run_trial, tasks, parameters, jobs=jobs):
             done[case.name, number] = trial
             advance()
     return [
         (case, [done[own.name, number] for own, number in tasks if own is case]) for case in cases
     ]
-
-
-def _completed(
-    tasks: Sequence[_Task], parameters: Mapping[str, Any], jobs: int
-) -> Iterator[tuple[_Task, Trial]]:
-    if jobs == 1:
-        for task in tasks:
-            yield task, run_trial(*task, parameters)
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        futures = {pool.submit(run_trial, *task, parameters): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 # Figures

@@ -143,6 +143,8 @@ EXACT: dict[str, Any] = {
     "geometry.thickness_sd": 0.0,
     "converged.log_sd": 0.05,
 }
+#: The same of the rig alone: the law's error keeps its default.
+KNOWN_RIG = {name: value for name, value in EXACT.items() if name != "model_error.sd"}
 
 
 def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> dict[str, Any]:
