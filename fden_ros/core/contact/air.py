@@ -22,18 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.contact.chunks import Chunk
 from fden_ros.core.streams.resolution import Resolution
 from fden_ros.core.streams.samples import NANOSECONDS
-
-
-class Chunk(NamedTuple):
-    """At least 20 ms and 3 samples of force: long enough to average, short enough to react."""
-
-    size: int
-    start_ns: int
-    end_ns: int
-    mean: float
-    square_sum: float  #: of deviations from the mean
 
 
 class Air(NamedTuple):

@@ -29,9 +29,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
-from fden_ros.core.contact.air import MIN_CHUNKS, Baseline, Chunk
-from fden_ros.core.contact.surface import Surface, find_surface
+from fden_ros.core.contact.air import MIN_CHUNKS, Baseline
+from fden_ros.core.contact.approach import Approach
+from fden_ros.core.contact.chunks import Chunk, Chunks
+from fden_ros.core.contact.surface import find_surface
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 
@@ -108,9 +109,6 @@ class _Highest(NamedTuple):
     displacement: float  #: [m]
 
 
-#: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
-_CHUNK_NS = 20_000_000
-_CHUNK_SAMPLES = 3
 #: The probe is no longer pressing below half the threshold.
 _RELEASE_SHARE = 0.5
 #: A contact ends after 2 chunks in a row below the release threshold.
@@ -122,10 +120,6 @@ _RETRY = 1.25
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
 #: within 1 s [ns].
 _DRIFT_CHUNKS, _DOUBT_NS = 2, 1_000_000_000
-#: A probe has come to the surface through the air when its way there is more than this many
-#: deviations of the surface [1], and than this many usual steps of the displacement [1]: noise
-#: alone reaches six.
-_APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: After 10 chunks in a row that lie below the bias by more than the threshold the baseline is
 #: measured anew.
 _BELOW_BASELINE_CHUNKS = 10
@@ -145,65 +139,11 @@ _SWING_FACTOR = 2.2
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
 #: at first.
 _COLOUR, _LONG_WINDOW = 1.5, 1.0
-#: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
-#: present speed; before that a rise must last for 0.15 s from a tenth of its depth on: then one
-#: half of a vibration of 5 Hz is over.
-_MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
-_LASTING_TIME, _SHALLOW = 0.15, 0.1
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
 #: At most this number of samples in the air is kept, whatever the sampling rate.
 _MAX_LOOKBACK_SAMPLES = 40_000
-
-
-class _Approach(NamedTuple):
-    """The samples of the lookback, and the surface that explains the newest."""
-
-    time: Array  #: [s]
-    force: Array  #: less bias and drift [N]
-    displacement: Array  #: compliance removed [m]
-    surface: Surface
-
-    def came_through_air(self) -> bool:
-        """Whether the probe came to the surface through the air."""
-        before = self.displacement[: self.surface.first]
-        if before.size < 2:
-            return False
-        noise = float(np.median(np.abs(np.diff(before))))
-        way = self.surface.displacement - float(before.min())
-        return way > max(
-            _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
-        )
-
-    def began_in_air(self, threshold: float, rest: float) -> bool:
-        """Whether no force was there [N] when the data began, or none for `rest` [s] since."""
-        if self.force[0] < threshold:
-            return True
-        first = min(self.surface.first, self.time.size - 1)
-        pressed = np.flatnonzero(self.force[:first] >= threshold)
-        return bool(pressed.size) and float(self.time[first] - self.time[pressed[-1]]) > rest
-
-    def is_established(self) -> bool:
-        """Whether the present rise can be no swing of a force that is shaken by the motion.
-
-        It has lasted, or the probe has moved as fast before and the force's swing is known.
-        """
-        time, first = self.time, min(self.surface.first, self.time.size - 1)
-        depth = self.displacement - self.surface.displacement
-        # Where the probe rested, the surface may have been found anywhere in that time.
-        shallow = np.flatnonzero(depth[first:] < _SHALLOW * depth[-1])
-        if shallow.size:
-            first += int(shallow[-1])
-        lasting = float(time[-1] - time[first])
-        if lasting > _LASTING_TIME:
-            return True
-        instants = np.arange(time[first], time[0], -_CHUNK_NS / NANOSECONDS)
-        places = np.interp(instants, time, self.displacement)
-        speed = abs(float(depth[-1] - depth[first])) / max(lasting, _CHUNK_NS / NANOSECONDS)
-        moved = np.abs(np.diff(places)) * NANOSECONDS / _CHUNK_NS
-        moving = np.count_nonzero(moved >= _MOTION_SHARE * speed)
-        return bool(moving * _CHUNK_NS > _MOTION_TIME * NANOSECONDS)
 
 
 class ContactDetector:
@@ -236,8 +176,7 @@ class ContactDetector:
         self._baseline = Baseline(
             config.lookback, config.force_noise, config.noise_floor, config.measure_bias
         )
-        self._open: list[float] = []
-        self._open_start_ns = 0
+        self._chunks = Chunks()
         self._low_threshold = 0.0
         self._has_released = False
         self._low_chunks = 0
@@ -260,7 +199,7 @@ class ContactDetector:
             self._baseline.resolution.add(pair.force)
         else:
             self._samples.append(pair)
-        chunk = self._close_chunk(pair)
+        chunk = self._chunks.add(pair)
         if chunk is None:
             return None
         return self._in_contact(chunk, pair) if self.in_contact else self._in_air(chunk)
@@ -271,26 +210,6 @@ class ContactDetector:
         oldest_allowed = pair.stamp_ns - self._baseline.reach_ns
         while samples[0].stamp_ns < oldest_allowed:
             samples.popleft()
-
-    def _close_chunk(self, pair: Pair) -> Chunk | None:
-        values = self._open
-        if not values or pair.stamp_ns < self._open_start_ns:
-            # A clock that jumped back leaves a chunk without an end.
-            values.clear()
-            self._open_start_ns = pair.stamp_ns
-        values.append(pair.force)
-        if len(values) < _CHUNK_SAMPLES or pair.stamp_ns - self._open_start_ns < _CHUNK_NS:
-            return None
-        mean = math.fsum(values) / len(values)
-        chunk = Chunk(
-            len(values),
-            self._open_start_ns,
-            pair.stamp_ns,
-            mean,
-            math.fsum((v - mean) ** 2 for v in values),
-        )
-        values.clear()
-        return chunk
 
     def _in_air(self, chunk: Chunk) -> Onset | None:
         config, baseline = self._config, self._baseline
@@ -364,7 +283,7 @@ class ContactDetector:
             self.below_baseline += 1
             self._highest = None
 
-    def _approach_until(self, now_ns: int, bias: float, white: float) -> _Approach:
+    def _approach_until(self, now_ns: int, bias: float, white: float) -> Approach:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -382,9 +301,9 @@ class ContactDetector:
             surface = find_surface(
                 time, force, displacement, self._order, level.noise, _LONG_WINDOW
             )
-        return _Approach(time, force, displacement, surface)
+        return Approach(time, force, displacement, surface)
 
-    def _begin(self, approach: _Approach, bias: float, noise: float, threshold: float) -> Onset:
+    def _begin(self, approach: Approach, bias: float, noise: float, threshold: float) -> Onset:
         pairs, surface = self._samples, approach.surface
         onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         self._baseline.forget_since(onset_ns)
