@@ -96,6 +96,29 @@ def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted() -
     assert backlog.batches == 1
 
 
+def test_streams_that_waited_together_are_worked_off_side_by_side() -> None:
+    """After a pause, at whatever rates: neither is far ahead of the other."""
+    read: list[float] = []
+    apart: list[float] = []
+    newest = {"force": 0.0, "displacement": 0.0}
+
+    def stream(name: str, rate: float) -> Input:
+        times = iter([b"%r" % (k / rate) for k in range(round(20.0 * rate))])
+
+        def take_in(data: bytes) -> None:
+            newest[name] = float(data)
+            read.append(newest[name])
+            apart.append(abs(newest["force"] - newest["displacement"]))
+
+        return Input(name, lambda: next(times, None), take_in)
+
+    backlog = Backlog()
+    backlog.inputs += [stream("force", 500.0), stream("displacement", 60.0)]
+    while len(read) < 20 * 560:
+        backlog.work()
+    assert max(apart) < 2.0 / 60.0
+
+
 def test_core_is_quick_and_its_figures_are_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,6 +53,8 @@ from fden_ros.simulation.trajectory import Sinusoid
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 STEP_NS = 2_000_000
+#: A message that shared memory has no room for comes with the next heartbeat, up to 3 s later [s].
+LATEST = 5.0
 
 
 def play(bag: Path, rate: float, remap: dict[str, str] | None = None) -> None:
@@ -67,7 +69,11 @@ def run_live(bag: Path, rate: float = 2.0) -> tuple[Bench, int]:
     force, displacement = topics_of(bag)
     with Bench() as bench:
         with identifier(
-            {"autostart": True, **lossless(force, displacement)},
+            {
+                "autostart": True,
+                **lossless(force, displacement),
+                "synchronize.window": LATEST * rate,
+            },
             file=bag / PARAMETER_FILE,
             remap={"force": force, "displacement": displacement},
         ) as node:

@@ -16,7 +16,8 @@
 
 Most of the time a message is read as it comes. After every 32 messages the node looks whether more
 have come; then it takes all that wait out of the middleware at once, before its queues overflow,
-and works them off in order. What is too much even for that, the oldest, is dropped and counted.
+and works them off in order, the streams side by side. What is too much even for that, the oldest,
+is dropped and counted.
 """
 
 from __future__ import annotations
@@ -89,14 +90,25 @@ class Backlog:
         """Take what waits in the middleware."""
         self._since_look = 0
         before = len(self._waiting)
-        for source in self.inputs:
-            while (data := source.take()) is not None:
-                self._waiting.append((source, data))
+        self._waiting.extend(_side_by_side(self.inputs))
         self.batches += len(self._waiting) > before + 1
         self.most_waiting = max(self.most_waiting, len(self._waiting))
         while len(self._waiting) > _MOST_WAITING:
             source, _ = self._waiting.popleft()
             self.dropped[source.name] += 1
+
+
+def _side_by_side(inputs: list[Input]) -> list[tuple[Input, bytes]]:
+    """Take what waits of every stream, all over the same time; return it in the order of that.
+
+    One stream after the other, the first would wait for its partners longer than the pairing does.
+    """
+    found = []
+    for source in inputs:
+        waiting = list(iter(source.take, None))
+        found += [((k + 0.5) / len(waiting), source, data) for k, data in enumerate(waiting)]
+    found.sort(key=lambda one: one[0])
+    return [(source, data) for _, source, data in found]
 
 
 def taker(subscription: Any) -> Callable[[], bytes | None]:
