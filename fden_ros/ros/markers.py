@@ -73,7 +73,6 @@ class StiffnessMap:
     def __init__(self, diameter: float = 0.005) -> None:
         self._diameter = diameter
         self._sites: OrderedDict[int, ContactSummary] = OrderedDict()
-        self._withdrawn: dict[int, str] = {}
         self._newest: ContactSummary | None = None
 
     def __contains__(self, summary: ContactSummary) -> bool:
@@ -91,22 +90,22 @@ class StiffnessMap:
             if known is None or known.contact_id != summary.contact_id:
                 return False
             del self._sites[site_id]
-            self._withdrawn[site_id] = summary.position_frame
         else:
             self._sites[site_id] = summary
-            self._withdrawn.pop(site_id, None)
         self._newest = summary
         while len(self._sites) > _MOST_SITES:
             self._sites.popitem(last=False)
         return True
 
     def markers(self) -> MarkerArray:
-        """Return a sphere and a word per site: colour by G, transparency by its deviation."""
-        markers = [
-            Marker(header=Header(frame_id=frame_id), ns=name, id=site_id, action=Marker.DELETE)
-            for site_id, frame_id in sorted(self._withdrawn.items())
-            for name in ("sites", "values")
-        ]
+        """Return a sphere and a word per site: colour by G, transparency by its deviation.
+
+        First all that was drawn is taken away: what is not on the map is shown no longer, whether
+        it was withdrawn or forgotten, or is of another run.
+        """
+        newest = self._newest
+        frame_id = newest.position_frame if newest is not None else ""
+        markers = [Marker(header=Header(frame_id=frame_id), action=Marker.DELETEALL)]
         for site_id, summary in self._sites.items():
             # A path has too many places for a word each; its points are in the cloud.
             if summary.is_of_path:
