@@ -35,12 +35,12 @@ from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.law.geometry import FlatPunch, Sphere
 from fden_ros.offline.session import (
     Contact,
-    Envelope,
     Session,
     Thinned,
     fractional_derivative,
     gather,
 )
+from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import check, read_parameter_file
 from fden_ros.report import figure
 from fden_ros.report.figure import save_session_figure

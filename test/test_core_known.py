@@ -36,9 +36,9 @@ from fden_ros.core.estimation.edge import weights_pile_up
 from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
+from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import contact_row
-from fden_ros.offline.session import remarks
 from fden_ros.report.table import contact_table, plus_minus, status_words
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
 from fden_ros.simulation.scenario import Tissue, ramp_scenario

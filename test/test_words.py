@@ -41,9 +41,9 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.decisions import Decisions
+from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import replay
 from fden_ros.offline.results import replay_to_bag
-from fden_ros.offline.session import remarks
 from fden_ros.parameters import DEFAULT_HARDWARE_ID, check, pipeline_config, read_parameter_file
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection

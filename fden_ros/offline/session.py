@@ -17,8 +17,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,22 +25,18 @@ import numpy as np
 from scipy.stats import chi2
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import (
-    WITHHELD,
     ContactSummary,
-    Flag,
     Output,
     Status,
     TissueState,
 )
-from fden_ros.core.streams.rotation import Quaternion, Transform
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Sink
-from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import Parameters, geometry_of, pipeline_config
+from fden_ros.offline.signals import Envelope, signals_of
+from fden_ros.parameters import Parameters, geometry_of
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, is_table
 from fden_ros.recording.synthetic import read_truth
@@ -50,7 +44,6 @@ from fden_ros.recording.synthetic import read_truth
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60
 _STATES_A_CONTACT = 1500
-_BUCKETS = 1500
 #: The share of white innovations that a test takes for white.
 _CONFIDENCE = 0.99
 
@@ -72,46 +65,6 @@ class Thinned:
                 del self.items[1::2]
                 self._stride *= 2
         self._count += 1
-
-
-class Envelope:
-    """Least and largest value of a signal in each of a bounded number of stretches of time."""
-
-    def __init__(self) -> None:
-        self._width_ns = 1_000_000
-        self._start_ns: int | None = None
-        self._buckets: dict[int, tuple[float, float]] = {}
-
-    def add(self, stamp_ns: int, value: float) -> None:
-        """Take a sample; what is not finite or before the first is left out."""
-        if not math.isfinite(value):
-            return
-        if self._start_ns is None:
-            self._start_ns = stamp_ns
-        index = (stamp_ns - self._start_ns) // self._width_ns
-        if index < 0:
-            return
-        low, high = self._buckets.get(index, (value, value))
-        self._buckets[index] = (min(low, value), max(high, value))
-        if len(self._buckets) > _BUCKETS:
-            self._widen()
-
-    def _widen(self) -> None:
-        wider: dict[int, tuple[float, float]] = {}
-        for index, (low, high) in self._buckets.items():
-            other = wider.get(index // 2, (low, high))
-            wider[index // 2] = (min(low, other[0]), max(high, other[1]))
-        self._buckets, self._width_ns = wider, 2 * self._width_ns
-
-    def arrays(self, origin_ns: int) -> tuple[Array, Array, Array]:
-        """Return time since `origin_ns` [s], least and largest values, shape (n,) each."""
-        if self._start_ns is None:
-            return (np.zeros(0),) * 3
-        indices = sorted(self._buckets)
-        middle = self._start_ns - origin_ns + self._width_ns // 2
-        time = (np.array(indices, dtype=np.int64) * self._width_ns + middle) / NANOSECONDS
-        low, high = np.array([self._buckets[index] for index in indices]).T
-        return time, low, high
 
 
 @dataclass(frozen=True)
@@ -234,7 +187,7 @@ def gather(
     InputError
         As :func:`fden_ros.offline.replay.replay`.
     """
-    gatherer, signals = _Gatherer(), _signals_of(parameters)
+    gatherer, signals = _Gatherer(), signals_of(parameters)
     result = replay(
         bag,
         parameters,
@@ -283,88 +236,6 @@ class _Gatherer:
         if not self.contacts or self.contacts[-1].contact_id != contact_id:
             self.contacts.append(Contact(contact_id))
         return self.contacts[-1]
-
-
-class _Signals(Sink):
-    """Force and displacement over the whole recording, sample by sample."""
-
-    def __init__(self) -> None:
-        self.force, self.displacement = Envelope(), Envelope()
-        self.start_ns: int | None = None
-        self.end_ns = 0
-
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        self._see(stamp_ns)
-        self.force.add(stamp_ns, force)
-
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
-        self._see(stamp_ns)
-        self.displacement.add(stamp_ns, displacement)
-
-    def _see(self, stamp_ns: int) -> None:
-        if self.start_ns is None:
-            self.start_ns = stamp_ns
-        self.end_ns = max(self.end_ns, stamp_ns)
-
-
-class _TurnedSignals(_Signals):
-    """The same where frames move: along the axes only once they are paired."""
-
-    def __init__(self, config: SynchronizeConfig) -> None:
-        super().__init__()
-        self._synchronizer = Synchronizer(config, self._take, Counter())
-
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        self._see(stamp_ns)
-        self._synchronizer.add_force(stamp_ns, force)
-
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
-        self._see(stamp_ns)
-        self._synchronizer.add_displacement(stamp_ns, displacement, position, load, turn)
-
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
-        self._see(stamp_ns)
-        self._synchronizer.add_force_vector(stamp_ns, frame, force)
-
-    def add_transform(
-        self,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        translation: Position,
-        rotation: Quaternion,
-        *,
-        is_static: bool,
-    ) -> None:
-        place = Transform(translation, rotation)
-        self._synchronizer.add_transform(stamp_ns, parent, child, place, is_static=is_static)
-
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        self._synchronizer.add_surface(stamp_ns, surface)
-
-    def _take(self, pair: Pair) -> None:
-        self.force.add(pair.stamp_ns, pair.force)
-        self.displacement.add(pair.stamp_ns, pair.displacement)
-
-
-def _signals_of(parameters: Parameters) -> _Signals:
-    config = pipeline_config(parameters).synchronize
-    is_turned = config.frames is not None or config.tool_path is not None
-    return _TurnedSignals(config) if is_turned else _Signals()
 
 
 def normalized_innovation(innovation: Innovation) -> float:
@@ -416,97 +287,3 @@ def predicted_stress(contact: Contact) -> tuple[Array, Array, Array]:
     order = states[-1].estimate.fractional_order if states[-1].estimate is not None else 0.0
     innovations = np.array([s.innovation.innovation for s in states])
     return time, measured, measured - fractional_derivative(time, innovations, order)
-
-
-def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
-    """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
-    estimate = summary.estimate
-    if not summary.complete:
-        yield "The contact was cut short: its release is not in the recording, or data were lost."
-    if summary.flags & Flag.ORIGIN_UNCERTAIN:
-        yield (
-            "The force was there when the data began, so the touch was not seen: there is no "
-            "strain origin, and no estimate for this site."
-        )
-    if summary.flags & Flag.GAP:
-        yield "Samples are missing within this site's memory."
-    if summary.flags & Flag.MODEL_MISMATCH:
-        yield "The model does not describe this contact: the force is not what it predicts."
-    if summary.flags & Flag.TISSUE_CHANGED:
-        yield "The tissue changed within the contact, and was learned anew."
-    if summary.flags & Flag.SATURATED:
-        yield "A sensor was at its limit."
-    if summary.flags & Flag.FORCE_DRIFTED:
-        yield (
-            "The force in the air after a contact was not that before it, beyond "
-            "force.drift_sd: the deviations are widened by as much."
-        )
-    if summary.flags & Flag.HYSTERESIS:
-        yield (
-            "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
-            "displacement.compliance_sd: the deviations are widened."
-        )
-    if summary.flags & Flag.ESTIMATION_FAILED:
-        yield "The computation failed at this site: there is no estimate until the next one."
-    if summary.flags & Flag.GEOMETRY_UNSTATED:
-        yield "The geometry is not stated: the numbers are those of a probe that stands in for it."
-    if summary.flags & Flag.IMPLAUSIBLE:
-        yield "Strain, force, rate or a size cannot be what it says: a unit may be wrong."
-    if summary.rejected_count:
-        yield f"{summary.rejected_count} samples were rejected during the contact."
-    if estimate is None:
-        yield "There is no estimate."
-    elif estimate.at_edge:
-        yield from _at_edge(estimate)
-    elif not summary.converged and not summary.flags & WITHHELD:
-        yield _not_converged(summary, estimate)
-    if estimate is not None and not (
-        estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid
-    ):
-        yield (
-            f"alpha is not determined by the data: {estimate.fractional_order:.3f} ± "
-            f"{estimate.fractional_order_sd:.3f}, by the prior {prior_order:.3f}."
-        )
-
-
-def _at_edge(estimate: Estimate) -> Iterator[str]:
-    for parameter, words in (
-        (
-            ParameterSet.LINEAR_STIFFNESS,
-            f"G ({estimate.linear_stiffness:.3g}): state another prior.linear_stiffness",
-        ),
-        (
-            ParameterSet.NONLINEAR_STIFFNESS,
-            f"Gn ({estimate.nonlinear_stiffness:.2f}): the prior excludes this tissue, or it is "
-            "none that the model describes; state prior.nonlinear_stiffness with a "
-            "prior.nonlinear_stiffness_log_sd of 1",
-        ),
-        (
-            ParameterSet.FRACTIONAL_ORDER,
-            f"alpha ({estimate.fractional_order:.3f}): the material relaxes less or more than any "
-            "tissue that the model describes, or force and displacement are out of step",
-        ),
-    ):
-        if parameter in estimate.at_edge:
-            yield f"No estimate, but an end of the range of {words}."
-
-
-def _not_converged(summary: ContactSummary, estimate: Estimate) -> str:
-    reached = f"the strain reached {summary.max_strain:.3f}"
-    boundary = f"1/Gn, about {math.exp(-estimate.log_nonlinear_stiffness):.3f}"
-    if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
-        poor = [
-            f"{name} is known to {100 * estimate.deviations[index]:.0f} %"
-            for index, name in enumerate(("G", "Gn"))
-            if not estimate.knows(index)
-        ]
-        return f"Not converged: {', '.join(poor)} only."
-    if ParameterSet.LINEAR_STIFFNESS in estimate.known:
-        return (
-            f"G is known, Gn is not observable: {reached} and did not surely pass the boundary "
-            f"{boundary}."
-        )
-    return (
-        f"Not converged: {reached} and did not surely pass the boundary {boundary}. Gn is prior "
-        "knowledge still: press deeper."
-    )

@@ -32,7 +32,8 @@ from fden_ros.core.input_warnings import unusual
 from fden_ros.core.law.characteristic import exponential_scale
 from fden_ros.core.outputs import ContactSummary, OrderSource
 from fden_ros.errors import InputError
-from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session, remarks
+from fden_ros.offline.remarks import remarks
+from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
 from fden_ros.offline.surface_plane import LEAST_TOUCHES, NoPlaneError, fit_plane
 from fden_ros.report import plots
 from fden_ros.report.law_picture import law_picture

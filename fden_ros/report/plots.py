@@ -27,17 +27,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.offline.session import (
-    Array,
-    Contact,
-    Envelope,
-    Session,
-    normalized_innovation,
-    predicted_stress,
-)
+from fden_ros.offline.session import Contact, Session, normalized_innovation, predicted_stress
+from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import unit_vector
 from fden_ros.report.limits import interval_limits, symmetric_limit
 

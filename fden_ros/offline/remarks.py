@@ -1,0 +1,121 @@
+# Copyright 2026 fden_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What stands against a conclusion from one contact, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.outputs import (
+    WITHHELD,
+    ContactSummary,
+    Flag,
+)
+
+
+def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
+    """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
+    estimate = summary.estimate
+    if not summary.complete:
+        yield "The contact was cut short: its release is not in the recording, or data were lost."
+    if summary.flags & Flag.ORIGIN_UNCERTAIN:
+        yield (
+            "The force was there when the data began, so the touch was not seen: there is no "
+            "strain origin, and no estimate for this site."
+        )
+    if summary.flags & Flag.GAP:
+        yield "Samples are missing within this site's memory."
+    if summary.flags & Flag.MODEL_MISMATCH:
+        yield "The model does not describe this contact: the force is not what it predicts."
+    if summary.flags & Flag.TISSUE_CHANGED:
+        yield "The tissue changed within the contact, and was learned anew."
+    if summary.flags & Flag.SATURATED:
+        yield "A sensor was at its limit."
+    if summary.flags & Flag.FORCE_DRIFTED:
+        yield (
+            "The force in the air after a contact was not that before it, beyond "
+            "force.drift_sd: the deviations are widened by as much."
+        )
+    if summary.flags & Flag.HYSTERESIS:
+        yield (
+            "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
+            "displacement.compliance_sd: the deviations are widened."
+        )
+    if summary.flags & Flag.ESTIMATION_FAILED:
+        yield "The computation failed at this site: there is no estimate until the next one."
+    if summary.flags & Flag.GEOMETRY_UNSTATED:
+        yield "The geometry is not stated: the numbers are those of a probe that stands in for it."
+    if summary.flags & Flag.IMPLAUSIBLE:
+        yield "Strain, force, rate or a size cannot be what it says: a unit may be wrong."
+    if summary.rejected_count:
+        yield f"{summary.rejected_count} samples were rejected during the contact."
+    if estimate is None:
+        yield "There is no estimate."
+    elif estimate.at_edge:
+        yield from _at_edge(estimate)
+    elif not summary.converged and not summary.flags & WITHHELD:
+        yield _not_converged(summary, estimate)
+    if estimate is not None and not (
+        estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid
+    ):
+        yield (
+            f"alpha is not determined by the data: {estimate.fractional_order:.3f} ± "
+            f"{estimate.fractional_order_sd:.3f}, by the prior {prior_order:.3f}."
+        )
+
+
+def _at_edge(estimate: Estimate) -> Iterator[str]:
+    for parameter, words in (
+        (
+            ParameterSet.LINEAR_STIFFNESS,
+            f"G ({estimate.linear_stiffness:.3g}): state another prior.linear_stiffness",
+        ),
+        (
+            ParameterSet.NONLINEAR_STIFFNESS,
+            f"Gn ({estimate.nonlinear_stiffness:.2f}): the prior excludes this tissue, or it is "
+            "none that the model describes; state prior.nonlinear_stiffness with a "
+            "prior.nonlinear_stiffness_log_sd of 1",
+        ),
+        (
+            ParameterSet.FRACTIONAL_ORDER,
+            f"alpha ({estimate.fractional_order:.3f}): the material relaxes less or more than any "
+            "tissue that the model describes, or force and displacement are out of step",
+        ),
+    ):
+        if parameter in estimate.at_edge:
+            yield f"No estimate, but an end of the range of {words}."
+
+
+def _not_converged(summary: ContactSummary, estimate: Estimate) -> str:
+    reached = f"the strain reached {summary.max_strain:.3f}"
+    boundary = f"1/Gn, about {math.exp(-estimate.log_nonlinear_stiffness):.3f}"
+    if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
+        poor = [
+            f"{name} is known to {100 * estimate.deviations[index]:.0f} %"
+            for index, name in enumerate(("G", "Gn"))
+            if not estimate.knows(index)
+        ]
+        return f"Not converged: {', '.join(poor)} only."
+    if ParameterSet.LINEAR_STIFFNESS in estimate.known:
+        return (
+            f"G is known, Gn is not observable: {reached} and did not surely pass the boundary "
+            f"{boundary}."
+        )
+    return (
+        f"Not converged: {reached} and did not surely pass the boundary {boundary}. Gn is prior "
+        "knowledge still: press deeper."
+    )
