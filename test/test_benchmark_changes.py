@@ -25,16 +25,16 @@ import pytest
 from fden_ros.benchmarks.changes import (
     CHANGES,
     NOTHING,
+    ROWS,
     Change,
     Told,
-    chosen,
     figures_of,
     press,
     run_press,
 )
 from fden_ros.cli import main
 
-(FLAT,) = chosen("flat_30")
+FLAT = ROWS["flat_30"]
 SLIDE, INCLUSION = CHANGES[:2]
 #: Presses of each cell: enough that a rule which misses one in three shows.
 PRESSES = range(4)
@@ -64,7 +64,7 @@ def test_slide_onto_stiffer_tissue_multiplies_the_force():
 
 @pytest.mark.parametrize("row", ["flat_30", "sphere_30", "flat_100_arm"])
 def test_changes_are_told_in_time_at_slow_rates_too(row):
-    (own,) = chosen(row)
+    own = ROWS[row]
     for change in (SLIDE, INCLUSION):
         told = [run_press(own, change, number, {}) for number in PRESSES]
         assert sum(one.in_time for one in told) >= 3, change.name

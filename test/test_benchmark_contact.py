@@ -20,14 +20,14 @@ import json
 
 import pytest
 
-from fden_ros.benchmarks.contact import approaches_of, chosen, figures_of, run_approaches
+from fden_ros.benchmarks.contact import ROWS, approaches_of, figures_of, run_approaches
 from fden_ros.cli import main
 from fden_ros.simulation.simulate import simulate
 
 RATIO = 10.0
 
 
-@pytest.mark.parametrize("case", chosen(None), ids=lambda case: case.name)
+@pytest.mark.parametrize("case", ROWS.values(), ids=lambda case: case.name)
 def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case):
     found = figures_of([run_approaches(case, 0, RATIO, {})])
     assert found["presses"] == 3
@@ -36,7 +36,7 @@ def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case)
 
 
 def test_press_takes_as_many_times_the_noise_as_is_asked_for():
-    (case,) = chosen("vibration_moving_50mN")
+    case = ROWS["vibration_moving_50mN"]
     force = simulate(approaches_of(case, 0, 40.0)).force.value.max()
     # The vibration itself and four deviations of the noise add to it.
     assert 2.0 < force < 2.0 + 0.05 + 0.04

@@ -63,6 +63,9 @@ BENCHMARKS: dict[str, str] = {
     "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
 }
 
+#: Standard deviations of a normal variable that hold 95 % of it, on both sides [1].
+TWO_SIDED_95 = 1.959964
+
 
 @dataclass(frozen=True)
 class Goal:

@@ -25,16 +25,16 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks import TWO_SIDED_95, Goal, Report, progress, within
+from fden_ros.benchmarks.processes import completed
+from fden_ros.benchmarks.selection import chosen
 from fden_ros.benchmarks.simulated import (
     APPENDIX_D,
     FRACTIONAL_STRESS,
@@ -159,7 +159,6 @@ _QUICK_CONTACTS = 6
 _TRIALS_PER_TASK = 3
 _RESAMPLES = 1000
 _CONFIDENCE = 0.95
-_TWO_SIDED_95 = 1.959964
 _WILD_DEVIATIONS = 5.0
 _NAMES = ("log_g", "log_gn", "alpha", "origin")
 
@@ -190,8 +189,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify and judge."""
-    cases = _chosen_cases(args.cases, args.quick)
-    methods = _chosen(args.methods, METHODS, "method")
+    default = [case.name for case in CASES if case.is_quick or not args.quick]
+    cases = chosen(args.cases, {case.name: case for case in CASES}, "case", default)
+    methods = tuple(chosen(args.methods, {name: name for name in METHODS}, "method", METHODS))
     contacts = args.contacts or (_QUICK_CONTACTS if args.quick else _ENOUGH)
     if contacts < 2 or args.workers < 1:
         raise InputError("--contacts must be at least 2 and --workers at least 1")
@@ -212,23 +212,6 @@ def run(args: argparse.Namespace) -> Report:
     )
 
 
-def _chosen_cases(names: str | None, is_quick: bool) -> list[Case]:
-    if names is None:
-        return [case for case in CASES if case.is_quick or not is_quick]
-    by_name = {case.name: case for case in CASES}
-    return [by_name[name] for name in _chosen(names, tuple(by_name), "case")]
-
-
-def _chosen(names: str, known: tuple[str, ...], what: str) -> tuple[str, ...]:
-    chosen = tuple(name for name in names.split(",") if name)
-    for name in chosen:
-        if name not in known:
-            raise InputError(f"there is no {what} {name!r}; there are {', '.join(known)}")
-    if not chosen:
-        raise InputError(f"no {what} is named; there are {', '.join(known)}")
-    return chosen
-
-
 # Trials
 
 
@@ -243,7 +226,7 @@ def _run_trials(
     ]
     done: dict[tuple[str, int], list[Trial]] = {}
     with progress("contacts", len(tasks) * _TRIALS_PER_TASK) as advance:
-        for case, first, trials in _completed(tasks, methods, workers):
+        for (case, first, _), trials in completed(_run_task, tasks, methods, jobs=workers):
             done[case.name, first] = trials
             for _ in range(_TRIALS_PER_TASK):
                 advance()
@@ -253,24 +236,7 @@ def _run_trials(
     ]
 
 
-_Task = tuple[Case, int, int]
-
-
-def _completed(
-    tasks: Sequence[_Task], methods: tuple[str, ...], workers: int
-) -> Iterator[tuple[Case, int, list[Trial]]]:
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        futures = {pool.submit(_run_task, task, methods): task for task in tasks}
-        for future in as_completed(futures):
-            task = futures[future]
-            yield task[0], task[1], future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _run_task(task: _Task, methods: tuple[str, ...]) -> list[Trial]:
-    case, first, end = task
+def _run_task(case: Case, first: int, end: int, methods: tuple[str, ...]) -> list[Trial]:
     return [run_trial(case, number, methods) for number in range(first, end)]
 
 
@@ -368,7 +334,7 @@ def measure(case: Case, trials: Sequence[Trial], method: str) -> Measured:
         },
         bias={n: _bootstrapped(error[:, i]) for n, i in columns.items()},
         coverage={
-            n: _bootstrapped(np.abs(error[:, i]) <= _TWO_SIDED_95 * deviation[:, i])
+            n: _bootstrapped(np.abs(error[:, i]) <= TWO_SIDED_95 * deviation[:, i])
             for n, i in columns.items()
         },
         nees=_bootstrapped(np.array([_nees(o, honest.size) for _, o in found])),

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.processes import completed
+from fden_ros.benchmarks.selection import chosen
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
@@ -126,19 +127,22 @@ class Row:
         return f"{self.geometry.kind}, {self.rate_hz:g} Hz{rig}"
 
 
-ROWS = (
-    Row("flat_10", _FLAT, 10.0, KNOWN_RIG),
-    Row("flat_30", _FLAT, 30.0, KNOWN_RIG),
-    Row("sphere_30", _SPHERE, 30.0, KNOWN_RIG),
-    Row("pass_through_30", _PASS, 30.0, KNOWN_RIG),
-    Row("flat_30_arm", _FLAT, 30.0, {}),
-    Row("flat_100", _FLAT, 100.0, KNOWN_RIG),
-    Row("flat_100_arm", _FLAT, 100.0, {}),
-    Row("flat_300", _FLAT, 300.0, KNOWN_RIG),
-    Row("sphere_300", _SPHERE, 300.0, KNOWN_RIG),
-    Row("pass_through_300", _PASS, 300.0, KNOWN_RIG),
-    Row("flat_1000", _FLAT, 1000.0, KNOWN_RIG),
-)
+ROWS = {
+    row.name: row
+    for row in (
+        Row("flat_10", _FLAT, 10.0, KNOWN_RIG),
+        Row("flat_30", _FLAT, 30.0, KNOWN_RIG),
+        Row("sphere_30", _SPHERE, 30.0, KNOWN_RIG),
+        Row("pass_through_30", _PASS, 30.0, KNOWN_RIG),
+        Row("flat_30_arm", _FLAT, 30.0, {}),
+        Row("flat_100", _FLAT, 100.0, KNOWN_RIG),
+        Row("flat_100_arm", _FLAT, 100.0, {}),
+        Row("flat_300", _FLAT, 300.0, KNOWN_RIG),
+        Row("sphere_300", _SPHERE, 300.0, KNOWN_RIG),
+        Row("pass_through_300", _PASS, 300.0, KNOWN_RIG),
+        Row("flat_1000", _FLAT, 1000.0, KNOWN_RIG),
+    )
+}
 
 
 class Pressed(NamedTuple):
@@ -179,7 +183,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify and count."""
-    rows = chosen(args.rows)
+    rows = chosen(args.rows, ROWS, "row", ROWS)
     usual = _QUICK_CONTACTS if args.quick else _CONTACTS
     contacts = usual if args.contacts is None else args.contacts
     if contacts < 1 or args.jobs < 1 or args.first < 0:
@@ -215,22 +219,6 @@ def run(args: argparse.Namespace) -> Report:
         tables=[_table(rows, figures)],
         draw=lambda figure: _draw(figure, rows, cells),
     )
-
-
-def chosen(names: str | None) -> list[Row]:
-    """Return the rows of these names, separated by commas; None: all.
-
-    Raises
-    ------
-    InputError
-        If there is no such row.
-    """
-    by_name = {row.name: row for row in ROWS}
-    wanted = list(by_name) if names is None else list(filter(None, names.split(",")))
-    unknown = [name for name in wanted if name not in by_name]
-    if unknown or not wanted:
-        raise InputError(f"there is no row {', '.join(unknown)!r}; there are {', '.join(by_name)}")
-    return [by_name[name] for name in wanted]
 
 
 # A press

@@ -35,6 +35,7 @@ import numpy as np
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.disturbed import CASES, Case, presses_of, scenario_of, streams_of
 from fden_ros.benchmarks.processes import completed
+from fden_ros.benchmarks.selection import chosen
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.site import ORIGIN_WIDENING
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
@@ -71,26 +72,29 @@ _NANO = 1e-9
 
 _UNDISTURBED = Case("undisturbed", "nothing")
 #: Cases of `disturbed` by what is added here: slower and faster vibrations of the moving arm.
-_ROWS = (
-    _UNDISTURBED,
-    *(case for case in CASES if case.detection and not case.pitch_m),
-    *(
+ROWS = {
+    case.name: case
+    for case in (
+        _UNDISTURBED,
+        *(case for case in CASES if case.detection and not case.pitch_m),
+        *(
+            Case(
+                f"vibration_moving_{rate}Hz",
+                f"{rate} Hz, 50 mN, moving",
+                disturbances=Disturbances(vibration_n=0.05, vibration_hz=float(rate)),
+            )
+            for rate in (5, 8, 20, 35)
+        ),
         Case(
-            f"vibration_moving_{rate}Hz",
-            f"{rate} Hz, 50 mN, moving",
-            disturbances=Disturbances(vibration_n=0.05, vibration_hz=float(rate)),
-        )
-        for rate in (5, 8, 20, 35)
-    ),
-    Case(
-        "filter_10Hz_white",
-        "low-pass 10 Hz, white 100 mN",
-        disturbances=Disturbances(filter_hz=10.0),
-        noise_n=0.1,
-    ),
-    Case("creep_50mN", "creep 50 mN", disturbances=Disturbances(creep_n=0.05)),
-    Case("thermal_100mN", "thermal 0.1 N, 20 s", disturbances=Disturbances(thermal_n=0.1)),
-)
+            "filter_10Hz_white",
+            "low-pass 10 Hz, white 100 mN",
+            disturbances=Disturbances(filter_hz=10.0),
+            noise_n=0.1,
+        ),
+        Case("creep_50mN", "creep 50 mN", disturbances=Disturbances(creep_n=0.05)),
+        Case("thermal_100mN", "thermal 0.1 N, 20 s", disturbances=Disturbances(thermal_n=0.1)),
+    )
+}
 
 
 class Approached(NamedTuple):
@@ -128,7 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Report:
     """Simulate, detect and judge."""
-    rows = chosen(args.cases)
+    rows = chosen(args.cases, ROWS, "case", ROWS)
     usual = _QUICK_APPROACHES if args.quick else _APPROACHES
     approaches = usual if args.approaches is None else args.approaches
     if approaches < 1 or args.jobs < 1:
@@ -161,27 +165,6 @@ def run(args: argparse.Namespace) -> Report:
         tables=[_table(rows, figures)],
         draw=lambda figure: _draw(figure, rows, trials),
     )
-
-
-def chosen(names: str | None) -> list[Case]:
-    """Return the rows of these names, separated by commas; None: all.
-
-    Raises
-    ------
-    InputError
-        If there is no such row.
-    """
-    by_name = {case.name: case for case in _ROWS}
-    if names is None:
-        return list(_ROWS)
-    rows = []
-    for name in filter(None, names.split(",")):
-        if name not in by_name:
-            raise InputError(f"there is no case {name!r}; there are {', '.join(by_name)}")
-        rows.append(by_name[name])
-    if not rows:
-        raise InputError(f"no case is named; there are {', '.join(by_name)}")
-    return rows
 
 
 # Trials

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks import TWO_SIDED_95, Goal, Report, progress, within
 from fden_ros.benchmarks.exact_contacts import ARM, LARGEST_SAMPLES, MOTIONS, RIGID, Finding, find
 from fden_ros.benchmarks.processes import completed
 from fden_ros.errors import InputError
@@ -63,7 +63,6 @@ strain, is below the noise of a sample.
 
 _CONTACTS, _QUICK_CONTACTS, _QUICK_SAMPLES = 3000, 16, 1500
 _NAMES = ("ln G", "ln Gn", "alpha")
-_TWO_SIDED_95 = 1.959964
 #: False alarms and silent errors that are allowed, as a share.
 _ALLOWED = 1e-3
 _CONFIDENCE = 0.95
@@ -230,7 +229,7 @@ def figures_of(findings: Sequence[Finding]) -> dict[str, Any]:
         "silent": sum(finding.silent > 0 for finding in findings),
         "live_wrong": wrong / claims if claims else math.nan,
         "rms": named(np.sqrt(np.mean(ratio**2, axis=0)) if known else nothing),
-        "coverage": named(np.mean(np.abs(ratio) <= _TWO_SIDED_95, axis=0) if known else nothing),
+        "coverage": named(np.mean(np.abs(ratio) <= TWO_SIDED_95, axis=0) if known else nothing),
         "without_estimate": sum(not finding.error for finding in findings),
         "converged": float(np.mean([finding.converged > 0 for finding in findings])),
     }

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fden_ros.benchmarks import TWO_SIDED_95
 from fden_ros.control.live_tissue import LiveTissue
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -65,7 +66,6 @@ _RETRACT_RATE = 0.5
 _WEARING_PRESSES = 3
 #: What is predicted [s].
 AHEAD_S = 3.0
-_TWO_SIDED_95 = 1.959964
 _NANO = 1e-9
 #: Where on the ramp is predicted, as a share of its part in contact.
 _ON_RAMP = 0.6
@@ -320,7 +320,7 @@ def _predicted(
     if prediction is None:
         return Predicted(press, moment, "NOT_HEARD", *nothing)
     off = prediction.value - recording.forces[ahead]
-    width = _TWO_SIDED_95 * prediction.sd
+    width = TWO_SIDED_95 * prediction.sd
     return Predicted(
         press,
         moment,

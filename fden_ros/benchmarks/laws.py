@@ -44,6 +44,7 @@ from fden_ros.benchmarks.law_presses import (
     run_trial,
 )
 from fden_ros.benchmarks.processes import completed
+from fden_ros.benchmarks.selection import chosen
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ law's error at its default; the rig's deviations 0 (testing machine) or an arm's
 """
 
 _SEEDS, _QUICK_SEEDS = 12, 1
+_BY_NAME = {case.name: case for case in CASES}
 _QUICK = ("poroelastic_2", "linear_solid_1", "cubic", "fden")
 _LEAST_INSIDE = 0.9
 
@@ -84,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify, predict and judge."""
-    cases = _chosen(args.laws, args.quick)
+    cases = chosen(args.laws, _BY_NAME, "law", _QUICK if args.quick else _BY_NAME)
     usual = _QUICK_SEEDS if args.quick else _SEEDS
     seeds = usual if args.seeds is None else args.seeds
     if seeds < 1 or args.jobs < 1 or args.first < 0:
@@ -114,25 +116,12 @@ def run(args: argparse.Namespace) -> Report:
     )
 
 
-def _chosen(names: str | None, is_quick: bool) -> list[Case]:
-    by_name = {case.name: case for case in CASES}
-    if names is None:
-        return [by_name[name] for name in _QUICK] if is_quick else list(CASES)
-    chosen = [name for name in names.split(",") if name]
-    for name in chosen:
-        if name not in by_name:
-            raise InputError(f"there is no law {name!r}; there are {', '.join(by_name)}")
-    if not chosen:
-        raise InputError(f"no law is named; there are {', '.join(by_name)}")
-    return [by_name[name] for name in chosen]
-
-
 _Task = tuple[str, int, str]
 
 
 def _run_task(name: str, number: int, rig: str) -> Trial:
     # A law is a function, which no process can be sent: its name is.
-    return run_trial(next(case for case in CASES if case.name == name), number, rig)
+    return run_trial(_BY_NAME[name], number, rig)
 
 
 # Figures

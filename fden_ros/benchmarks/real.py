@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fden_ros.benchmarks import Goal, Report, progress, within
+from fden_ros.benchmarks import TWO_SIDED_95, Goal, Report, progress, within
 from fden_ros.benchmarks.hold_order import hold_order
 from fden_ros.benchmarks.peers import (
     DiolaitiHuntCrossley,
@@ -98,7 +98,6 @@ _TINY_DEVIATION = 1e-9
 _CONVERGED_LOG_SD = 0.1
 #: A testing machine: its rig leaves nothing out, the law does as on any tissue.
 _MACHINE = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
-_TWO_SIDED_95 = 1.96
 _NANOSECONDS = 1_000_000_000
 #: Tests of each material, and simulated contacts, with --quick and without.
 _QUICK_TESTS, _QUICK_SIMULATED, _SIMULATED = 4, 20, 300
@@ -406,7 +405,7 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
     )
     plan = test.displacements[seen:] - test.displacements[seen - 1]
     prediction = predictor.force(test.times[seen:] - now, plan)
-    inside = np.abs(prediction.value - test.forces[seen:]) <= _TWO_SIDED_95 * prediction.sd
+    inside = np.abs(prediction.value - test.forces[seen:]) <= TWO_SIDED_95 * prediction.sd
     return Outcome(
         predicted=prediction.value,
         predicted_sd=prediction.sd,
@@ -415,7 +414,7 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
         is_mismatch=bool(last.flags & Flag.MODEL_MISMATCH),
         is_changed=bool(last.flags & Flag.TISSUE_CHANGED),
         is_converged=whole.converged,
-        half_width=_TWO_SIDED_95 * 100.0 * float(np.median(prediction.sd)) / test.forces.max(),
+        half_width=TWO_SIDED_95 * 100.0 * float(np.median(prediction.sd)) / test.forces.max(),
         moved=(estimate.mean - whole.mean) / np.maximum(estimate.deviations, _TINY_DEVIATION),
         estimate=estimate,
         order_off=(whole.fractional_order - hold_order(test.times, test.forces, test.hold).order)
@@ -723,7 +722,7 @@ def _draw_test(axes: Axes, test: Test, outcomes: _ByMethod, which: str) -> None:
         if outcome is None or method == LEARNED:
             continue
         axes.plot(test.times[seen:], outcome.predicted, color=color, linewidth=1.6, label=method)
-        reach = _TWO_SIDED_95 * outcome.predicted_sd
+        reach = TWO_SIDED_95 * outcome.predicted_sd
         axes.fill_between(
             test.times[seen:],
             outcome.predicted - reach,

@@ -36,6 +36,7 @@ import numpy as np
 from fden_ros.benchmarks import Goal, Report, progress, within
 from fden_ros.benchmarks.disturbed import CASES, Case, Trial, run_trial
 from fden_ros.benchmarks.processes import completed
+from fden_ros.benchmarks.selection import chosen
 from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import Flag
 from fden_ros.errors import InputError
@@ -84,7 +85,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify and judge."""
-    cases = _chosen(args.cases, args.quick)
+    by_name = {case.name: case for case in CASES}
+    cases = chosen(args.cases, by_name, "case", _QUICK if args.quick else by_name)
     usual = _QUICK_CONTACTS if args.quick else _CONTACTS
     contacts = usual if args.contacts is None else args.contacts
     if contacts < 1 or args.jobs < 1:
@@ -103,19 +105,6 @@ def run(args: argparse.Namespace) -> Report:
         ],
         draw=lambda figure: _draw(figure, rows),
     )
-
-
-def _chosen(names: str | None, is_quick: bool) -> list[Case]:
-    by_name = {case.name: case for case in CASES}
-    if names is None:
-        return [by_name[name] for name in _QUICK] if is_quick else list(CASES)
-    chosen = [name for name in names.split(",") if name]
-    for name in chosen:
-        if name not in by_name:
-            raise InputError(f"there is no case {name!r}; there are {', '.join(by_name)}")
-    if not chosen:
-        raise InputError(f"no case is named; there are {', '.join(by_name)}")
-    return [by_name[name] for name in chosen]
 
 
 # Trials
