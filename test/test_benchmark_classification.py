@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from fden_ros.benchmarks import classification
+from fden_ros.benchmarks import classification, tissue_classes
 from fden_ros.benchmarks.lesions import (
     CONTRASTS,
     comparisons,
@@ -132,7 +132,7 @@ def test_grid_has_an_inclusion_of_every_contrast_and_size():
 def test_foreign_class_is_five_deviations_from_the_nearest():
     truth, rng = population(), np.random.default_rng(6)
     for number in range(8):
-        one = classification._far_class(truth, rng, number)
+        one = tissue_classes.far_class(truth, rng, number)
         distances = [
             math.sqrt((one.mean - t.mean) @ np.linalg.solve(t.covariance, one.mean - t.mean))
             for t in truth.tissues

@@ -200,3 +200,110 @@ def roc(scores: Array, positive: NDArray[np.bool_]) -> tuple[Array, Array, float
     false = np.concatenate([[0.0], np.cumsum(~hits) / max(int((~hits).sum()), 1)])
     area = float(np.sum(np.diff(false) * 0.5 * (true[1:] + true[:-1])))
     return false, true, area
+
+
+# Over many grids
+
+
+@dataclass(frozen=True, eq=False)
+class Lesions:
+    """What the comparison with the surroundings tells."""
+
+    curves: dict[float, tuple[Array, Array, float]]  #: by contrast
+    by_size: dict[tuple[float, float], float]  #: area by contrast and diameter
+    coverage: float  #: of the 95 % interval of the ratio where there is no lesion around
+    coverage_among: float  #: of healthy sites among lesions, which the surroundings include
+    false_alarms: float  #: healthy sites with P(stiffer by RATIO) above a half
+    found: dict[float, float]  #: sites of a contrast with that
+    grid: Grid
+    compared: list[Comparison | None]
+    through_pipeline: bool
+    pipeline_areas: dict[float, float]
+
+
+def compare_lesions(
+    precision: Array,
+    grids: int,
+    generator: np.random.Generator,
+    advance: Callable[[], None],
+    *,
+    presses_grid: bool,
+) -> Lesions:
+    """Return what comparing every site with its surroundings tells, over many grids."""
+    parts: list[tuple[Array, ...]] = []
+    last: tuple[Grid, list[Comparison | None]] | None = None
+    for _ in range(grids):
+        grid = make_grid(generator)
+        compared = comparisons(grid, drawn_estimates(grid, precision, generator))
+        last = grid, compared
+        parts.append(_grid_scores(grid, compared))
+        advance()
+    assert last is not None
+    sound = make_grid(generator, has_lesions=False)
+    _, holds, _, _, _ = _grid_scores(
+        sound, comparisons(sound, drawn_estimates(sound, precision, generator))
+    )
+    areas = {}
+    if presses_grid:
+        grid = make_grid(np.random.default_rng(7))
+        last = grid, comparisons(grid, pressed_estimates(grid, advance))
+        score, _, _, truth, _ = _grid_scores(*last)
+        areas = {c: _curve(score, truth, c)[2] for c in CONTRASTS}
+    score, inside, alarm, truth, diameter = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
+    return Lesions(
+        {contrast: _curve(score, truth, contrast) for contrast in CONTRASTS},
+        {
+            (contrast, wide): _curve(
+                score[(truth == 1.0) | (diameter == wide)],
+                truth[(truth == 1.0) | (diameter == wide)],
+                contrast,
+            )[2]
+            for contrast in CONTRASTS
+            for wide in DIAMETERS
+        },
+        float(np.mean(holds)),
+        float(np.mean(inside[truth == 1.0])),
+        float(np.mean(alarm[truth == 1.0])),
+        {contrast: float(np.mean(alarm[truth == contrast])) for contrast in CONTRASTS},
+        *last,
+        presses_grid,
+        areas,
+    )
+
+
+def _grid_scores(
+    grid: Grid, compared: Sequence[Comparison | None]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return score, interval holds the truth, alarm, contrast and diameter of the sites."""
+    used = [i for i, one in enumerate(compared) if one is not None and not grid.edge[i]]
+    contrasts = np.array([i.contrast for i in grid.inclusions] + [1.0])
+    diameters = np.array([i.diameter for i in grid.inclusions] + [0.0])
+    ones = [compared[i] for i in used]
+    own = true_log_stiffness(grid)
+    healthy = _healthy(grid, own)
+    holds = []
+    for index, one in zip(used, ones, strict=True):
+        assert one is not None
+        low, high = one.interval()
+        holds.append(low <= math.exp(own[index] - healthy[index]) <= high)
+    return (
+        np.array([one.deviations for one in ones if one is not None]),
+        np.array(holds, dtype=float),
+        np.array([one.probability_stiffer(RATIO) > 0.5 for one in ones if one is not None]),
+        contrasts[grid.inside[used]],
+        diameters[grid.inside[used]],
+    )
+
+
+def _healthy(grid: Grid, own: Array) -> Array:
+    """Return the mean of l over the healthy surroundings of each site, shape (n,)."""
+    sound = (grid.inside < 0) & ~grid.edge
+    near = [neighbours(grid.positions, i, SURROUNDINGS) for i in range(len(own))]
+    return np.array([float(np.mean(own[index[sound[index]]])) for index in near])
+
+
+def _curve(score: Array, truth: Array, contrast: float) -> tuple[Array, Array, float]:
+    kept = (truth == 1.0) | (truth == contrast)
+    return roc(score[kept], truth[kept] == contrast)

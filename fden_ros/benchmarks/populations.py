@@ -401,3 +401,10 @@ def classwise_error(probabilities: Array, truth: Indices, bins: int = 15) -> flo
         gap = np.bincount(where, weights=said - hit, minlength=bins)
         errors.append(float(np.abs(gap).sum()) / len(truth))
     return float(np.mean(errors))
+
+
+def log_loss(probabilities: Array, truth: Indices) -> float:
+    """Return the mean of -ln p of the true class among those known; unknown is the last column."""
+    known = probabilities[:, :-1]
+    own = known[np.arange(len(truth)), truth] / known.sum(axis=1)
+    return float(-np.mean(np.log(np.maximum(own, 1e-12))))
