@@ -301,13 +301,14 @@ def test_a_hold_beside_a_spring_shows_the_order_of_what_relaxes():
 
 
 def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
-    from fden_ros.benchmarks import real
+    from fden_ros.benchmarks import measured_tests, real
     from fden_ros.core.estimation.estimate import Estimate
 
     times = np.linspace(0.0, 5.0, 501)
     depth = np.minimum(times, 1.0) * 1e-3
     tests = [
-        real.Test(f"{n} a", "beef_x", times, 1.0 + depth, depth, thickness=0.02) for n in "12"
+        measured_tests.Test(f"{n} a", "beef_x", times, 1.0 + depth, depth, thickness=0.02)
+        for n in "12"
     ]
     everything = ParameterSet.ALL
     covariance = np.diag([0.01, 0.01, 1e-4])

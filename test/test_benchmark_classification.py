@@ -32,6 +32,7 @@ from fden_ros.benchmarks.lesions import (
     make_grid,
     roc,
 )
+from fden_ros.benchmarks.measured_tests import Test as MeasuredTest
 from fden_ros.benchmarks.populations import (
     PRIOR,
     bayes_error,
@@ -43,7 +44,6 @@ from fden_ros.benchmarks.populations import (
     press,
     published,
 )
-from fden_ros.benchmarks.real import Test as MeasuredTest
 from fden_ros.benchmarks.real_classes import specimen_of
 from fden_ros.cli import main
 from fden_ros.core.classification.classifier import Tissue, TissueLibrary
@@ -172,7 +172,7 @@ def test_tiny_run_measures_goals_and_leaves_figures_and_picture(tmp_path, capsys
 
 def test_measured_tests_of_two_materials_are_told_apart(tmp_path):
     # Two materials like those that were measured: soft and slow, stiff and quick.
-    from fden_ros.benchmarks.real import read_tests
+    from fden_ros.benchmarks.measured_tests import read_tests
     from fden_ros.benchmarks.real_classes import ONLINE, tell
     from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 

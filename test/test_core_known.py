@@ -28,9 +28,9 @@ import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
-from fden_ros.benchmarks.real import Test as Measured
+from fden_ros.benchmarks.measured_tests import Test as Measured
+from fden_ros.benchmarks.measured_tests import read_tests
 from fden_ros.benchmarks.real import identify as identify_measured
-from fden_ros.benchmarks.real import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
 from fden_ros.core.estimation.edge import weights_pile_up
 from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet

@@ -38,6 +38,7 @@ from fden_ros.benchmarks.lesions import (
     SIDE,
     compare_lesions,
 )
+from fden_ros.benchmarks.measured_tests import read_tests
 from fden_ros.benchmarks.populations import (
     bayes_error,
     informations,
@@ -103,7 +104,7 @@ def run(args: argparse.Namespace) -> Report:
     """Measure; return the report."""
     _require_sklearn()
     size = _QUICK if args.quick else _FULL
-    tests = real.read_tests(Path(args.data)) if args.data is not None and not args.quick else []
+    tests = read_tests(Path(args.data)) if args.data is not None and not args.quick else []
     truth = population()
     steps = size.pressed + size.libraries + len(size.curve) + size.foreign + size.grids
     steps += size.presses_grid * SIDE**2 + (len(tests) + 4) * bool(tests)

@@ -28,10 +28,8 @@ name, so that other places of one piece of meat do not count as others.
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import os
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,6 +39,7 @@ import numpy as np
 
 from fden_ros.benchmarks import TWO_SIDED_95, Goal, Report, progress, within
 from fden_ros.benchmarks.hold_order import hold_order
+from fden_ros.benchmarks.measured_tests import SEEN_HOLD, Test, read_tests
 from fden_ros.benchmarks.peers import (
     DiolaitiHuntCrossley,
     HaddadiHuntCrossley,
@@ -79,14 +78,9 @@ Columns: test, material, time_s, force_N, displacement_mm, gap_mm (others are ig
 """
 
 DATA_VARIABLE = "FDEN_DATA"
-COLUMNS = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
 #: Materials by the beginning of their name: which the model describes, and which it does not.
 TISSUE, NOT_TISSUE = "beef", "silicone"
 
-#: How much of the hold is seen [s].
-_SEEN_HOLD = 2.0
-#: The hold begins where the probe is this close to its deepest point [m].
-_AT_HOLD = 1e-5
 #: The force noise of these tests, as their README states it [N].
 _FORCE_NOISE = 1e-3
 #: The default prior, for G in N s^alpha as of a face of 1 cm^2.
@@ -111,47 +105,6 @@ FREE, LEARNED, GIVEN = (
     "FDEN, alpha's prior of others",
     "FDEN, alpha given by others",
 )
-
-
-@dataclass(frozen=True)
-class Test:
-    """One ramp and hold on one specimen; arrays of shape (n,)."""
-
-    #: Not a test of pytest's.
-    __test__ = False
-
-    name: str
-    material: str
-    times: Array  #: [s]
-    forces: Array  #: [N]
-    displacements: Array  #: into the tissue, 0 at contact [m]
-    thickness: float  #: [m]
-
-    @property
-    def specimen(self) -> str:
-        """First word of the name: other places on the same piece share it."""
-        return self.name.split()[0]
-
-    @property
-    def kind(self) -> str:
-        """Material up to the first underscore: beef for beef_RDG."""
-        return self.material.split("_")[0]
-
-    @property
-    def hold(self) -> int:
-        """Index of the first sample of the hold."""
-        return int(np.argmax(self.displacements >= self.displacements.max() - _AT_HOLD))
-
-    @property
-    def seen(self) -> int:
-        """How many samples the estimators get: the ramp and the first 2 s of the hold."""
-        last = self.times[self.hold] + _SEEN_HOLD
-        return int(np.searchsorted(self.times, last, side="right"))
-
-    def error(self, predicted: Array) -> float:
-        """Return the RMS error of the rest of the hold, in percent of the peak force."""
-        rest = self.forces[self.seen :]
-        return 100.0 * float(np.sqrt(np.mean((predicted - rest) ** 2)) / self.forces.max())
 
 
 @dataclass(frozen=True)
@@ -223,59 +176,7 @@ def run(args: argparse.Namespace) -> Report:
     )
 
 
-# The tests
-
-
-def read_tests(folder: Path) -> list[Test]:
-    """Return the tests in every table of a folder.
-
-    Raises
-    ------
-    InputError
-        If there is no such folder, no such table in it, or a number that cannot be read.
-    """
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name the one with the measured tests")
-    tests: list[Test] = []
-    for path in sorted(folder.glob("*.csv")):
-        tests += _read_table(path)
-    if not tests:
-        raise InputError(f"{folder}: no CSV file in it has the columns {', '.join(COLUMNS)}")
-    return tests
-
-
-def _read_table(path: Path) -> list[Test]:
-    rows: defaultdict[tuple[str, str], list[list[float]]] = defaultdict(list)
-    with path.open(encoding="utf-8", newline="") as file:
-        reader = csv.DictReader(file)
-        if not set(COLUMNS) <= set(reader.fieldnames or ()):
-            return []
-        for row in reader:
-            try:
-                numbers = [float(row[column]) for column in COLUMNS[2:]]
-            except (TypeError, ValueError):
-                raise InputError(
-                    f"{path}: line {reader.line_num}: {', '.join(COLUMNS[2:])} must be numbers"
-                ) from None
-            rows[row["test"], row["material"]].append(numbers)
-    tests = []
-    for (name, material), samples in rows.items():
-        times, forces, displacements, gaps = np.array(samples).T
-        test = Test(name, material, times, forces, 1e-3 * displacements, 1e-3 * float(gaps[0]))
-        _check(test, path)
-        tests.append(test)
-    return tests
-
-
-def _check(test: Test, path: Path) -> None:
-    if test.thickness <= 0.0 or np.any(np.diff(test.times) <= 0.0):
-        raise InputError(
-            f"{path}: {test.name}: the gap at contact must be positive and the time increase"
-        )
-    if test.times.size - test.seen < 2:
-        raise InputError(
-            f"{path}: {test.name}: no hold of more than {_SEEN_HOLD:g} s, so nothing to predict"
-        )
+# Measuring
 
 
 def _some(tests: Sequence[Test]) -> list[Test]:
@@ -602,7 +503,7 @@ def _figures(
         "methods": methods,
         "false_alarms": {"contacts": alarms[1], "alarms": alarms[0]},
         "force_noise_n": _FORCE_NOISE,
-        "seen_hold_s": _SEEN_HOLD,
+        "seen_hold_s": SEEN_HOLD,
         "tests": [
             {"test": test.name, "material": test.material, "error": errors[FREE][test.name]}
             | {"alpha": outcomes[FREE][test.name].order}

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fden_ros.benchmarks.measured_tests import Test
 from fden_ros.benchmarks.peers import DiolaitiHuntCrossley, HaddadiHuntCrossley, KelvinVoigt
-from fden_ros.benchmarks.real import _WIDE, Test, identify
+from fden_ros.benchmarks.real import _WIDE, identify
 from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import Likelihood, likelihood_of
 from fden_ros.core.outputs import Flag
