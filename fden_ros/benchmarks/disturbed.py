@@ -344,6 +344,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
     )
     tissue = _drawn_liver(seed) if case.liver else firm
     thicker = np.random.default_rng([seed, _DRAWS, 2]).uniform(-_MOST_THICKER, _MOST_THICKER)
+    thickness_m = _THICKNESS_M * (1.0 + thicker)
     sites = [Site(tissue, case.presses, (case.pitch_m * n, 0.0)) for n in range(case.sites)]
     if case.preload.depth_m:
         # The later site is touched once.
@@ -351,7 +352,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
     return Scenario(
         name=case.name,
         seed=seed,
-        geometry=Geometry("flat_punch", radius_m=case.radius_m, thickness_m=_THICKNESS_M * (1.0 + thicker)),
+        geometry=Geometry("flat_punch", radius_m=case.radius_m, thickness_m=thickness_m),
         sites=tuple(sites),
         approach=Approach(
             # Where the touch lies between two samples is chance.

@@ -89,8 +89,11 @@ class Site:
         The newest.
     left : Position or None
         Where the probe was when the tissue was last on it.
-    teaches_rig, teaches_motion : bool
-        What is learned here of the rig, and of the surface's motion, may be used at other sites.
+    teaches_rig, teaches_motion, teaches_drift : bool
+        What is learned here of the rig, of the surface's motion and of the force's drift, may be
+        used at other sites.
+    known_rig : RigKnowledge
+        What was known of the rig before the first touch.
     """
 
     def __init__(
@@ -109,8 +112,9 @@ class Site:
         self.flags = flags
         self.estimate: Estimate | None = None
         self._config = config
-        self._rig = rig
+        self.known_rig = rig
         self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
+        self.teaches_drift = config.learns_drift
         if config.strain_origin is not None:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
@@ -242,7 +246,7 @@ class Site:
         scale = self._config.geometry.stress_per_force
         if self.is_usable and self._estimator is None:
             self._estimator = _new_estimator(
-                self._config, onset.noise_sd * scale, self.origin_sd, noise, self._rig
+                self._config, onset.noise_sd * scale, self.origin_sd, noise, self.known_rig
             )
         self._rest_until(onset.samples[0].stamp_ns)
         self._integral.take_sum()
@@ -432,14 +436,14 @@ class Site:
             self.refresh()
             self._newest_evidence = self._evidence_of_motion(self._estimator)
             if self._newest_evidence is not None:
-                self.doubt(Flag.NONE, self._rig.motion_factor(self._newest_evidence))
+                self.doubt(Flag.NONE, self.known_rig.motion_factor(self._newest_evidence))
             off = self._estimator.rig_deviations / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
     def _evidence_of_motion(self, estimator: Estimator) -> list[float] | None:
         """Return the evidence of a contact for the surface's motion where it is of use."""
-        if self.teaches_motion or self._rig.motion_share < 1.0:
+        if self.teaches_motion or self.known_rig.motion_share < 1.0:
             return estimator.motion_evidence()
         return None
 
@@ -453,7 +457,11 @@ class Site:
         self._motion_evidence = self._newest_evidence or self._motion_evidence
         if self._motion_evidence is None:
             return known
-        return (known or self._rig).moved(self._motion_evidence)
+        return (known or self.known_rig).moved(self._motion_evidence)
+
+    def teach_nothing(self) -> None:
+        """Let no other site use what is learned here."""
+        self.teaches_rig = self.teaches_motion = self.teaches_drift = False
 
     def fail(self) -> None:
         """Become unusable after an exception."""
