@@ -58,6 +58,9 @@ _DETECTED = 3
 #: of its deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the tissue
 #: has not recovered of the last contact; after 5 timeouts that is too little to tell.
 _CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
+#: A probe is dragged beyond this multiple of the distance of two sites [1], so that noise of the
+#: position drags none.
+_DRAGGED = 2.0
 #: Unloading contradicts loading where the rig is farther from what is stated than this many
 #: deviations [1], three quantities: 2e-4 of contacts do by chance.
 _CONTRADICTION = 4.0
@@ -229,6 +232,19 @@ class Site:
         contact = self._config.contact
         apart = lateral_distance(contact.approach_axis, self.position, self.left)
         return apart > contact.site_distance
+
+    def is_dragged_over(self, pair: Pair) -> bool:
+        """Whether the probe has gone aside from its touch, and farther than it is deep.
+
+        It then presses on tissue whose past was not seen. (Along a tilted approach axis it goes
+        less to the side than in.)
+        """
+        if self.position is None or pair.position is None:
+            return False
+        contact = self._config.contact
+        aside = lateral_distance(contact.approach_axis, self.position, pair.position)
+        depth = abs(pair.displacement - self.origin)
+        return aside > max(_DRAGGED * contact.site_distance, depth)
 
     def _begins_at_origin(self, pair: Pair) -> bool:
         """Whether the origin is given and a sample is there, so that no press came before it."""
@@ -417,7 +433,7 @@ class Site:
                 self.estimate = self._widened(self.estimate._replace(covariance=covariance))
 
     def withdraw(self) -> None:
-        """Become unusable: the tissue was pressed before its first touch was seen."""
+        """Become unusable: the tissue under the probe has a past that was not seen."""
         self.is_usable = False
         self.flags |= Flag.ORIGIN_UNCERTAIN
 

@@ -359,7 +359,7 @@ class LawFit:
             state[_ORDER] = min(max(state[_ORDER], LOWEST_ORDER), HIGHEST_ORDER)
             yield
         volume = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(factor[0].diagonal()))
-        evidence = 0.5 * (float(volume) - found_at) - self._log_noise
+        evidence = 0.5 * float(volume - found_at) - self._log_noise
         # The fit leaves alpha open; the estimate does not.
         known = precision.copy()
         known[_ORDER, _ORDER] = self._order_sd**-2.0
