@@ -111,6 +111,7 @@ class Site:
         self.site_id = site_id
         self.start_ns = self.last_ns = first.stamp_ns
         self.position = self.left = first.position
+        self._touched_at = first.displacement
         self.is_usable = True
         self.flags = flags
         self.estimate: Estimate | None = None
@@ -234,17 +235,18 @@ class Site:
         return apart > contact.site_distance
 
     def is_dragged_over(self, pair: Pair) -> bool:
-        """Whether the probe has gone aside from its touch, and farther than it is deep.
+        """Whether the probe has gone aside from its touch, and farther than in.
 
-        It then presses on tissue whose past was not seen. (Along a tilted approach axis it goes
-        less to the side than in.)
+        It then presses on tissue whose past was not seen. What is not the displacement's part of
+        its way is aside, in whatever frame the approach axis is. (Along an axis that is tilted by
+        less than 45 degrees it goes less to the side than in.)
         """
         if self.position is None or pair.position is None:
             return False
-        contact = self._config.contact
-        aside = lateral_distance(contact.approach_axis, self.position, pair.position)
-        depth = abs(pair.displacement - self.origin)
-        return aside > max(_DRAGGED * contact.site_distance, depth)
+        way = math.dist(self.position, pair.position)
+        inward = abs(pair.displacement - self._touched_at)
+        least = _DRAGGED * self._config.contact.site_distance
+        return way**2 > inward**2 + max(least, inward) ** 2
 
     def _begins_at_origin(self, pair: Pair) -> bool:
         """Whether the origin is given and a sample is there, so that no press came before it."""
