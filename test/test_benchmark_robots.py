@@ -95,6 +95,14 @@ def test_goals_are_decided_by_their_rows_alone():
     assert goals_of([])
 
 
+def test_tissue_is_as_thick_as_stated_within_two_percent_and_not_exactly():
+    drawn = [scenario_of(BY_NAME["undisturbed"], n).geometry.thickness_m for n in range(200)]
+    off = np.array(drawn) / 0.02 - 1.0
+    assert np.std(off) == pytest.approx(0.02, rel=0.15)
+    assert abs(np.mean(off)) < 0.004
+    assert np.all(np.abs(off) < 0.035)
+
+
 def test_ten_sites_show_how_the_deviation_shrinks():
     contacts = [Judged(True, Flag.NONE, np.zeros(3), DEVIATION / (1 + n), n) for n in range(10)]
     row = measure(BY_NAME["ten_sites"], [trial(*contacts, presses=10)])

@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fden_ros.benchmarks import disturbed
 from fden_ros.benchmarks.disturbed import CASES, run_trial
 from fden_ros.core.estimation.motion_scale import (
     LEAST_SHARE,
@@ -74,8 +75,8 @@ def test_a_contact_that_moves_more_than_was_learned_is_widened():
 @pytest.mark.parametrize(("breathes", "is_learned"), [(False, True), (True, False)])
 def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(breathes, is_learned):
     rig = replace(case_of("breathing_0.3mm" if breathes else "undisturbed"), sites=4)
-    learned = run_trial(rig, 0, {"surface.learn_motion": True}).contacts[-1]
-    stated = run_trial(rig, 0, {}).contacts[-1]
+    learned = run_trial(rig, 0, {}).contacts[-1]
+    stated = run_trial(rig, 0, {"surface.learn_motion": False}).contacts[-1]
     assert bool(np.all(learned.deviation < 0.9 * stated.deviation)) == is_learned
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
 
@@ -107,7 +108,12 @@ def test_a_surface_that_moves_far_more_than_is_stated_counts_in_the_deviations()
     assert np.all(off < 1.9)
 
 
-def test_the_steps_of_an_encoder_count_as_noise():
-    """Alpha was 4.1 deviations off."""
+def test_the_steps_of_an_encoder_count_as_noise(monkeypatch):
+    """Alpha was 4.1 deviations off.
+
+    Not where noise makes the reading of a hold flicker between two steps: docs/robots.md.
+    """
+    # It holds at 5 mm.
+    monkeypatch.setattr(disturbed, "_MOST_THICKER", 0.0)
     (contact,) = run_trial(case_of("encoder_50um"), 1, {}).contacts
     assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)

@@ -253,7 +253,8 @@ def test_library_that_is_not_there_is_told(tmp_path):
 ARRIVES = {
     "force.friction": (0.01, {}, lambda c: c.estimator.friction, 0.01),
     "rig.learn": (True, {}, lambda c: c.learns_rig, True),
-    "surface.learn_motion": (True, {}, lambda c: c.learns_motion, True),
+    "surface.learn_motion": (False, {}, lambda c: c.learns_motion, False),
+    "force.learn_drift": (False, {}, lambda c: c.learns_drift, False),
     "plausible.force": (50.0, {}, lambda c: c.plausibility.most_force, 50.0),
     "plausible.strain_rate": (0.0, {}, lambda c: c.plausibility.least_strain_rate, 0.0),
     "converged.linear_log_sd": (0.2, {}, lambda c: c.estimator.converged_linear_log_sd, 0.2),

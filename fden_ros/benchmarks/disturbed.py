@@ -56,7 +56,11 @@ _SIZES = np.array([0.03, 0.03, 0.01])
 _NANO = 1e-9
 _NOISE_N = 0.010
 _RATE_HZ = 500.0
+#: As stated to the identifier.
 _THICKNESS_M = 0.02
+#: The tissue is thicker or thinner than that by a share uniform between these two: a deviation of
+#: 2 %, which is what `geometry.thickness_sd` states by default.
+_MOST_THICKER = 0.02 * math.sqrt(3.0)
 #: Radius of the punch: its forces are those of the rigs that the rows were taken from.
 _RADIUS_M = 0.01
 #: Radius where the noise is so large that only a wide punch has ten times its force.
@@ -339,6 +343,8 @@ def scenario_of(case: Case, number: int) -> Scenario:
         fractional_order=generator.uniform(0.08, 0.32),
     )
     tissue = _drawn_liver(seed) if case.liver else firm
+    thicker = np.random.default_rng([seed, _DRAWS, 2]).uniform(-_MOST_THICKER, _MOST_THICKER)
+    thickness_m = _THICKNESS_M * (1.0 + thicker)
     sites = [Site(tissue, case.presses, (case.pitch_m * n, 0.0)) for n in range(case.sites)]
     if case.preload.depth_m:
         # The later site is touched once.
@@ -346,7 +352,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
     return Scenario(
         name=case.name,
         seed=seed,
-        geometry=Geometry("flat_punch", radius_m=case.radius_m, thickness_m=_THICKNESS_M),
+        geometry=Geometry("flat_punch", radius_m=case.radius_m, thickness_m=thickness_m),
         sites=tuple(sites),
         approach=Approach(
             # Where the touch lies between two samples is chance.
@@ -389,7 +395,8 @@ def _identified(
     recording: Recording, parameters: Mapping[str, Any]
 ) -> tuple[Pipeline, list[Output]]:
     own = {**recording.truth["identifier_parameters"], **PRIOR}
-    # A user knows neither the delay nor that a rig is not disturbed.
+    # A user knows neither thickness nor delay, nor that a rig is not disturbed.
+    own["geometry.thickness"] = _THICKNESS_M
     for name in ("displacement.delay", *EXACT):
         own.pop(name, None)
     outputs: list[Output] = []

@@ -63,8 +63,8 @@ class PipelineConfig:
         oscillation tells is put out. `dither_frequencies` then is the palpation's, empty: found.
     learns_rig : bool
         What a contact tells of the rig, the next site knows.
-    learns_motion : bool
-        The same of how far the surface moves.
+    learns_motion, learns_drift : bool
+        The same of how far the surface moves, and of how far the force's zero drifts.
     dither_periods : int
         Periods of the lowest frequency per complex modulus.
     """
@@ -84,6 +84,7 @@ class PipelineConfig:
     dither_periods: int = 4
     learns_rig: bool = False
     learns_motion: bool = False
+    learns_drift: bool = False
     is_continuous: bool = False
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
 

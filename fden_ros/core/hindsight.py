@@ -22,13 +22,15 @@ from typing import Any, NamedTuple
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.aftermath import Aftermath
 from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.drift_scale import drift_evidence
+from fden_ros.core.estimation.motion_scale import Evidence
 from fden_ros.core.outputs import ContactSummary, Flag, order_source
 from fden_ros.core.site import Site
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
-#: The air after a contact is judged 1 s after its release [ns]: a slow contact that begins before
-#: is known by then.
-_JUDGED_AFTER_NS = NANOSECONDS
+#: The air after a contact is judged 1 s after its release [ns], and 0.15 s after it was averaged
+#: [ns]: a slow contact that begins before is known by then.
+_JUDGED_AFTER_NS, _AVERAGED_BEFORE_NS = NANOSECONDS, 150_000_000
 #: The air after a contact contradicts that before it beyond this many stated deviations [1].
 _CONTRADICTION = 5.0
 #: Of the summary of a contact that is withdrawn.
@@ -43,12 +45,22 @@ class _Ended(NamedTuple):
     aftermath: Aftermath
 
 
+class Verdict(NamedTuple):
+    """What the air after a contact says of it."""
+
+    summary: ContactSummary | None = None  #: the second, where it is contradicted
+    drift: Evidence | None = None  #: for scales of the stated drift, where that is learned
+
+
+_NOTHING = Verdict()
+
+
 class Hindsight:
     """Judges each contact by the air after it, once.
 
     A contact that is contradicted gets a second summary. Its site is doubted: the covariance is
-    widened by as much as the air contradicts; or, where the first contact was taken for air,
-    withdrawn.
+    widened by as much as the air contradicts what is stated, or what was learned; or, where the
+    first contact was taken for air, withdrawn.
 
     Parameters
     ----------
@@ -74,35 +86,46 @@ class Hindsight:
             drift_sd = self._config.estimator.uncertainty.force_drift_sd
             self._ended = _Ended(summary, site, Aftermath(onset, drift_sd))
 
-    def add(self, pair: Pair) -> ContactSummary | None:
-        """Take a pair in the air; return the second summary if the contact is contradicted."""
+    def add(self, pair: Pair) -> Verdict:
+        """Take a pair in the air; return what is found, once it can be."""
         if self._ended is None:
-            return None
-        self._ended.aftermath.add(pair)
-        if pair.stamp_ns - self._ended.summary.end_ns <= _JUDGED_AFTER_NS:
-            return None
+            return _NOTHING
+        summary, _, aftermath = self._ended
+        aftermath.add(pair)
+        earliest_ns = summary.end_ns + _JUDGED_AFTER_NS
+        if pair.stamp_ns <= max(earliest_ns, aftermath.end_ns + _AVERAGED_BEFORE_NS):
+            return _NOTHING
         return self.judge(pair.stamp_ns)
 
-    def judge(self, stamp_ns: int, *, before_ns: int | None = None) -> ContactSummary | None:
-        """Judge the last contact now; return its second summary, or None where it stands.
+    def judge(self, stamp_ns: int, *, before_ns: int | None = None) -> Verdict:
+        """Judge the last contact now.
 
         `before_ns`: when the next contact began.
         """
         ended, self._ended = self._ended, None
         if ended is None or not ended.aftermath.is_complete:
-            return None
+            return _NOTHING
         if before_ns is not None and ended.aftermath.end_ns > before_ns:
-            return None
-        deviations = ended.aftermath.deviations()
+            return _NOTHING
         was_proved, self._is_air_proved = self._is_air_proved, True
-        if abs(deviations) <= _CONTRADICTION or not ended.site.is_usable:
-            return None
-        if deviations < 0.0 and not was_proved:
+        found, site = ended.aftermath.change(), ended.site
+        if found is None:
+            return _NOTHING
+        deviations = found.deviations
+        if deviations < -_CONTRADICTION and not was_proved:
             # What was taken for the first air was a contact: there is no origin, nor a history.
-            ended.site.withdraw()
-        else:
-            ended.site.doubt(Flag.FORCE_DRIFTED, 1.0 + deviations**2)
-        return self._summary_of(ended, stamp_ns)
+            was_usable = site.is_usable
+            site.withdraw()
+            return Verdict(self._summary_of(ended, stamp_ns)) if was_usable else _NOTHING
+        drift = drift_evidence(*found) if site.teaches_drift and found.drift_variance else None
+        factor = site.known_rig.drift_factor(drift) if drift is not None else 1.0
+        flag = Flag.NONE
+        if abs(deviations) > _CONTRADICTION:
+            flag, factor = Flag.FORCE_DRIFTED, max(1.0 + deviations**2, factor)
+        if factor == 1.0 or not site.is_usable:
+            return Verdict(drift=drift)
+        site.doubt(flag, factor)
+        return Verdict(self._summary_of(ended, stamp_ns), drift)
 
     def _summary_of(self, ended: _Ended, stamp_ns: int) -> ContactSummary:
         """Return the summary of a contact with what its site says now."""

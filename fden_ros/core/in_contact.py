@@ -136,6 +136,9 @@ class InContact:
         is_free = press.leaves_tissue(step, force, compression)
         if not is_free:
             site.left = pair.position
+            if site.is_usable and site.is_dragged_over(pair):
+                site.withdraw()
+                press.flags |= Flag.ORIGIN_UNCERTAIN
         learns = not press.has_ended
         if learns and not is_silent:
             # Only now: whoever waits for the last block's estimate has it already.

@@ -30,11 +30,10 @@ from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.continuous import ContinuousContact
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.hindsight import Hindsight
+from fden_ros.core.hindsight import Hindsight, Verdict
 from fden_ros.core.in_contact import InContact
 from fden_ros.core.input_warnings import input_warnings, unusual
 from fden_ros.core.outputs import (
-    ContactSummary,
     Failure,
     Flag,
     Output,
@@ -258,13 +257,13 @@ class Pipeline:
         self.rig = RigKnowledge.stated(self.config.estimator)
         if self._site is not None:
             # It began with what is forgotten now.
-            self._site.teaches_rig = self._site.teaches_motion = False
+            self._site.teach_nothing()
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""
         try:
             self._end_contact(self._gaps.newest_ns, complete=False)
-            self._say_again(self._hindsight.judge(self.newest_ns))
+            self._heed(self._hindsight.judge(self.newest_ns))
             self._end_continuous()
         except Exception as error:
             self._fail(self.newest_ns, error)
@@ -391,7 +390,7 @@ class Pipeline:
 
     def _touch(self, onset: Onset) -> None:
         first = onset.samples[0]
-        self._say_again(self._hindsight.judge(self.newest_ns, before_ns=first.stamp_ns))
+        self._heed(self._hindsight.judge(self.newest_ns, before_ns=first.stamp_ns))
         self._onset = onset
         self._tilt.see(onset.samples[-1].tilt)
         site = self._site
@@ -434,7 +433,7 @@ class Pipeline:
                 press.see_missing(self.rejected)
             summary = press.summary(end_ns, self.rejected, complete=complete)
             if complete and summary.converged and not press.flags:
-                self.rig = site.rig() or self.rig
+                self.rig = replace(site.rig() or self.rig, drift=self.rig.drift)
             summary = replace(summary, rig=self.rig)
             self._emit(summary)
             if complete and self._onset is not None:
@@ -447,8 +446,11 @@ class Pipeline:
                 # What comes next must not inherit its origin.
                 self._forget(_Forget.SITE)
 
-    def _say_again(self, summary: ContactSummary | None) -> None:
-        """Put out the second summary of a contact, if there is one."""
+    def _heed(self, verdict: Verdict) -> None:
+        """Learn from a contact in hindsight, and put out its second summary, if there is one."""
+        if verdict.drift is not None:
+            self.rig = self.rig.drifted(verdict.drift)
+        summary = verdict.summary
         if summary is None:
             return
         if summary.estimate is None:
@@ -457,7 +459,7 @@ class Pipeline:
 
     def _hover(self, pair: Pair) -> None:
         """Put out a state in the air, one per duration of a block."""
-        self._say_again(self._hindsight.add(pair))
+        self._heed(self._hindsight.add(pair))
         if not self._in_contact.passes(pair.stamp_ns):
             return
         site = self._site

@@ -58,6 +58,9 @@ _DETECTED = 3
 #: of its deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the tissue
 #: has not recovered of the last contact; after 5 timeouts that is too little to tell.
 _CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
+#: A probe is dragged beyond this multiple of the distance of two sites [1], so that noise of the
+#: position drags none.
+_DRAGGED = 2.0
 #: Unloading contradicts loading where the rig is farther from what is stated than this many
 #: deviations [1], three quantities: 2e-4 of contacts do by chance.
 _CONTRADICTION = 4.0
@@ -89,8 +92,11 @@ class Site:
         The newest.
     left : Position or None
         Where the probe was when the tissue was last on it.
-    teaches_rig, teaches_motion : bool
-        What is learned here of the rig, and of the surface's motion, may be used at other sites.
+    teaches_rig, teaches_motion, teaches_drift : bool
+        What is learned here of the rig, of the surface's motion and of the force's drift, may be
+        used at other sites.
+    known_rig : RigKnowledge
+        What was known of the rig before the first touch.
     """
 
     def __init__(
@@ -105,12 +111,14 @@ class Site:
         self.site_id = site_id
         self.start_ns = self.last_ns = first.stamp_ns
         self.position = self.left = first.position
+        self._touched_at = first.displacement
         self.is_usable = True
         self.flags = flags
         self.estimate: Estimate | None = None
         self._config = config
-        self._rig = rig
+        self.known_rig = rig
         self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
+        self.teaches_drift = config.learns_drift
         if config.strain_origin is not None:
             self.origin, self.origin_sd = config.strain_origin, 0.0
         else:
@@ -226,6 +234,20 @@ class Site:
         apart = lateral_distance(contact.approach_axis, self.position, self.left)
         return apart > contact.site_distance
 
+    def is_dragged_over(self, pair: Pair) -> bool:
+        """Whether the probe has gone aside from its touch, and farther than in.
+
+        It then presses on tissue whose past was not seen. What is not the displacement's part of
+        its way is aside, in whatever frame the approach axis is. (Along an axis that is tilted by
+        less than 45 degrees it goes less to the side than in.)
+        """
+        if self.position is None or pair.position is None:
+            return False
+        way = math.dist(self.position, pair.position)
+        inward = abs(pair.displacement - self._touched_at)
+        least = _DRAGGED * self._config.contact.site_distance
+        return way**2 > inward**2 + max(least, inward) ** 2
+
     def _begins_at_origin(self, pair: Pair) -> bool:
         """Whether the origin is given and a sample is there, so that no press came before it."""
         origin = self._config.strain_origin
@@ -242,7 +264,7 @@ class Site:
         scale = self._config.geometry.stress_per_force
         if self.is_usable and self._estimator is None:
             self._estimator = _new_estimator(
-                self._config, onset.noise_sd * scale, self.origin_sd, noise, self._rig
+                self._config, onset.noise_sd * scale, self.origin_sd, noise, self.known_rig
             )
         self._rest_until(onset.samples[0].stamp_ns)
         self._integral.take_sum()
@@ -413,7 +435,7 @@ class Site:
                 self.estimate = self._widened(self.estimate._replace(covariance=covariance))
 
     def withdraw(self) -> None:
-        """Become unusable: the tissue was pressed before its first touch was seen."""
+        """Become unusable: the tissue under the probe has a past that was not seen."""
         self.is_usable = False
         self.flags |= Flag.ORIGIN_UNCERTAIN
 
@@ -432,14 +454,14 @@ class Site:
             self.refresh()
             self._newest_evidence = self._evidence_of_motion(self._estimator)
             if self._newest_evidence is not None:
-                self.doubt(Flag.NONE, self._rig.motion_factor(self._newest_evidence))
+                self.doubt(Flag.NONE, self.known_rig.motion_factor(self._newest_evidence))
             off = self._estimator.rig_deviations / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
     def _evidence_of_motion(self, estimator: Estimator) -> list[float] | None:
         """Return the evidence of a contact for the surface's motion where it is of use."""
-        if self.teaches_motion or self._rig.motion_share < 1.0:
+        if self.teaches_motion or self.known_rig.motion_share < 1.0:
             return estimator.motion_evidence()
         return None
 
@@ -453,7 +475,11 @@ class Site:
         self._motion_evidence = self._newest_evidence or self._motion_evidence
         if self._motion_evidence is None:
             return known
-        return (known or self._rig).moved(self._motion_evidence)
+        return (known or self.known_rig).moved(self._motion_evidence)
+
+    def teach_nothing(self) -> None:
+        """Let no other site use what is learned here."""
+        self.teaches_rig = self.teaches_motion = self.teaches_drift = False
 
     def fail(self) -> None:
         """Become unusable after an exception."""

@@ -142,6 +142,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         dither_periods=parameters.dither.periods,
         learns_rig=parameters.rig.learn,
         learns_motion=parameters.surface.learn_motion,
+        learns_drift=parameters.force.learn_drift,
         is_continuous=parameters.contact.mode == "continuous",
         plausibility=PlausibilityConfig(
             most_force=parameters.plausible.force,

@@ -100,6 +100,11 @@ class ForceParameters:
         0.0,
         1000.0,
     )
+    learn_drift: bool = flag(
+        True,
+        "Where the air after contact after contact is as before it, the next site begins with "
+        "less drift: a quarter of `force.drift_sd` at least; where it is not, with more.",
+    )
     friction: float = number(
         0.0,
         "N",
@@ -248,9 +253,9 @@ class SurfaceParameters:
         0.1,
     )
     learn_motion: bool = flag(
-        False,
+        True,
         "Where contact after contact shows less motion, the next site begins with less: a quarter "
-        "of `surface.motion_sd` at least. Not where the force creeps.",
+        "of `surface.motion_sd` at least.",
     )
 
 

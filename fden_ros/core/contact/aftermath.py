@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
@@ -28,6 +29,19 @@ _SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
 _LEAST_SAMPLES = 12
 
 
+class AirChange(NamedTuple):
+    """The air's force after a contact less that before it, its drift there taken on."""
+
+    change: float  #: [N]
+    noise_variance: float  #: of that, by what is not known of the air [N^2]
+    drift_variance: float  #: of the drift that is stated for the contact [N^2]
+
+    @property
+    def deviations(self) -> float:
+        """The change over its stated deviation [1]; below 0: the force has fallen."""
+        return self.change / math.sqrt(self.noise_variance + self.drift_variance)
+
+
 class Aftermath:
     """What the air after a contact says of the bias that was subtracted from its force.
 
@@ -35,7 +49,7 @@ class Aftermath:
     ----------
     onset : Onset
     drift_sd : float
-        Of the force over one second in contact [N], as the estimate takes it.
+        Of the force over one second in contact [N], as stated.
     """
 
     def __init__(self, onset: Onset, drift_sd: float) -> None:
@@ -66,20 +80,14 @@ class Aftermath:
             self._size += 1
             self._sum += pair.force
 
-    def deviations(self) -> float:
-        """Return how far the air after the contact is from that before, over what is stated [1].
-
-        Below 0: the force has fallen below its bias. 0 where too few samples say nothing.
-        """
+    def change(self) -> AirChange | None:
+        """Return how the air has changed; None where too few samples say nothing."""
         onset = self._onset
         if not self.is_complete or self._size < _LEAST_SAMPLES:
-            return 0.0
+            return None
         elapsed = (self.end_ns - self._start_ns) / NANOSECONDS
-        change = self._sum / self._size - onset.bias - onset.drift * elapsed
-        variance = (
-            onset.bias_sd**2
-            + (onset.drift_sd * elapsed) ** 2
-            + self._drift_sd**2 * elapsed
-            + onset.noise_sd**2 / self._size
+        return AirChange(
+            self._sum / self._size - onset.bias - onset.drift * elapsed,
+            onset.bias_sd**2 + (onset.drift_sd * elapsed) ** 2 + onset.noise_sd**2 / self._size,
+            self._drift_sd**2 * elapsed,
         )
-        return change / math.sqrt(variance)

@@ -149,6 +149,9 @@ class LawDeviation:
     fractional_order_sd: float  #: and the standard deviation of that [1]
     #: Logarithm of the evidence of a bent characteristic over that of the law's [1].
     curve_evidence: float
+    #: Logarithm of the evidence of kernel and characteristic bent over that of the exact law under
+    #: a surface that moves more than is stated [1]; infinite where it does not.
+    motion_evidence: float
     #: Covariance of (ln G, ln Gn, alpha) with the motion of the surface that the evidence wants,
     #: shape (3, 3), where that is more than is stated.
     motion_covariance: Array | None
@@ -167,7 +170,12 @@ class LawDeviation:
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the relaxation is no power law, or the loaded curve not the law's."""
+        """Whether the relaxation is no power law, or the loaded curve not the law's.
+
+        Not where a surface that moves explains the data better.
+        """
+        if self.motion_evidence < 0.0:
+            return False
         kernel = self.kernel.error - _ONE_SIDED_95 * self.kernel.error_sd
         is_bent = self.curve_evidence > _DECISIVE
         return kernel > KERNEL_MISMATCH or (is_bent and self.loaded.error > LOADED_MISMATCH)
@@ -240,6 +248,7 @@ class LawFit:
         self._state[_LAW] = start
         self._covariance: Array = np.zeros_like(self._precision)
         self._log_evidence = self._curve_evidence = 0.0
+        self._moving_evidence = -math.inf
         peak = float(np.max(np.abs(stresses)))
         rough = np.hypot(_ROUGHNESS * peak, _STEP_ROUGHNESS * np.diff(stresses))
         self._white = noise_sd**2 * shares[1:] + rough**2
@@ -267,6 +276,7 @@ class LawFit:
             kernel_scale = self._scale(_KERNEL, self._kernel_unit)
             characteristic_scale = self._scale(_CHARACTERISTIC, self._characteristic_unit)
         bent, state, covariance = self._log_evidence, self._state, self._covariance
+        self._motion_evidence = bent - self._moving_evidence
         self._precision[_CHARACTERISTIC, _CHARACTERISTIC] = (
             self._characteristic_unit / _LEAST_SCALE**2
         )
@@ -320,6 +330,7 @@ class LawFit:
         self._take_rig(self._uncertainty)
         if best is not stated:
             self._motion_covariance = best.covariance
+            self._moving_evidence = best.log_evidence
 
     def _at_motion(
         self, walk: float, wave: float, state: Array
@@ -347,8 +358,8 @@ class LawFit:
             state[_LAW] += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
             state[_ORDER] = min(max(state[_ORDER], LOWEST_ORDER), HIGHEST_ORDER)
             yield
-        determinants = np.log(self._noise.diagonal()), np.log(factor[0].diagonal())
-        evidence = float(-0.5 * found_at - sum(np.sum(d) for d in determinants))
+        volume = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(factor[0].diagonal()))
+        evidence = 0.5 * float(volume - found_at) - self._log_noise
         # The fit leaves alpha open; the estimate does not.
         known = precision.copy()
         known[_ORDER, _ORDER] = self._order_sd**-2.0
@@ -358,6 +369,7 @@ class LawFit:
         """Let the rig leave out what an uncertainty says, and the surface's waves [m]."""
         noise = np.diag(self._white) + self._rig_covariance(uncertainty, wave)
         self._noise = np.linalg.cholesky(noise)
+        self._log_noise = float(np.sum(np.log(self._noise.diagonal())))
 
     def result(self) -> LawDeviation:
         """Return the deviations after the last step."""
@@ -387,6 +399,7 @@ class LawFit:
             law[_ORDER],
             math.sqrt(covariance[_ORDER, _ORDER]),
             self._curve_evidence,
+            self._motion_evidence,
             self._motion_covariance,
         )
 
@@ -438,9 +451,9 @@ class LawFit:
                 break
         hessian = jacobian.T @ jacobian + self._precision
         self._covariance = np.linalg.inv(hessian)
-        # Laplace's, but for what does not change with the scales.
+        # By Laplace's approximation.
         volume = np.linalg.slogdet(self._precision)[1] - np.linalg.slogdet(hessian)[1]
-        self._log_evidence = 0.5 * (float(volume) - cost)
+        self._log_evidence = 0.5 * (float(volume) - cost) - self._log_noise
 
     def _respond(self, state: Array) -> tuple[Array, Array]:
         """Return residual and Jacobian in standard deviations of the noise, (n,) and (n, 22)."""

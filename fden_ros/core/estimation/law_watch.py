@@ -142,15 +142,15 @@ class LawWatch:
             self._advance()
         self._publish()
 
-    def motion_evidence(self, state: Array) -> list[float] | None:
+    def motion_evidence(self, state: Array, uncertainty: Uncertainty) -> list[float] | None:
         """Return the evidence for scales of the surface's motion; None where there is none.
 
-        `state`: ln G, ln Gn, alpha, origin.
+        `state`: ln G, ln Gn, alpha, origin; `uncertainty`: of the rig, with the stated motion.
         """
         if self._is_over or not is_enough(self._record):
             return None
         try:
-            evidence = self._new_fit(state).motion_evidence(SCALES)
+            evidence = self._new_fit(state, uncertainty).motion_evidence(SCALES)
         except (np.linalg.LinAlgError, ValueError):
             return None
         return evidence if np.all(np.isfinite(evidence)) else None
@@ -158,16 +158,16 @@ class LawWatch:
     def _begin(self, state: Array) -> None:
         if not is_enough(self._record):
             return
-        self._fit = self._new_fit(state)
+        self._fit = self._new_fit(state, self._uncertainty)
         self._steps = self._fit.steps()
 
-    def _new_fit(self, state: Array) -> LawFit:
+    def _new_fit(self, state: Array, uncertainty: Uncertainty) -> LawFit:
         return LawFit(
             self._record,
             self._noise_sd,
             self._geometry,
             self._prior,
-            self._uncertainty,
+            uncertainty,
             state,
             self._origin_sd,
         )

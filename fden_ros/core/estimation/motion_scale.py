@@ -60,8 +60,10 @@ def pooled(before: Evidence, contact: Sequence[float]) -> Evidence:
 
 def share_of(evidence: Sequence[float]) -> float:
     """Return the share of the stated motion that counts [1]: the largest that is likely."""
-    highest = max(evidence)
-    likely = next(
-        scale for scale, value in zip(SCALES, evidence, strict=True) if value >= highest - _LIKELY
-    )
-    return min(max(SMOOTH * likely, LEAST_SHARE), 1.0)
+    return min(max(SMOOTH * largest_likely(SCALES, evidence), LEAST_SHARE), 1.0)
+
+
+def largest_likely(scales: Sequence[float], evidence: Sequence[float]) -> float:
+    """Return the first of the scales, which fall, that is likely by the evidence [1]."""
+    least = max(evidence) - _LIKELY
+    return next(s for s, value in zip(scales, evidence, strict=True) if value >= least)

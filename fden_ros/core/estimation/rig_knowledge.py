@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.drift_scale import NO_DRIFT_EVIDENCE, drift_share
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.motion_scale import NO_EVIDENCE, Evidence, pooled, share_of
 
@@ -63,17 +64,41 @@ class RigKnowledge:
     motion : tuple of float
         Logarithms of the evidence for shares of the stated motion of the surface, which is that of
         a patient, and one for all contacts as well.
+    drift : tuple of float
+        The same for scales of the stated drift of the force in contact.
     """
 
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
     contacts: int = 0
     motion: Evidence = NO_EVIDENCE
+    drift: Evidence = NO_DRIFT_EVIDENCE
+
+    @property
+    def drift_share(self) -> float:
+        """The share of the stated drift of the force that counts [1]; above 1: it drifts more."""
+        return drift_share(self.drift)
+
+    def drifted(self, evidence: Sequence[float]) -> RigKnowledge:
+        """Return what is known after the air behind a contact has told of its drift."""
+        return replace(self, drift=pooled(self.drift, evidence))
+
+    def drift_factor(self, evidence: Sequence[float]) -> float:
+        """Return the factor of the variances where a contact tells of more drift than is known."""
+        return max(self.drifted(evidence).drift_share / self.drift_share, 1.0)
 
     @property
     def motion_share(self) -> float:
         """The share of the stated motion of the surface that counts [1]."""
         return share_of(self.motion)
+
+    def learned(self, stated: Uncertainty) -> Uncertainty:
+        """Return what is not known once the scales of motion and drift are learned."""
+        return replace(
+            stated,
+            surface_motion_sd=self.motion_share * stated.surface_motion_sd,
+            force_drift_sd=self.drift_share * stated.force_drift_sd,
+        )
 
     def motion_factor(self, evidence: Sequence[float]) -> float:
         """Return the factor of the variances where a contact tells of more motion than is known.
@@ -137,6 +162,7 @@ class RigKnowledge:
             _rows(wider * np.outer(scale, scale)),
             self.contacts + 1,
             self.motion,
+            self.drift,
         )
 
 

@@ -88,8 +88,7 @@ class StressEstimator:
         self._known_rig = rig = rig or RigKnowledge.stated(config)
         self._stated_config = config
         stated = config.uncertainty
-        motion = rig.motion_share * stated.surface_motion_sd
-        config = replace(config, uncertainty=replace(stated, surface_motion_sd=motion))
+        config = replace(config, uncertainty=rig.learned(stated))
         self._config = config
         self._geometry = geometry
         grid, origins = _log_gn_nodes(config.prior), _origin_nodes(origin_sd)
@@ -98,7 +97,7 @@ class StressEstimator:
         )
         self._bank = PosteriorBank(config, grid, origins, noise_sd, origin_sd, rig.scaled(stated))
         self._prior_covariance = self._bank.best.covariance.copy()
-        self._surface = SurfaceShift(motion / geometry.length)
+        self._surface = SurfaceShift(config.uncertainty.surface_motion_sd / geometry.length)
         self._has_newest = False  # the last block of this contact was taken
         self._steady_stress = 0.0  # magnitude at the last block that was no surprise [Pa]
         self._max_compression = 0.0
@@ -320,7 +319,9 @@ class StressEstimator:
         """Return the evidence for shares of the stated motion; None where it tells nothing."""
         if self._bank.is_exact or self._stated_config.uncertainty.surface_motion_sd == 0.0:
             return None
-        return self._law.motion_evidence(self._tissue)
+        stated = self._stated_config.uncertainty
+        learned = replace(stated, force_drift_sd=self._config.uncertainty.force_drift_sd)
+        return self._law.motion_evidence(self._tissue, learned)
 
     @property
     def rig_deviations(self) -> float:
