@@ -38,7 +38,9 @@ _HOLD_SHARE = 0.02
 #: Points are kept from this time in the hold on [s], as far apart as this share of it [1], and as
 #: many of them at most.
 _FIRST_POINT, _SPACING, _MOST_POINTS = 0.1, 0.04, 24
-#: The slope is that of the newest part of ln A [1]; it takes so many points, and so much of it.
+#: The slope is that of the newest part of ln A [1]; it takes so many points, and so much of it. On
+#: 78 presses of beef what half of it leaves is 0.045 of the stress for each factor e of A (root
+#: mean square); 0.053 by a part of 0.5, 0.058 by one of 0.7, and 0.055 where nothing goes on.
 _SPAN, _LEAST_POINTS, _LEAST_SHARE = 0.4, 4, 0.5
 
 

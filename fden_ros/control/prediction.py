@@ -73,9 +73,12 @@ _FINEST_SHARE = 40
 #: Before a hold has shown the relaxation its deviation is this multiple of the stated one [1]: at
 #: the end of a ramp a linear solid of 1 s looks like the law of a wrong alpha.
 _UNSEEN_RELAXATION = 2.0
-#: Share of the slope of what was left out that goes on [1], the share of it by which that is
-#: uncertain [1], and the share of the kernel's stated deviation by which it changes besides [1].
-_KEPT, _SLOPE_CHANGE, _SHOWN_RELAXATION = 0.7, 0.7, 0.5
+#: Share of the slope of what was left out that goes on [1], share of it by which that is
+#: uncertain [1], and share of the kernel's stated deviation by which it changes besides [1]. On 78
+#: presses of beef 99 % of the hold to come lie in the 95 % interval then, and on linear and
+#: poroelastic solids 94 to 100 %; with 0.7, 0.7 and 0.5 it is wider than four median errors on
+#: beef, with 0.3 for the last a poroelastic solid of 2 s has 89 %.
+_KEPT, _SLOPE_CHANGE, _SHOWN_RELAXATION = 0.6, 0.5, 0.4
 _DERIVATIVE_STEP = 1e-4
 _ORDER_STEP = 0.005
 

@@ -375,7 +375,9 @@ class Press:
             end_ns=end_ns,
             site_id=self._site.site_id,
             contact_id=self.contact_id,
-            flags=self.flags | estimate_flags(estimate) | (Flag.INPUT_REJECTED if count else Flag.NONE),
+            flags=self.flags
+            | estimate_flags(estimate)
+            | (Flag.INPUT_REJECTED if count else Flag.NONE),
             converged=estimate is not None and estimate.converged,
             complete=complete,
             position=self.position,
