@@ -53,8 +53,15 @@ def by_name(name: str) -> Case:
     return next(case for case in CASES if case.name == name)
 
 
-@pytest.mark.parametrize("name", ["linear_solid_10", "linear_solid_1", "poroelastic_20"])
-@pytest.mark.parametrize("rig", [RIGID, ARM])
+@pytest.mark.parametrize(
+    ("name", "rig"),
+    [
+        ("linear_solid_10", RIGID),
+        ("linear_solid_10", ARM),
+        ("linear_solid_1", RIGID),
+        ("poroelastic_20", RIGID),
+    ],
+)
 def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
     name: str, rig: str
 ) -> None:
@@ -159,7 +166,7 @@ def pressed(number: int) -> tuple[Recording, float]:
 
 
 @pytest.mark.parametrize("learn", [True, False])
-@pytest.mark.parametrize("number", range(40, 46))
+@pytest.mark.parametrize("number", range(40, 44))
 def test_a_stated_alpha_is_told_as_wrong_where_it_is(number: int, learn: bool) -> None:
     recording, order = pressed(number)
     stated = {"alpha.learn": learn, "prior.alpha_sd": 0.01}

@@ -40,8 +40,8 @@ _ORIGIN = StateIndex.STRAIN_ORIGIN
 _SHIFT = StateIndex.SHIFT
 
 #: Alpha is not known where it is farther than this from that of the law's fit, in deviations of
-#: both [1]: on 78 presses of beef the ones kept are then 1.4 of their deviations off the order of
-#: their holds, the others 5.2; with 2 they are 1.9.
+#: both [1]: on 78 presses of beef the ones kept are then 1.3 of their deviations off the order of
+#: their holds, all of them 4.1.
 _SAME_ORDER = 1.5
 #: The relaxation contradicts a stated alpha beyond this many deviations of both [1]: 6e-5 of
 #: contacts do by chance; the deviation of the relaxation's order counts as this at least [1].
