@@ -327,6 +327,8 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
             estimate,
             order_off=2.0,
             knows_order=True,
+            relaxation_off=1.0,
+            knows_relaxation=True,
         )
         for error, coverage, mismatch in ((1.0, 0.9, True), (3.0, 1.0, False))
     ]
@@ -342,6 +344,8 @@ def test_figures_of_measured_tissue_have_the_same_keys_for_every_method():
     wanted = {"median": 2.0, "percentile_90": 2.8, "coverage": 0.95, "half_width": 5.0}
     wanted |= {"converged": 1.0, "changed": 0.0, "mismatch": 0.5}
     assert own["order_off"] == pytest.approx(2.0)
+    assert own["relaxation_known"] == 1.0
+    assert own["relaxation_off"] == pytest.approx(1.0)
     assert {key: own[key] for key in wanted} == pytest.approx(wanted)
     assert {key: other[key] for key in wanted} == dict.fromkeys(wanted) | {
         "median": 4.0,

@@ -53,10 +53,12 @@ def fitted(
     uncertainty: Uncertainty = NOTHING_UNKNOWN,
     relative_noise: float = 1e-3,
     surface: Array | float = 0.0,
+    start_order: float = 0.15,
 ) -> LawDeviation:
     """Fit to a ramp and a hold, whose stress is a discrete convolution.
 
-    `surface`: how far the surface goes away from the probe, as compression.
+    `surface`: how far the surface goes away from the probe, as compression; `start_order`: alpha
+    where the fit begins.
     """
     strains = np.minimum(STRAIN * TIMES / RAMP, STRAIN)
     pressed = np.maximum(strains - surface, 0.0)
@@ -72,7 +74,7 @@ def fitted(
     for time, strain, stress in zip(TIMES, strains, stresses, strict=True):
         age = max(time - RAMP, 0.0) + 0.3
         record.add(Block(strain, stress, time, 1, STEP, np.zeros(1)), age)
-    start = np.array([math.log(2000.0), math.log(8.0), 0.15, 0.0])
+    start = np.array([math.log(2000.0), math.log(8.0), start_order, 0.0])
     geometry = FlatPunch(area=1e-4, thickness=0.02)
     fit = LawFit(record, noise, geometry, WIDE, uncertainty, start, 0.002)
     for _ in fit.steps():
@@ -117,6 +119,29 @@ def test_a_curve_that_bends_where_it_is_loaded_is_told_from_the_exponential() ->
     deviation = fitted(power_law, softens, 1)
     assert deviation.is_mismatch
     assert deviation.loaded.error > 0.02
+
+
+@pytest.mark.parametrize("start_order", [0.05, 0.15, 0.3, 0.6])
+def test_the_order_of_the_relaxation_is_found_whatever_the_curve_and_the_start(
+    start_order: float,
+) -> None:
+    def bent(strains: Array) -> Array:
+        return exponential(strains) * np.exp(0.2 * np.sin(20.0 * strains))
+
+    found = [fitted(power_law, bent, seed, start_order=start_order) for seed in range(5)]
+    off = np.array([fit.fractional_order - 0.15 for fit in found])
+    assert np.all(np.abs(off) < 0.01)
+    assert np.all(np.abs(off) < 3.0 * np.array([fit.fractional_order_sd for fit in found]))
+
+
+def test_where_a_relaxation_is_no_power_law_its_order_says_how_far_it_changes() -> None:
+    def steeper(times: Array) -> Array:
+        return power_law(times) * np.exp(-0.05 * np.log(np.maximum(times, 0.1) / 0.1) ** 2)
+
+    straight, bent = fitted(power_law, exponential, 1), fitted(steeper, exponential, 1)
+    # The slope is 0.15 at first, and 0.5 in the end.
+    assert 0.15 < bent.fractional_order < 0.5
+    assert bent.fractional_order_sd > 5.0 * straight.fractional_order_sd
 
 
 def test_what_the_rig_may_leave_out_is_not_the_tissues() -> None:

@@ -90,6 +90,8 @@ _LEAST_ORDER_SD = 0.005
 _TINY_DEVIATION = 1e-9
 #: Deviation of ln Gn of a converged estimate [1]: the default of `converged.log_sd`.
 _CONVERGED_LOG_SD = 0.1
+#: And that of an order that counts as known [1]: the default of `converged.alpha_sd`.
+_KNOWN_ORDER_SD = 0.05
 #: A testing machine: its rig leaves nothing out, the law does as on any tissue.
 _MACHINE = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
 _NANOSECONDS = 1_000_000_000
@@ -127,6 +129,10 @@ class Outcome:
     #: the former [1]
     order_off: float
     knows_order: bool  #: alpha has converged by the whole record
+    #: The same of the relaxation's own order, and whether that is known as closely as alpha is to
+    #: be: NaN where it is not.
+    relaxation_off: float
+    knows_relaxation: bool
 
     @property
     def order(self) -> float:
@@ -306,6 +312,8 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
     )
     plan = test.displacements[seen:] - test.displacements[seen - 1]
     prediction = predictor.force(test.times[seen:] - now, plan)
+    order = hold_order(test.times, test.forces, test.hold).order
+    relaxation = whole.law_error
     inside = np.abs(prediction.value - test.forces[seen:]) <= TWO_SIDED_95 * prediction.sd
     return Outcome(
         predicted=prediction.value,
@@ -318,9 +326,13 @@ def predict(test: Test, prior: Prior, given: bool = False) -> Outcome:
         half_width=TWO_SIDED_95 * 100.0 * float(np.median(prediction.sd)) / test.forces.max(),
         moved=(estimate.mean - whole.mean) / np.maximum(estimate.deviations, _TINY_DEVIATION),
         estimate=estimate,
-        order_off=(whole.fractional_order - hold_order(test.times, test.forces, test.hold).order)
+        order_off=(whole.fractional_order - order)
         / max(whole.fractional_order_sd, _TINY_DEVIATION),
         knows_order=whole.knows(StateIndex.FRACTIONAL_ORDER),
+        relaxation_off=(relaxation.order - order) / relaxation.order_sd
+        if relaxation is not None
+        else math.nan,
+        knows_relaxation=relaxation is not None and relaxation.order_sd <= _KNOWN_ORDER_SD,
     )
 
 
@@ -460,6 +472,11 @@ def _goals(
             _order_off(beef),
             (0.0, 1.5),
         ),
+        within(
+            "beef: order of the relaxation from that of the hold, where known, RMS over deviation",
+            _relaxation_off(beef),
+            (0.0, 1.5),
+        ),
         within("beef: deviation of ln Gn, median", float(spread[1]), (0.0, 0.1)),
         within("beef: deviation of alpha, median", float(spread[2]), (0.0, 0.05)),
         within("beef, alpha of others, given: median error, % of peak", given, (0.0, 3.0)),
@@ -482,6 +499,12 @@ def _share(outcomes: Sequence[Outcome], name: str) -> float:
 def _order_off(outcomes: Sequence[Outcome]) -> float:
     """Return the root mean square of `order_off` where alpha is known; NaN: nowhere."""
     off = [outcome.order_off for outcome in outcomes if outcome.knows_order]
+    return math.sqrt(float(np.mean(np.square(off)))) if off else math.nan
+
+
+def _relaxation_off(outcomes: Sequence[Outcome]) -> float:
+    """Return the same of `relaxation_off`."""
+    off = [outcome.relaxation_off for outcome in outcomes if outcome.knows_relaxation]
     return math.sqrt(float(np.mean(np.square(off)))) if off else math.nan
 
 
@@ -532,6 +555,8 @@ def _own_figures(
         "moved": np.sqrt(np.mean([o.moved**2 for o in own], axis=0)).tolist(),
         "order_known": _share(own, "knows_order"),
         "order_off": _order_off(own),
+        "relaxation_known": _share(own, "knows_relaxation"),
+        "relaxation_off": _relaxation_off(own),
         "alpha": float(np.median([o.order for o in own])),
         "alpha_sd": float(np.median([o.order_sd for o in own])),
     }
@@ -557,6 +582,8 @@ def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Error
         "moved",
         "alpha known",
         "off",
+        "relaxation",
+        "off",
         "median",
         "90 %",
         "alpha",
@@ -568,7 +595,7 @@ def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Error
         figures = _own_figures(kind, tests, outcomes.get(name, {}))
         errors_of = [f"{np.median(own):.2f}", f"{np.percentile(own, 90.0):.2f}"]
         if figures["converged"] is None:
-            table.add_row(name, *[""] * 8, *errors_of)
+            table.add_row(name, *[""] * 10, *errors_of)
             continue
         shares = ("converged", "changed", "mismatch", "coverage")
         cells = [f"{100 * figures[key]:.0f} %" for key in shares]
@@ -576,6 +603,8 @@ def _table(kind: str, tests: Sequence[Test], outcomes: _ByMethod, errors: _Error
         cells.append(" ".join(f"{value:.1f}" for value in figures["moved"]))
         cells.append(f"{100 * figures['order_known']:.0f} %")
         cells.append(f"{figures['order_off']:.1f}")
+        cells.append(f"{100 * figures['relaxation_known']:.0f} %")
+        cells.append(f"{figures['relaxation_off']:.1f}")
         last = [f"{figures[key]:.3f}" for key in ("alpha", "alpha_sd")]
         table.add_row(name, *cells, *errors_of, *last)
     return table

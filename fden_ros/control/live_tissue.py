@@ -49,6 +49,7 @@ REFUSED_FLAGS = (
     | Flag.ESTIMATE_AT_EDGE
     | Flag.FORCE_DRIFTED
     | Flag.HYSTERESIS
+    | Flag.ALPHA_CONTRADICTED
     | WITHHELD
 )
 #: The stress between two estimates is not known where they are farther apart than this time [s]

@@ -18,9 +18,11 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from fden_ros.control.left_out import Hold, Point, Slope
 from fden_ros.core.arrays import Array, own_copy
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.law.fractional_integral import FractionalIntegral
@@ -54,6 +56,7 @@ class TissueMemory:
         self._basis = StressBasis(geometry, self._grid.nodes, np.zeros(1))
         self._integral = FractionalIntegral(order_nodes())
         self._in_order = order_interpolation()
+        self._hold = Hold()
         self.strain = 0.0
 
     @property
@@ -65,6 +68,7 @@ class TissueMemory:
         """Return the memory as it is now."""
         own = copy.copy(self)
         own._basis, own._integral = own_copy(self._basis), own_copy(self._integral)
+        own._hold = self._hold.copy()
         return own
 
     def press(self, step: float, strain: float, stress: float) -> None:
@@ -72,6 +76,9 @@ class TissueMemory:
         self._integral.add(step, stress)
         self._basis.press(step, self._geometry.compression(strain))
         self.strain = strain
+        if self._hold.is_due(step, strain):
+            law, free = self._basis.held(np.array([SHORTEST_STEP]))
+            self._hold.keep(stress, law[0], free[0])
 
     def is_free(self, step: float, strain: float, estimate: Estimate) -> bool:
         """Whether the tissue would have to pull at the probe `step` seconds from the present."""
@@ -83,6 +90,7 @@ class TissueMemory:
         """Take `step` seconds in the air."""
         free = self._integral.advance(step, 0.0)
         self._basis.rest((step,), free[None])
+        self._hold.end()
         self.strain = 0.0
 
     def held(self, times: Array, logs: Array, order: float) -> Array:
@@ -98,6 +106,40 @@ class TissueMemory:
             alpha [1].
         """
         law, free = self._basis.held(np.maximum(times, SHORTEST_STEP))
+        return self._stress(law, free, logs, order)
+
+    def slope(self, age: float) -> Slope | None:
+        """Return how the slope of what the law leaves out follows from the present hold.
+
+        Parameters
+        ----------
+        age : float
+            Of the loading [s].
+
+        Returns
+        -------
+        Slope or None
+            None where there is no hold, or too little of it was seen.
+        """
+        return self._hold.slope(age)
+
+    def left_out(self, points: Sequence[Point], logs: Array, order: float) -> Array:
+        """Return the stress less the law's at points of the present hold [Pa], shape (n,).
+
+        Parameters
+        ----------
+        points : sequence of Point
+        logs : ndarray, shape (2,)
+            ln G and ln Gn.
+        order : float
+            alpha [1].
+        """
+        law, free = np.stack([p.law for p in points]), np.stack([p.free for p in points])
+        stresses = np.array([point.stress for point in points])
+        return np.asarray(stresses - self._stress(law, free, logs, order))
+
+    def _stress(self, law: Array, free: Array, logs: Array, order: float) -> Array:
+        """Return the stress [Pa] (k,) of responses (k, nodes, orders) and (k, orders)."""
         log_gn = min(max(float(logs[1]), self._grid.lowest), self._grid.highest)
         first, in_gn, _ = self._grid.stencil(log_gn)
         in_order, _ = self._in_order(order)

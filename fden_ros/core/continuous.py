@@ -42,7 +42,7 @@ from fden_ros.core.outputs import (
     Output,
     Status,
     TissueState,
-    edge_flag,
+    estimate_flags,
     order_source,
 )
 from fden_ros.core.place import Place, Window
@@ -202,7 +202,7 @@ class ContinuousContact:
         return TissueState(
             stamp_ns=stamp_ns,
             status=Status.CONVERGING,
-            flags=own | edge_flag(estimate),
+            flags=own | estimate_flags(estimate),
             site_id=self.place_count,
             contact_id=self.place_count,
             phase=self._phase.add(stamp_ns, displacement / self._config.geometry.length),
@@ -244,7 +244,7 @@ class ContinuousContact:
             site_id=place.number,
             contact_id=place.number,
             flags=place.flags
-            | edge_flag(estimate)
+            | estimate_flags(estimate)
             | (Flag.INPUT_REJECTED if count else Flag.NONE),
             converged=False,
             complete=complete,

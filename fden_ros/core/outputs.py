@@ -69,6 +69,7 @@ class Flag(enum.IntFlag):
     IMPLAUSIBLE = 512
     FORCE_DRIFTED = 1024
     HYSTERESIS = 2048
+    ALPHA_CONTRADICTED = 4096
 
 
 #: With one of these no estimate is converged, whatever the data say.
@@ -250,10 +251,12 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
     return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
 
 
-def edge_flag(estimate: Estimate | None) -> Flag:
-    """Return the flag of an estimate at an end of what can be represented."""
-    is_at_edge = estimate is not None and estimate.at_edge
-    return Flag.ESTIMATE_AT_EDGE if is_at_edge else Flag.NONE
+def estimate_flags(estimate: Estimate | None) -> Flag:
+    """Return the flags of an estimate: at an end of what can be represented, of a wrong alpha."""
+    if estimate is None:
+        return Flag.NONE
+    edge = Flag.ESTIMATE_AT_EDGE if estimate.at_edge else Flag.NONE
+    return edge | (Flag.ALPHA_CONTRADICTED if estimate.is_order_contradicted else Flag.NONE)
 
 
 def apparent_stiffness_of(

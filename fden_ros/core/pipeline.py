@@ -40,7 +40,7 @@ from fden_ros.core.outputs import (
     Phase,
     Status,
     TissueState,
-    edge_flag,
+    estimate_flags,
     failure_of,
     order_source,
 )
@@ -469,7 +469,7 @@ class Pipeline:
                 stamp_ns=pair.stamp_ns,
                 # After a jump of the clock the probe may press on a tissue without a site.
                 status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
-                flags=self.standing_flags | edge_flag(estimate),
+                flags=self.standing_flags | estimate_flags(estimate),
                 site_id=site.site_id if site is not None else 0,
                 contact_id=self.contact_count if site is not None else 0,
                 phase=Phase.APPROACH,

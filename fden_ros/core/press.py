@@ -39,7 +39,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
     apparent_stiffness_of,
-    edge_flag,
+    estimate_flags,
     order_source,
 )
 from fden_ros.core.site import Site
@@ -273,7 +273,7 @@ class Press:
                 if estimate is not None and estimate.converged
                 else Status.CONVERGING
             ),
-            flags=self.flags | edge_flag(estimate),
+            flags=self.flags | estimate_flags(estimate),
             site_id=self._site.site_id,
             contact_id=self.contact_id,
             phase=phase,
@@ -375,7 +375,9 @@ class Press:
             end_ns=end_ns,
             site_id=self._site.site_id,
             contact_id=self.contact_id,
-            flags=self.flags | edge_flag(estimate) | (Flag.INPUT_REJECTED if count else Flag.NONE),
+            flags=self.flags
+            | estimate_flags(estimate)
+            | (Flag.INPUT_REJECTED if count else Flag.NONE),
             converged=estimate is not None and estimate.converged,
             complete=complete,
             position=self.position,

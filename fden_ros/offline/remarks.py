@@ -55,6 +55,12 @@ def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
             "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
             "displacement.compliance_sd: the deviations are widened."
         )
+    if summary.flags & Flag.ALPHA_CONTRADICTED and estimate is not None and estimate.law_error:
+        error = estimate.law_error
+        yield (
+            f"The relaxation contradicts the stated alpha: it is that of {error.order:.3f} ± "
+            f"{error.order_sd:.3f}. Leave alpha to the data, or state what this tissue has."
+        )
     if summary.flags & Flag.ESTIMATION_FAILED:
         yield "The computation failed at this site: there is no estimate until the next one."
     if summary.flags & Flag.GEOMETRY_UNSTATED:

@@ -290,4 +290,5 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         known=ParameterSet(message.converged_parameters),
         at_edge=ParameterSet(message.edge_parameters),
         sample_count=sample_count,
+        is_order_contradicted=bool(message.flags & Flag.ALPHA_CONTRADICTED),
     )

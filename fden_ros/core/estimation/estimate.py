@@ -76,7 +76,8 @@ class LawError(NamedTuple):
     """How far the data bend the law, as root mean squares of relative deviations [1].
 
     Of the relaxation kernel over the times seen, of the stress-strain curve over the strains seen,
-    and of the curve where it is loaded (see :mod:`fden_ros.core.estimation.law_deviation`).
+    and of the curve where it is loaded (see :mod:`fden_ros.core.estimation.law_deviation`). And
+    the order of the power law that is nearest to the relaxation [1].
     """
 
     kernel: float
@@ -85,14 +86,14 @@ class LawError(NamedTuple):
     characteristic_sd: float
     loaded: float
     loaded_sd: float
+    order: float
+    order_sd: float
 
     @staticmethod
     def names() -> tuple[str, ...]:
         """Return the names under which outputs state them, kernel_error and kernel_error_sd."""
-        return tuple(
-            f"{field.removesuffix('_sd')}_error{'_sd' if field.endswith('_sd') else ''}"
-            for field in LawError._fields
-        )
+        errors = ("kernel_error", "characteristic_error", "loaded_error", "relaxation_order")
+        return tuple(name + part for name in errors for part in ("", "_sd"))
 
 
 class Estimate(NamedTuple):
@@ -117,6 +118,8 @@ class Estimate(NamedTuple):
     law_error: LawError | None = None
     #: Parameters that lie at an end of what the estimator can represent: then none is known.
     at_edge: ParameterSet = ParameterSet.NONE
+    #: Whether the relaxation contradicts the alpha that was stated.
+    is_order_contradicted: bool = False
 
     @property
     def converged(self) -> bool:

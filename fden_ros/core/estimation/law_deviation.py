@@ -145,8 +145,11 @@ class LawDeviation:
     loaded: Deviation  #: of the characteristic in the upper half of the strains
     log_linear_stiffness: float  #: ln G of the law from which they deviate
     log_nonlinear_stiffness: float  #: its ln Gn
-    fractional_order: float  #: its alpha [1]
-    fractional_order_sd: float  #: and the standard deviation of that [1]
+    #: Order of the power law that is nearest to the bent kernel, over the times seen [1].
+    fractional_order: float
+    #: Its standard deviation [1]: that of the fit, and the kernel's error, by which the order
+    #: changes from one factor e of time to another.
+    fractional_order_sd: float
     #: Logarithm of the evidence of a bent characteristic over that of the law's [1].
     curve_evidence: float
     #: Logarithm of the evidence of kernel and characteristic bent over that of the exact law under
@@ -158,7 +161,7 @@ class LawDeviation:
 
     @property
     def error(self) -> LawError:
-        """The root mean squares with their deviations."""
+        """The root mean squares and the order of the relaxation, with their deviations."""
         return LawError(
             self.kernel.error,
             self.kernel.error_sd,
@@ -166,6 +169,8 @@ class LawDeviation:
             self.characteristic.error_sd,
             self.loaded.error,
             self.loaded.error_sd,
+            self.fractional_order,
+            self.fractional_order_sd,
         )
 
     @property
@@ -390,18 +395,32 @@ class LawFit:
         stress = elastic_responses(upper, 1.0, self._gn).value
         loaded = self._curve(upper, (stress / stress[-1]) ** 2)
         law = [float(number) for number in state[_LAW]]
+        order, order_sd = self._power_law(knots, first)
         return LawDeviation(
             kernel,
             characteristic,
             loaded,
             law[_LOG_G],
             law[_LOG_GN],
-            law[_ORDER],
-            math.sqrt(covariance[_ORDER, _ORDER]),
+            order,
+            math.hypot(order_sd, kernel.error),
             self._curve_evidence,
             self._motion_evidence,
             self._motion_covariance,
         )
+
+    def _power_law(self, knots: Array, first: int) -> tuple[float, float]:
+        """Return the order of the power law nearest to the bent kernel, and its deviation [1].
+
+        A deviation that is linear in ln t is a power law as well: which part of the order is alpha
+        depends on where the fit began.
+        """
+        off = knots - knots.mean()
+        along = np.zeros(self._state.size)
+        along[_KERNEL.start + first : _KERNEL.stop] = -off / (off @ off)
+        along[_ORDER] = 1.0
+        variance = float(along @ self._covariance @ along)
+        return float(along @ self._state), math.sqrt(max(variance, 0.0))
 
     @property
     def _gn(self) -> float:
