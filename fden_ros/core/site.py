@@ -544,6 +544,8 @@ def _hidden_strain(onset: Onset, config: PipelineConfig) -> float:
     The surface is found by a line. Where the force rises out of the noise beyond the boundary
     strain 1/Gn only, the line finds it by ln(stress Gn/G)/Gn too late.
     """
+    if onset.rise.is_bent:
+        return 0.0
     prior = config.estimator.prior
     gn = prior.nonlinear_stiffness
     force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias

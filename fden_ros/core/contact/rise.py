@@ -45,6 +45,11 @@ class Rise(NamedTuple):
     #: Chi-squared by which the line is better than an exponential, for each of :data:`GROWTHS`.
     line_evidence: tuple[float, ...]
 
+    @property
+    def is_bent(self) -> bool:
+        """Whether the surface is seen however the force of the tissue grows."""
+        return min(self.line_evidence) >= _LEAST_EVIDENCE
+
     def shows_surface(self, growth: float) -> bool:
         """Whether the surface is seen if the force of the tissue grows exponentially.
 
