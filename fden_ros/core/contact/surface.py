@@ -174,7 +174,7 @@ class _Bins:
         depth = detected - float(np.interp(onset_time, self.time, self.displacement))
         if depth <= 0.0:
             return Rise(0.0, (math.inf,) * len(GROWTHS))
-        behind = (self.displacement - detected) / depth
+        behind = np.minimum((self.displacement - detected) / depth, 0.0)
         exponential = self._misfit_of(np.exp(np.outer(behind, GROWTHS)))
         line = float(self.misfit(np.array([onset_time]))[0])
         noise = np.maximum(np.minimum(exponential, line), sys.float_info.min)
