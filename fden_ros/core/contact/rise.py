@@ -30,7 +30,7 @@ import numpy as np
 #: Growths over the depth at which exponentials are compared with the line [1], a factor of the
 #: root of two apart: a line bends less than the first of them, and the steepest is beyond what
 #: the noise hides.
-GROWTHS: tuple[float, ...] = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(9))
+GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
 #: than the exponential of the tissue found does [1], which is what tells a touch from a drift. Of
 #: 75 simulated touches whose linear part was hidden one was above, by 13, and right; of 110 whose
