@@ -25,7 +25,8 @@ from pipeline_helpers import summaries_of
 
 from fden_ros.benchmarks.disturbed import CASES, run_trial
 from fden_ros.core import Pipeline
-from fden_ros.core.outputs import Output
+from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.parameters import check, pipeline_config
 
 Array = NDArray[np.float64]
@@ -60,17 +61,18 @@ def stresses(times: Array, tissue: tuple[float, float, float], ramp: float, dept
 
 def press(
     tissue: tuple[float, float, float],
-    prior: tuple[float, float, float],
+    prior: tuple[float, float, float] | None,
     *,
     speed: float,
     depth: float,
     hold: float,
     noise: float,
     seed: int,
-) -> tuple[Array, bool]:
-    """Return errors of (ln G, ln Gn, alpha) in their deviations, and whether it is converged.
+) -> tuple[Array, ContactSummary]:
+    """Return errors of (ln G, ln Gn, alpha) in their deviations, and the summary.
 
-    `speed` in strain per second, `noise` of the stress per sample [Pa].
+    `speed` in strain per second, `noise` of the stress per sample [Pa]; without `prior` it is that
+    of soft tissue.
     """
     ramp = depth / speed
     times = np.arange(0.0, AIR + ramp + hold, 1.0 / RATE) - AIR
@@ -83,14 +85,17 @@ def press(
         "geometry.kind": "flat_punch",
         "geometry.area": AREA,
         "geometry.thickness": THICKNESS,
-        "prior.linear_stiffness": prior[0],
-        "prior.linear_stiffness_log_sd": 0.5,
-        "prior.nonlinear_stiffness": prior[1],
-        "prior.nonlinear_stiffness_log_sd": 0.3,
-        "prior.alpha": prior[2],
-        "prior.alpha_sd": 0.05,
         **RIGID,
     }
+    if prior is not None:
+        parameters |= {
+            "prior.linear_stiffness": prior[0],
+            "prior.linear_stiffness_log_sd": 0.5,
+            "prior.nonlinear_stiffness": prior[1],
+            "prior.nonlinear_stiffness_log_sd": 0.3,
+            "prior.alpha": prior[2],
+            "prior.alpha_sd": 0.05,
+        }
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
     for time, strain, force in zip(times, strains, forces, strict=True):
@@ -101,7 +106,7 @@ def press(
     (summary,) = summaries_of(outputs)
     truth = [math.log(tissue[0]), math.log(tissue[1]), tissue[2]]
     off = (summary.estimate.mean[:3] - truth) / summary.estimate.deviations
-    return off, bool(summary.converged)
+    return off, summary
 
 
 def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples() -> None:
@@ -122,7 +127,7 @@ def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples
 def test_a_touch_that_noise_hides_leaves_the_origin_unknown() -> None:
     """The linear part of the curve ends at 12 Pa, under a noise of 43."""
     for seed in (4, 6, 9):
-        off, converged = press(
+        off, summary = press(
             (165.0, 13.7, 0.19),
             (81.0, 21.4, 0.155),
             speed=0.172,
@@ -131,7 +136,30 @@ def test_a_touch_that_noise_hides_leaves_the_origin_unknown() -> None:
             noise=43.0,
             seed=seed,
         )
-        assert not converged or np.all(np.abs(off) < 4.0), off
+        assert not summary.converged or np.all(np.abs(off) < 4.0), off
+
+
+def test_a_touch_whose_linear_part_noise_hides_tells_gn_and_not_g() -> None:
+    """It ends at 2 Pa, under a noise of 6: G was up to 24 of its deviations off, and converged."""
+    for seed in range(5):
+        off, summary = press(
+            (60.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
+        )
+        estimate = summary.estimate
+        assert ParameterSet.LINEAR_STIFFNESS not in estimate.known | estimate.valid
+        assert not summary.converged
+        assert ParameterSet.NONLINEAR_STIFFNESS in estimate.valid
+        assert np.all(np.abs(off) < 4.0), (seed, off)
+
+
+def test_a_touch_whose_linear_part_is_seen_tells_g() -> None:
+    """It ends at 276 Pa, above the same noise."""
+    for seed in range(4):
+        off, summary = press(
+            (8000.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
+        )
+        assert summary.converged
+        assert np.all(np.abs(off) < 4.0), (seed, off)
 
 
 def test_noise_near_the_surface_neither_touches_nor_lets_go_of_the_tissue() -> None:

@@ -63,6 +63,8 @@ LARGEST_SAMPLES = 12_000
 #: deviations off.
 PRIOR_LOG_G, PRIOR_LOG_GN, PRIOR_ORDER = (0.1, 2.0), (0.1, 0.9), (0.01, 0.14)
 PRIOR_OFF = 2.0
+#: The largest median of Gn that may be stated [1].
+MOST_PRIOR_NONLINEAR = 100.0
 #: Every other pair of contacts has this noise of the displacement [m].
 DISPLACEMENT_NOISE = 1e-6
 
@@ -255,7 +257,9 @@ def _prior(generator: np.random.Generator, model: FdenModel) -> dict[str, float]
     return {
         "prior.linear_stiffness": model.linear_stiffness * math.exp(off[0]),
         "prior.linear_stiffness_log_sd": sds[0],
-        "prior.nonlinear_stiffness": model.nonlinear_stiffness * math.exp(off[1]),
+        "prior.nonlinear_stiffness": min(
+            model.nonlinear_stiffness * math.exp(off[1]), MOST_PRIOR_NONLINEAR
+        ),
         "prior.nonlinear_stiffness_log_sd": sds[1],
         "prior.alpha": min(max(model.fractional_order + off[2], ORDER[0]), ORDER[1]),
         "prior.alpha_sd": sds[2],

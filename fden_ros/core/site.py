@@ -23,7 +23,12 @@ import numpy as np
 from fden_ros.core.block import Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged
+from fden_ros.core.estimation.estimate import (
+    Estimate,
+    ParameterSet,
+    converged,
+    without_linear_stiffness,
+)
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.fractional_stress_estimator import (
@@ -129,6 +134,7 @@ class Site:
         self._integral = FractionalIntegral(_orders(config))
         self._integral.start(0.0)
         self._estimator: Estimator | None = None
+        self._rise = onset.rise if config.strain_origin is None else None
         self._variance_factor = 1.0
         #: For the surface's motion: of the newest contact, and of the first, the only one that
         #: begins at rest.
@@ -404,7 +410,18 @@ class Site:
         """
         assert self._estimator is not None
         estimate = _checked(self._estimator.estimate())
-        self.estimate = self._withheld(self._widened(estimate))
+        self.estimate = self._withheld(self._widened(self._as_touched(estimate)))
+
+    def _as_touched(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose G is open where the touch did not show the surface."""
+        if self._rise is None:
+            return estimate
+        geometry = self._config.geometry
+        depth = self._rise.depth / geometry.length
+        growth = estimate.nonlinear_stiffness * geometry.strain_slope(depth) * depth
+        if self._rise.shows_surface(growth):
+            return estimate
+        return without_linear_stiffness(estimate, self._config.estimator.prior)
 
     def withhold(self, flag: Flag) -> None:
         """Take no estimate of this site for converged any more."""
@@ -553,6 +570,8 @@ def _hidden_strain(onset: Onset, config: PipelineConfig) -> float:
     The surface is found by a line. Where the force rises out of the noise beyond the boundary
     strain 1/Gn only, the line finds it by ln(stress Gn/G)/Gn too late.
     """
+    if onset.rise.is_bent:
+        return 0.0
     prior = config.estimator.prior
     gn = prior.nonlinear_stiffness
     force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias

@@ -32,6 +32,7 @@ import numpy as np
 from fden_ros.core.contact.air import MIN_CHUNKS, Baseline
 from fden_ros.core.contact.approach import Approach
 from fden_ros.core.contact.chunks import Chunk, Chunks
+from fden_ros.core.contact.rise import Rise
 from fden_ros.core.contact.surface import find_surface
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
@@ -91,6 +92,7 @@ class Onset(NamedTuple):
     noise_sd: float  #: of the force, per sample [N]
     displacement: float  #: at the onset, compliance removed [m]
     displacement_sd: float  #: its standard deviation [m]
+    rise: Rise  #: of the force, until the detection
     seen: bool  #: False: the force was there when the data began, so the origin is not known
     air_seen: bool  #: the data began in the air, even if the surface is not to be seen in them
 
@@ -326,6 +328,7 @@ class ContactDetector:
             noise_sd=level.noise,
             displacement=surface.displacement,
             displacement_sd=surface.displacement_sd,
+            rise=surface.rise,
             seen=seen,
             air_seen=air_seen,
         )

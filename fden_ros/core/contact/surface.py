@@ -25,6 +25,7 @@ import numpy as np
 from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.contact.rise import GROWTHS, Rise
 
 
 class Surface(NamedTuple):
@@ -34,6 +35,7 @@ class Surface(NamedTuple):
     displacement: float  #: [m]
     displacement_sd: float  #: [m]
     evidence: float  #: chi-squared by which a contact explains the force better than a drift does
+    rise: Rise  #: how the force rose until the detection
 
 
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
@@ -95,7 +97,11 @@ def find_surface(
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
     index = int(np.searchsorted(time, onset_time))
     return Surface(
-        index, surface, bins.deviation(onset_time, spacing, noise), bins.evidence(onset_time)
+        index,
+        surface,
+        bins.deviation(onset_time, spacing, noise),
+        bins.evidence(onset_time),
+        bins.rise(onset_time),
     )
 
 
@@ -133,7 +139,11 @@ class _Bins:
         surface = np.interp(onset_times, self.time, self.displacement)
         depth = np.maximum(self.displacement[:, None] - surface, 0.0)
         depth *= self.time[:, None] >= onset_times
-        response = self.derivative @ np.diff(depth, axis=0)
+        return self._misfit_of(depth)
+
+    def _misfit_of(self, signals: Array) -> Array:
+        """Sum of squared residuals [N^2] of the responses to signals (bins, m), shape (m,)."""
+        response = self.derivative @ np.diff(signals, axis=0)
         # Centred, because the force's bias is fitted too.
         response -= response.mean(axis=0)
         force = self.force - self.force.mean()
@@ -157,6 +167,19 @@ class _Bins:
         drift = float(np.sum((self.force - line(self.time)) ** 2))
         noise = max(min(contact, drift), sys.float_info.min) / max(self.time.size - 3, 1)
         return (drift - contact) / noise
+
+    def rise(self, onset_time: float) -> Rise:
+        """Return how the force rose from the onset on."""
+        detected = float(self.displacement[-1])
+        depth = detected - float(np.interp(onset_time, self.time, self.displacement))
+        if depth <= 0.0:
+            return Rise(0.0, (math.inf,) * len(GROWTHS))
+        behind = np.minimum((self.displacement - detected) / depth, 0.0)
+        exponential = self._misfit_of(np.exp(np.outer(behind, GROWTHS)))
+        line = float(self.misfit(np.array([onset_time]))[0])
+        noise = np.maximum(np.minimum(exponential, line), sys.float_info.min)
+        evidence = (exponential - line) / noise * max(self.time.size - 3, 1)
+        return Rise(depth, tuple(evidence.tolist()))
 
     def deviation(self, onset_time: float, spacing: float, least_noise: float) -> float:
         """Return the standard deviation of the surface [m] from the curvature of the misfit."""

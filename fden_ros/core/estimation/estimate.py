@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.law.characteristic import elastic_response, exponential_scale
 
 
@@ -266,3 +266,13 @@ def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -
         if is_close:
             found |= parameter
     return found & valid
+
+
+def without_linear_stiffness(estimate: Estimate, prior: Prior) -> Estimate:
+    """Return an estimate in which the data do not determine G: its prior's variance is added."""
+    covariance = estimate.covariance.copy()
+    covariance[0, 0] += prior.linear_stiffness_log_sd**2
+    kept = ~ParameterSet.LINEAR_STIFFNESS
+    return estimate._replace(
+        covariance=covariance, valid=estimate.valid & kept, known=estimate.known & kept
+    )

@@ -50,6 +50,9 @@ _LONGEST_STEP = (1.0, 0.3, 0.05, 0.02)
 #: Prior deviations [1] within which the origin and the linear parameters stay: in the golden bags
 #: no node of ln Gn, however unlikely, asks for more than 25. Half or twice gives the same bits.
 _REACH_DEVIATIONS = 100.0
+#: Prior deviations [1] by which the tissue may begin before the surface found, even where that is
+#: beyond the strains at which its response is interpolated well.
+_BEFORE_DEVIATIONS = 5.0
 #: Steps of a solution at most [1]: of one state, and of the nodes; what has not converged by then
 #: goes on at the next solution.
 _MOST_STEPS, _MOST_NODE_STEPS = 10, 3
@@ -156,6 +159,10 @@ class GaussNewton:
         lowest[_LOG_GN], highest[_LOG_GN] = self._grid.lowest, self._grid.highest
         lowest[_ORDER], highest[_ORDER] = LOWEST_ORDER, HIGHEST_ORDER
         lowest[_ORIGIN:], highest[_ORIGIN:] = around[_ORIGIN:] - reach, around[_ORIGIN:] + reach
+        widest = self._grid.widest_origin
+        before = max(_BEFORE_DEVIATIONS * self._prior.deviations[_ORIGIN], widest)
+        lowest[_ORIGIN] = max(lowest[_ORIGIN], -before)
+        highest[_ORIGIN] = min(highest[_ORIGIN], widest)
         return lowest, highest
 
     def bounded(self, states: Array) -> Array:

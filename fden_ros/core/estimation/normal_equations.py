@@ -43,7 +43,12 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.estimation.response_sums import MOST_BEHIND, ResponseSums
-from fden_ros.core.law.interpolation import STENCIL, Lagrange, LogStiffnessGrid
+from fden_ros.core.law.interpolation import (
+    STENCIL,
+    Lagrange,
+    LogStiffnessGrid,
+    OriginInterpolation,
+)
 from fden_ros.core.law.kernel import order_interpolation, order_nodes
 
 _LOG_G = StateIndex.LOG_LINEAR_STIFFNESS
@@ -101,7 +106,7 @@ class NormalEquations:
         #: Length n of the state.
         self.size = _NONLINEAR + len(self.linear)
         self._grid = grid
-        self._in_origin = Lagrange(origins)
+        self._in_origin = OriginInterpolation(origins, grid.nodes)
         self._in_order = self._in_all_orders = order_interpolation()
         self._orders = orders = _ORDERS if given_order is None else 2
         #: From the responses at the order nodes to the two that are summed, shape (11, 2).
@@ -299,19 +304,21 @@ class NormalEquations:
         g = math.exp(state[_LOG_G])
         first, in_gn, by_gn = self._grid.stencil(float(state[_LOG_GN]))
         in_order, by_order = self._in_order(float(state[_ORDER]))
-        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
-        law = response.law[first : first + STENCIL]
-        by_law = (in_gn @ law).reshape(-1, self._orders)
-        at_order = g * (by_law @ in_order)
+        used = slice(first, first + STENCIL)
+        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]), used)
+        # At the nodes of ln Gn, by the origins: (8, orders, origins).
+        law = response.law[used].reshape(STENCIL, -1, self._orders).transpose(0, 2, 1)
+        at_origin = g * (law @ in_origin[:, :, None])[:, :, 0]
+        by_law = in_gn @ at_origin
         free = response.columns[: self._orders]
         columns = response.columns[self._orders : -1] * self._factors(g)
         stresses = columns * state[_NONLINEAR:]
-        stress = in_origin @ at_order
+        stress = by_law @ in_order
         gradient = np.empty(self.size)
         gradient[_LOG_G] = stress + stresses @ self._scaled
-        gradient[_LOG_GN] = g * (in_origin @ (by_gn @ law).reshape(-1, self._orders) @ in_order)
-        gradient[_ORDER] = g * (in_origin @ by_law @ by_order) + by_order @ free
-        gradient[_ORIGIN] = by_origin @ at_order
+        gradient[_LOG_GN] = by_gn @ at_origin @ in_order
+        gradient[_ORDER] = by_law @ by_order + by_order @ free
+        gradient[_ORIGIN] = g * (in_gn @ (law @ by_origin[:, :, None])[:, :, 0] @ in_order)
         gradient[_NONLINEAR:] = columns
         residual = stress + in_order @ free + stresses.sum() - response.columns[-1]
         return float(residual), gradient
@@ -351,8 +358,8 @@ class NormalEquations:
         ndarray, shape (8, origins)
         """
         first, in_gn, _ = self._grid.stencil(float(state[_LOG_GN]))
-        in_origin, _ = self._in_origin(float(state[_ORIGIN]))
-        return first, math.exp(state[_LOG_G]) * np.outer(in_gn, in_origin)
+        in_origin, _ = self._in_origin(float(state[_ORIGIN]), slice(first, first + STENCIL))
+        return first, math.exp(state[_LOG_G]) * in_gn[:, None] * in_origin
 
     def law_step(self, before: BlockResponse, response: BlockResponse, state: Array) -> float:
         """Return by how much the stress changes by the law alone, without linear columns [Pa].
@@ -386,13 +393,14 @@ class NormalEquations:
         g = math.exp(state[_LOG_G])
         weights, by_gn = (g * each[:, None] for each in in_gn)
         in_order, by_order = self._in_order(float(state[_ORDER]))
-        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]))
-        inner = np.outer(in_origin, in_order).ravel()
-        law = np.empty((STENCIL, 1 + _NONLINEAR, inner.size))
+        used = slice(first, first + STENCIL)
+        in_origin, by_origin = self._in_origin(float(state[_ORIGIN]), used)
+        inner = _outer(in_origin, in_order[None])
+        law = np.empty((STENCIL, 1 + _NONLINEAR, inner.shape[1]))
         law[:, 0] = law[:, 1 + _LOG_G] = weights * inner
         law[:, 1 + _LOG_GN] = by_gn * inner
-        law[:, 1 + _ORDER] = weights * np.outer(in_origin, by_order).ravel()
-        law[:, 1 + _ORIGIN] = weights * np.outer(by_origin, in_order).ravel()
+        law[:, 1 + _ORDER] = weights * _outer(in_origin, by_order[None])
+        law[:, 1 + _ORIGIN] = weights * _outer(by_origin, in_order[None])
         columns, factors = self._columns_at(state, in_order, by_order)
         return self._sums.at_stencil(first, law, columns, factors)
 

@@ -91,7 +91,8 @@ class StressEstimator:
         config = replace(config, uncertainty=rig.learned(stated))
         self._config = config
         self._geometry = geometry
-        grid, origins = _log_gn_nodes(config.prior), _origin_nodes(origin_sd)
+        grid = _log_gn_nodes(config.prior)
+        origins = _origin_nodes(origin_sd, grid)
         self._observation = StressObservation(
             config.uncertainty, geometry, grid, origins, noise_sd, path_noise
         )
@@ -352,9 +353,9 @@ def _log_gn_nodes(prior: Prior) -> LogStiffnessGrid:
     )
 
 
-def _origin_nodes(origin_sd: float) -> Array:
+def _origin_nodes(origin_sd: float, grid: LogStiffnessGrid) -> Array:
     """Return the nodes of the strain origin [1], shape (3,), or (1,) where it is known."""
     if origin_sd <= 0.0:
         return np.zeros(1)
-    reach = max(_ORIGIN_REACH * origin_sd, _LEAST_ORIGIN_REACH)
+    reach = min(max(_ORIGIN_REACH * origin_sd, _LEAST_ORIGIN_REACH), grid.widest_origin)
     return np.linspace(-reach, reach, 3)
