@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from fden_ros.core.estimation.contact_record import ContactRecord
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Prior, Uncertainty
-from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit
+from fden_ros.core.estimation.law_deviation import LawDeviation
+from fden_ros.core.estimation.law_fit import LawFit
 from fden_ros.core.estimation.nearest_curve import nearest_curve
 from fden_ros.core.law.geometry import FlatPunch
 

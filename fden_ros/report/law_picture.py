@@ -25,7 +25,8 @@ from matplotlib.figure import Figure
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.contact_record import ContactRecord
 from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.law_deviation import Deviation, LawDeviation, LawFit, is_enough
+from fden_ros.core.estimation.law_deviation import Deviation, LawDeviation
+from fden_ros.core.estimation.law_fit import LawFit, is_enough
 from fden_ros.core.estimation.unmodelled import LoadingAge
 from fden_ros.core.law.characteristic import elastic_response, phi
 from fden_ros.core.outputs import ContactSummary

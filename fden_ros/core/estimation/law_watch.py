@@ -24,7 +24,8 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.contact_record import ContactRecord
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import Prior, Uncertainty
-from fden_ros.core.estimation.law_deviation import LawDeviation, LawFit, is_enough
+from fden_ros.core.estimation.law_deviation import LawDeviation
+from fden_ros.core.estimation.law_fit import LawFit, is_enough
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.law.geometry import Geometry
 

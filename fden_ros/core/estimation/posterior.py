@@ -58,6 +58,7 @@ from fden_ros.core.estimation.free_order import FreeOrder, free_order
 from fden_ros.core.estimation.gauss_newton import LOG_REACH, GaussNewton, Solution
 from fden_ros.core.estimation.normal_equations import BlockResponse, NormalEquations
 from fden_ros.core.estimation.random_walk import RandomWalk
+from fden_ros.core.estimation.rig_contradiction import StatedRig
 from fden_ros.core.estimation.state_prior import StatePrior
 from fden_ros.core.law.interpolation import LOG_SPACING, LogStiffnessGrid
 
@@ -93,13 +94,6 @@ _UNIMODAL, _MULTIMODAL = 0.6 * LOG_SPACING, 0.9 * LOG_SPACING
 _MULTIMODAL_BLOCKS, _UNIMODAL_BLOCKS = 4, 10
 #: Added to a standard deviation of ln Gn [1] that may be 0, before it divides.
 _TINY_DEVIATION = 1e-12
-#: What is stated of the rig is contradicted beyond this many deviations [1]: 1 % of contacts do by
-#: chance, for each of three quantities.
-_CONTRADICTION = 2.5
-#: Added to a variance that may be 0, before it divides [1].
-_TINY_VARIANCE = 1e-12
-#: The data say nothing of a quantity whose variance they lower by less than this share [1].
-_LEAST_LEARNED = 0.02
 #: Standard deviation of a change of ln G [1]: a lesion is up to several times stiffer than what is
 #: around it.
 _CHANGE_OF_LOG_G = 1.0
@@ -168,8 +162,7 @@ class StressPosterior:
         deviations[_RIG[0]] = np.sign(uncertainty.compliance_sd)
         self._prior = StatePrior(mean, deviations)
         self._know(*rig)
-        #: Variances that are stated of the rig, shape (3,).
-        self._stated_rig = self._prior.deviations[list(_RIG)] ** 2
+        self._stated_rig = StatedRig(self._prior)
         self._solver = GaussNewton(
             self._equations,
             self._prior,
@@ -399,7 +392,7 @@ class StressPosterior:
         """Solve for the posterior anew, with all blocks so far, step by step."""
         self.blocks_since_solved = 0
         yield from self._solve_anew()
-        if self.is_solved and self._widen_contradicted():
+        if self.is_solved and self._stated_rig.widen(self.state, self.covariance):
             yield from self._solve_anew()
 
     def _solve_anew(self) -> Iterator[None]:
@@ -407,44 +400,6 @@ class StressPosterior:
             yield from self._solve_at_nodes()
         if self.is_unimodal:
             yield from self._solve()
-
-    def _widen_contradicted(self) -> bool:
-        """Widen what is stated of the rig where the data contradict it; return whether they do.
-
-        The posterior's mean scatters about the prior's by the prior's variance less its own. The
-        quantity that is farthest beyond has the variance of the largest evidence from here on: the
-        square of what the data alone would say, less the variance of that (empirical Bayes).
-        """
-        prior, rig = self._prior, np.array(_RIG)
-        variance = prior.deviations[rig] ** 2
-        learned = variance - self.covariance[rig, rig]
-        moved = (self.state - prior.mean)[rig]
-        is_told = learned > _LEAST_LEARNED * variance
-        beyond = np.divide(moved**2, learned, out=np.zeros_like(moved), where=is_told)
-        k = int(np.argmax(beyond))
-        if beyond[k] <= _CONTRADICTION**2:
-            return False
-        share = learned[k] / variance[k]
-        prior.deviations[rig[k]] = math.sqrt(
-            (moved[k] / share) ** 2 - variance[k] / share + variance[k]
-        )
-        return True
-
-    def rig_deviations(self) -> float:
-        """Return how far the rig is from what is stated, in deviations [1]: the farthest of three.
-
-        By what the data alone would say, and the variances of both.
-        """
-        prior, rig = self._prior, np.array(_RIG)
-        variance = prior.deviations[rig] ** 2
-        share = 1.0 - self.covariance[rig, rig] / np.maximum(variance, _TINY_VARIANCE)
-        told = share > _LEAST_LEARNED
-        alone = np.divide(
-            (self.state - prior.mean)[rig], share, out=np.zeros(rig.size), where=told
-        )
-        own = np.divide(variance, share, out=np.ones(rig.size), where=told) - variance
-        both = self._stated_rig + np.maximum(own, 0.0) + _TINY_VARIANCE
-        return float(np.max(np.abs(alone) / np.sqrt(both)))
 
     def _solve(self) -> Iterator[None]:
         """Solve for the maximum of a posterior that is normal."""
@@ -471,10 +426,11 @@ class StressPosterior:
     def _take_evidence(self, solution: Solution) -> None:
         if solution.log_evidence is None:
             return
-        stated = np.sqrt(self._stated_rig)
-        is_open = stated > 0.0
-        widened = self._prior.deviations[list(_RIG)][is_open] / stated[is_open]
-        self.log_evidence = solution.log_evidence - float(np.sum(np.log(widened)))
+        self.log_evidence = solution.log_evidence - self._stated_rig.log_widening()
+
+    def rig_deviations(self) -> float:
+        """Return how far the rig is from what is stated, in deviations [1]."""
+        return self._stated_rig.deviations(self.state, self.covariance)
 
     def at_edge(self) -> ParameterSet:
         """Return the parameters at an end of what can be represented."""
