@@ -25,6 +25,7 @@ linear solid, the parameters follow slowly, and the slope shows it at once.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from typing import NamedTuple
@@ -75,9 +76,8 @@ class Hold:
 
     def copy(self) -> Hold:
         """Return the hold as it is now."""
-        own = Hold()
+        own = copy.copy(self)
         own._points = self._points.copy()
-        own._strain, own._time, own._next = self._strain, self._time, self._next
         return own
 
     def is_due(self, step: float, strain: float) -> bool:

@@ -207,15 +207,13 @@ class Predictor:
             start = phi(np.array([self.memory.strain]), *np.exp(logs))
             return strain_of_phi(start + np.cumsum(steps), *np.exp(logs))
 
-        def way_to(reached: Array) -> Array:
+        def ways(logs: Array, order: float, shift: float) -> Array:
+            reached = strains(logs, order, shift)
             compressions = np.array([self.geometry.compression(float(x)) for x in reached])
             return (compressions - self.memory.compression) * self.geometry.length
 
-        def ways(logs: Array, order: float, shift: float) -> Array:
-            return way_to(strains(logs, order, shift))
-
         path = self._path(grid, strains(*self._parameters, 0.0))
-        way = way_to(strains(*self._parameters, 0.0))
+        way = ways(*self._parameters, 0.0)
         left_out = self._left_out_variance(grid, path, stress)
         small = _DERIVATIVE_STEP * (float(np.max(np.abs(stress))) or 1.0)
         by_stress = (ways(*self._parameters, small) - way) / small

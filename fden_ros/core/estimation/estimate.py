@@ -271,7 +271,8 @@ def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -
 def without_linear_stiffness(estimate: Estimate, prior: Prior) -> Estimate:
     """Return an estimate in which the data do not determine G: its prior's variance is added."""
     covariance = estimate.covariance.copy()
-    covariance[0, 0] += prior.linear_stiffness_log_sd**2
+    log_g = StateIndex.LOG_LINEAR_STIFFNESS
+    covariance[log_g, log_g] += prior.linear_stiffness_log_sd**2
     kept = ~ParameterSet.LINEAR_STIFFNESS
     return estimate._replace(
         covariance=covariance, valid=estimate.valid & kept, known=estimate.known & kept

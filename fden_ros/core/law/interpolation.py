@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Interpolation by polynomials: through all nodes, or through the nearest of a uniform grid."""
+"""Interpolation between nodes: polynomials in alpha and ln Gn, the law itself in the origin."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from fden_ros.core.law.characteristic import MAX_EXPONENT
 #: the nodes the stress is interpolated to 2e-5 at strains of 0.3 (test_core_stress_basis).
 LOG_SPACING = 0.1
 STENCIL = 8
-ALL = slice(None)
+_ALL = slice(None)
 #: Gn times the farthest node of the strain origin [1]: there the response is up to e^5 times that
 #: at 0. With e^15 rounding made up the evidence of the largest Gn.
 _MOST_ORIGIN_EXPONENT = 5.0
@@ -118,7 +118,7 @@ class OriginInterpolation:
         #: Of the curve 1 at both outer nodes and 0 with no slope of the two at the middle one.
         self._scale = 0.5 / np.sinh(0.5 * self._gn * reach) ** 2
 
-    def __call__(self, origin: float | Array, nodes: slice = ALL) -> tuple[Array, Array]:
+    def __call__(self, origin: float | Array, nodes: slice = _ALL) -> tuple[Array, Array]:
         """Return the weight of each node at an origin and its derivative, shape (nodes, m).
 
         Parameters
