@@ -29,11 +29,18 @@ from __future__ import annotations
 
 import math
 
+from fden_ros.core.streams.samples import ReadingNoise
+
 #: Memory of the line [s]: a fifth of a period of 1 Hz.
 _MEMORY = 0.2
 #: Distance from the line at which a new one begins: in standard deviations of the noise of the
 #: distance [1]; and samples [1] that a line needs before it is held against a sample.
 _MOST_DEVIATIONS, _LEAST_SAMPLES = 5.0, 3
+#: The same distance where the noise is lost in the steps in which the motion comes, in steps [1]:
+#: a reading and a line through readings are each half a step off at most, and a line that begins
+#: is a little off. At 2, where the probe stops, the line goes on for so long that what is off it
+#: is no noise any more, and alpha comes out too low in the hold; at 1 it begins anew by chance.
+_MOST_STEPS = 1.3
 
 
 class MotionJitter:
@@ -41,12 +48,12 @@ class MotionJitter:
 
     Parameters
     ----------
-    white : float
-        Variance of the compression's noise per sample times the time between samples [s].
+    noise : ReadingNoise
+        Of the compression [1].
     """
 
-    def __init__(self, white: float) -> None:
-        self._white = white
+    def __init__(self, noise: ReadingNoise) -> None:
+        self._noise = noise
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -56,12 +63,12 @@ class MotionJitter:
 
     def press(self, step: float, compression: float) -> float:
         """Take a sample `step` seconds after the last; return how far it is off the line [1]."""
-        if step <= 0.0 or self._white <= 0.0:
+        if step <= 0.0 or self._noise.white <= 0.0:
             self._begin(compression)
             return 0.0
         off = compression - (self._place + self._rate * step)
         is_known = self._count >= _LEAST_SAMPLES
-        if is_known and abs(off) > _MOST_DEVIATIONS * math.sqrt(2.0 * self._white / step):
+        if is_known and abs(off) > self._farthest(step):
             self._begin(compression)
             return 0.0
         n, kept = self._count, math.exp(-step / _MEMORY)
@@ -71,6 +78,12 @@ class MotionJitter:
         self._place = compression - (1.0 - min(of_place, 1.0)) * off
         self._rate += min(of_rate, 1.0) * off / step
         return compression - self._place if is_known else 0.0
+
+    def _farthest(self, step: float) -> float:
+        """Return how far noise is off the line at most, `step` seconds after the last sample."""
+        if self._noise.step:
+            return _MOST_STEPS * self._noise.step
+        return _MOST_DEVIATIONS * math.sqrt(2.0 * self._noise.white / step)
 
     def _begin(self, compression: float) -> None:
         self._place, self._rate, self._count = compression, 0.0, 1

@@ -71,7 +71,7 @@ class StressEstimator:
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
     path_noise : PathNoise
-        Of the compression [s].
+        Of the compression [1].
     rig : RigKnowledge, optional
         What earlier contacts have told; without it what the configuration states.
     """

@@ -82,7 +82,7 @@ class StressObservation:
     noise_sd : float
         Standard deviation of the stress per sample [Pa].
     path_noise : PathNoise
-        Of the compression [s].
+        Of the compression [1].
     """
 
     def __init__(

@@ -74,20 +74,31 @@ class Pair(NamedTuple):
     surface: float = 0.0  #: place of the surface that was taken off the displacement [m]
 
 
-class PathNoise(NamedTuple):
-    """Variance of a motion's noise per sample times the time between samples."""
+class ReadingNoise(NamedTuple):
+    """Noise of the readings of a place."""
 
-    displacement: float = 0.0  #: [m^2 s]
-    surface: float = 0.0  #: of what is taken off it: the surface's place [m^2 s]
+    white: float = 0.0  #: variance per sample times the time between samples [m^2 s]
+    step: float = 0.0  #: in which they come, where the noise is lost in it [m]; 0: else
+
+    def scaled(self, length: float) -> ReadingNoise:
+        """Return it in units of a `length` [m]."""
+        return ReadingNoise(self.white / length**2, self.step / length)
+
+
+class PathNoise(NamedTuple):
+    """Noise of a motion."""
+
+    displacement: ReadingNoise = ReadingNoise()
+    surface: ReadingNoise = ReadingNoise()  #: of what is taken off it: the surface's place
 
     @property
     def total(self) -> float:
-        """That of the difference."""
-        return self.displacement + self.surface
+        """Variance of the difference per sample times the time between samples [m^2 s]."""
+        return self.displacement.white + self.surface.white
 
     def scaled(self, length: float) -> PathNoise:
-        """Return it of compressions of a `length` [m]: [s]."""
-        return PathNoise(self.displacement / length**2, self.surface / length**2)
+        """Return it of compressions of a `length` [m]."""
+        return PathNoise(self.displacement.scaled(length), self.surface.scaled(length))
 
 
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:

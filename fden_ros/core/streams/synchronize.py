@@ -35,6 +35,7 @@ from fden_ros.core.streams.samples import (
     Pair,
     PathNoise,
     Position,
+    ReadingNoise,
     Reason,
     Sample,
 )
@@ -178,7 +179,7 @@ class Synchronizer:
         """
         noise = _noise_of(self._passed, self.displacement_guard.resolution)
         if self.frames is not None:
-            noise += _noise_of(self.frames.passed)
+            noise = ReadingNoise(noise.white + _noise_of(self.frames.passed).white)
         return PathNoise(noise, _noise_of(self._surfaces_passed, self.surface_guard.resolution))
 
     def add_force(self, stamp_ns: int, force: float) -> None:
@@ -263,9 +264,9 @@ class Synchronizer:
         self._on_pair(pair._replace(displacement=pair.displacement - place, surface=place))
 
 
-def _noise_of(samples: deque[Sample], resolution: float = 0.0) -> float:
+def _noise_of(samples: deque[Sample], resolution: float = 0.0) -> ReadingNoise:
     if len(samples) < NOISE_SAMPLES // 8:
-        return 0.0
+        return ReadingNoise()
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
     value = np.array([sample.value for sample in samples])
     step = np.diff(time) / NANOSECONDS
@@ -273,5 +274,6 @@ def _noise_of(samples: deque[Sample], resolution: float = 0.0) -> float:
     apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
     scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
     deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
-    variance = max(deviation**2, _ROUNDING_VARIANCE * resolution**2)
-    return variance * float(np.median(step))
+    rounding = _ROUNDING_VARIANCE * resolution**2
+    white = max(deviation**2, rounding) * float(np.median(step))
+    return ReadingNoise(white, resolution if rounding > deviation**2 else 0.0)
