@@ -184,8 +184,8 @@ class _Bins:
     def deviation(self, onset_time: float, spacing: float, least_noise: float) -> float:
         """Return the standard deviation of the surface [m] from the curvature of the misfit.
 
-        One bin in contact tells the force's gain or the surface, not both: then it may be anywhere
-        between that bin and the one before.
+        One bin in contact, or two of which the first is hardly so, tell the force's gain or the
+        surface, not both: then it may be anywhere between two bins.
         """
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
@@ -194,7 +194,6 @@ class _Bins:
         step = max(0.5 * abs(float(steps[2] - steps[0])), sys.float_info.min)
         curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)
         found = step * math.sqrt(2.0 * noise / curvature)
-        if self.time[-2] <= onset_time:
-            between = abs(float(self.displacement[-1] - self.displacement[-2]))
-            found = max(found, between / math.sqrt(12.0))
+        if np.count_nonzero(self.time > onset_time) < 3:
+            found = max(found, float(np.ptp(self.displacement[-2:])) / math.sqrt(12.0))
         return min(found, float(np.ptp(self.displacement)))
