@@ -24,6 +24,7 @@ import pytest
 from pipeline_helpers import items_of
 
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.contact.surface import find_surface
 from fden_ros.core.streams.samples import Pair
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.simulation.scenario import Tissue, load_scenario, ramp_scenario
@@ -203,6 +204,20 @@ def test_brief_dip_of_the_force_does_not_end_a_contact():
     force[2500:2515] = 0.3  # less than a chunk
     _, events = events_of(made(force, displacement))
     assert [type(event) for _, event in events] == [Onset, Release]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_one_sample_in_contact_leaves_the_surface_open_up_to_the_sample_before(share):
+    """It was said to 2.6 um, 124 um off, where the probe went 130 um from sample to sample."""
+    time = np.arange(90) / 32.0
+    step = 1.3e-4
+    displacement = step * (np.arange(90.0) - 88.0 - share)
+    for seed in range(6):
+        force = np.random.default_rng(seed).normal(0.0, 1e-3, time.size)
+        force[-1] += 200.0 * displacement[-1]
+        found = find_surface(time, force, displacement, 0.1)
+        assert found.displacement_sd > 0.2 * step
+        assert abs(found.displacement) < 3.0 * found.displacement_sd
 
 
 def test_probe_behind_the_surface_is_off_the_tissue_in_spite_of_the_sensor_s_drift():

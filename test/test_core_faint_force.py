@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from pipeline_helpers import summaries_of
 
 from fden_ros.benchmarks.disturbed import CASES, run_trial
+from fden_ros.benchmarks.exact_contacts import find
 from fden_ros.core import Pipeline
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Output
@@ -139,8 +140,11 @@ def test_a_touch_that_noise_hides_leaves_the_origin_unknown() -> None:
         assert not summary.converged or np.all(np.abs(off) < 4.0), off
 
 
-def test_a_touch_whose_linear_part_noise_hides_tells_gn_and_not_g() -> None:
-    """It ends at 2 Pa, under a noise of 6: G was up to 24 of its deviations off, and converged."""
+def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness() -> None:
+    """It ends at 2 Pa, under a noise of 6: G was up to 24 of its deviations off, and converged.
+
+    Gn is determined, but with the origin unknown it is not claimed.
+    """
     for seed in range(5):
         off, summary = press(
             (60.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
@@ -149,7 +153,15 @@ def test_a_touch_whose_linear_part_noise_hides_tells_gn_and_not_g() -> None:
         assert ParameterSet.LINEAR_STIFFNESS not in estimate.known | estimate.valid
         assert not summary.converged
         assert ParameterSet.NONLINEAR_STIFFNESS in estimate.valid
+        assert not estimate.known & ParameterSet.STIFFNESS
         assert np.all(np.abs(off) < 4.0), (seed, off)
+
+
+def test_gn_is_within_its_deviation_where_the_tissue_began_far_before_the_force() -> None:
+    """By 0.19 and 0.07 of strain: ln Gn was 8 and 6 deviations off, and known."""
+    for number in (2056, 2143):
+        found = find(number, 6000)
+        assert abs(found.error[1]) < 3.0 * found.deviation[1]
 
 
 def test_a_touch_whose_linear_part_is_seen_tells_g() -> None:

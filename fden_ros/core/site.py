@@ -23,12 +23,7 @@ import numpy as np
 from fden_ros.core.block import Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import (
-    Estimate,
-    ParameterSet,
-    converged,
-    without_linear_stiffness,
-)
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged, without_surface
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.fractional_stress_estimator import (
@@ -413,7 +408,7 @@ class Site:
         self.estimate = self._withheld(self._widened(self._as_touched(estimate)))
 
     def _as_touched(self, estimate: Estimate) -> Estimate:
-        """Return an estimate whose G is open where the touch did not show the surface."""
+        """Return an estimate that claims no stiffness where the touch did not show the surface."""
         if self._rise is None:
             return estimate
         geometry = self._config.geometry
@@ -421,7 +416,7 @@ class Site:
         growth = estimate.nonlinear_stiffness * geometry.strain_slope(depth) * depth
         if self._rise.shows_surface(growth):
             return estimate
-        return without_linear_stiffness(estimate, self._config.estimator.prior)
+        return without_surface(estimate, self._config.estimator.prior)
 
     def withhold(self, flag: Flag) -> None:
         """Take no estimate of this site for converged any more."""

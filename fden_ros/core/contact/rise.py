@@ -33,8 +33,8 @@ import numpy as np
 GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
 #: than the exponential of the tissue found does [1], which is what tells a touch from a drift. Of
-#: 75 simulated touches whose linear part was hidden one was above, by 13, and right; of 110 whose
-#: linear part was seen 10 were below, all of them faint.
+#: 60 simulated touches whose linear part was hidden none was above; of 99 whose linear part was
+#: seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0
 
 

@@ -182,11 +182,18 @@ class _Bins:
         return Rise(depth, tuple(evidence.tolist()))
 
     def deviation(self, onset_time: float, spacing: float, least_noise: float) -> float:
-        """Return the standard deviation of the surface [m] from the curvature of the misfit."""
+        """Return the standard deviation of the surface [m] from the curvature of the misfit.
+
+        One bin in contact, or two of which the first is hardly so, tell the force's gain or the
+        surface, not both: then it may be anywhere between two bins.
+        """
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
         noise = max(float(middle) / max(self.time.size - 2, 1), least_noise**2 / self.size)
         steps = np.interp(near, self.time, self.displacement)
         step = max(0.5 * abs(float(steps[2] - steps[0])), sys.float_info.min)
         curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)
-        return min(step * math.sqrt(2.0 * noise / curvature), float(np.ptp(self.displacement)))
+        found = step * math.sqrt(2.0 * noise / curvature)
+        if np.count_nonzero(self.time > onset_time) < 3:
+            found = max(found, float(np.ptp(self.displacement[-2:])) / math.sqrt(12.0))
+        return min(found, float(np.ptp(self.displacement)))
