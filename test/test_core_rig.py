@@ -250,6 +250,24 @@ def test_forgetting_the_rig_at_a_site_that_began_with_it_lets_that_site_teach_no
     assert [summary.rig.contacts for summary in summaries_of(outputs)] == [0, 1, 2]
 
 
+def test_forgetting_the_rig_before_the_air_was_judged_lets_that_contact_teach_nothing():
+    items, parameters = touches()
+    outputs = []
+    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    stated = RigKnowledge.stated(pipeline.config.estimator)
+    remaining = iter(items)
+    while not summaries_of(outputs):
+        feed(pipeline, [next(remaining)])
+    pipeline.forget_rig()
+    for item in remaining:
+        feed(pipeline, [item])
+        if pipeline.newest_ns > summaries_of(outputs)[0].end_ns + 1_800_000_000:
+            break
+    assert len(summaries_of(outputs)) == 1
+    pipeline.finish()
+    assert pipeline.rig == stated
+
+
 def test_what_was_learned_is_saved_as_parameters_and_loaded(tmp_path, capsys):
     press = Path(__file__).parent.parent / "examples"
     given = [str(press / "press.csv"), "--columns", "time_s,force_N,depth_mm*1e-3"]

@@ -80,6 +80,11 @@ class Hindsight:
         """Let the last contact stand: what comes now cannot be compared with the air before."""
         self._ended = None
 
+    def teach_nothing(self) -> None:
+        """Let no other site use what the last contact teaches."""
+        if self._ended is not None:
+            self._ended.site.teach_nothing()
+
     def begin(self, summary: ContactSummary, site: Site, onset: Onset) -> None:
         """Begin with a contact that has ended with its release."""
         if self._config.contact.measure_bias:

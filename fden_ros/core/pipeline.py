@@ -255,9 +255,10 @@ class Pipeline:
     def forget_rig(self) -> None:
         """Let the next site begin with what is stated of the rig."""
         self.rig = RigKnowledge.stated(self.config.estimator)
+        # These began with what is forgotten now.
         if self._site is not None:
-            # It began with what is forgotten now.
             self._site.teach_nothing()
+        self._hindsight.teach_nothing()
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""

@@ -34,8 +34,8 @@ def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
     if summary.flags & Flag.ORIGIN_UNCERTAIN:
         yield (
-            "The force was there when the data began, so the touch was not seen: there is no "
-            "strain origin, and no estimate for this site."
+            "The touch of this tissue was not seen: the force was there when the data began, or "
+            "the probe was dragged here. There is no strain origin, and no estimate for this site."
         )
     if summary.flags & Flag.GAP:
         yield "Samples are missing within this site's memory."
