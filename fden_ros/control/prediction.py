@@ -75,9 +75,9 @@ _FINEST_SHARE = 40
 _UNSEEN_RELAXATION = 2.0
 #: Share of the slope of what was left out that goes on [1], share of it by which that is
 #: uncertain [1], and share of the kernel's stated deviation by which it changes besides [1]. On 78
-#: presses of beef 99 % of the hold to come lie in the 95 % interval then, 3.7 median errors wide to
-#: either side, and on linear and poroelastic solids 93 to 100 %; with 0.6, 0.5 and 0.4 it is 89 %
-#: on a linear solid of 1 s, with 0.6, 0.6 and 0.45 the interval is 4.3 median errors on beef.
+#: presses of beef the 95 % interval holds 99 % of the hold to come then, with a half width of 3.7
+#: median errors, and on linear and poroelastic solids 90 to 100 %; with 0.6, 0.5 and 0.4 it holds
+#: 89 % on a linear solid of 1 s, with 0.6, 0.6 and 0.45 the half width is 4.3 median errors.
 _KEPT, _SLOPE_CHANGE, _SHOWN_RELAXATION = 0.7, 0.6, 0.4
 _DERIVATIVE_STEP = 1e-4
 _ORDER_STEP = 0.005
