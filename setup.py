@@ -1,22 +1,11 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Package description for pip and for colcon (ament_python)."""
 
 from glob import glob
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 setup(
     name="fden_ros",
@@ -36,6 +25,16 @@ setup(
         ("share/fden_ros/config/priors", sorted(glob("config/priors/*.*"))),
         ("share/fden_ros/config/robots", sorted(glob("config/robots/*.yaml"))),
         ("share/fden_ros/bags", sorted(glob("bags/*.yaml"))),
+    ],
+    # A plain library without Python in it, for ctypes; without a compiler numpy stands in for it.
+    ext_modules=[
+        Extension(
+            "fden_ros.core.estimation._loops",
+            ["fden_ros/core/estimation/_loops.c"],
+            depends=["setup.py"],
+            extra_compile_args=["-O3", "-ffp-contract=off"],
+            optional=True,
+        )
     ],
     zip_safe=False,
     # The lower bounds are what Ubuntu 24.04, the platform of ROS 2 Jazzy, has.

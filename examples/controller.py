@@ -1,29 +1,19 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Press with 0.15 N, quickly where the tissue is known and carefully where it is not."""
 
-import rclpy
 from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from fden_ros.nodes.running import run_node
 from fden_ros.tissue_feed import TissueFeed
 
 TARGET, BANDWIDTH, SAFE_STIFFNESS = 0.15, 8.0, 130.0  # N, rad/s, N/m
 
 
-class Controller(rclpy.node.Node):
+class Controller(Node):
     def __init__(self):
         super().__init__("controller")
         self.feed = TissueFeed(self, "/identifier", on_loss=self.tell, on_change=self.tell)
@@ -48,5 +38,4 @@ class Controller(rclpy.node.Node):
         self.get_logger().info(f"{self.feed.stiffness() or news}")
 
 
-rclpy.init()
-rclpy.spin(Controller())
+run_node("controller", Controller)  # until Ctrl-C

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The command ``fden``: one subcommand a module of :mod:`fden_ros.commands`."""
 
@@ -26,6 +15,7 @@ from collections.abc import Sequence
 
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
+from fden_ros.commands.command import Parser
 from fden_ros.errors import InputError
 
 #: Two interrupts within this time are one [s].
@@ -49,8 +39,8 @@ COMMANDS = (
     "parameters",
     "benchmark",
     "monitor",
+    "doctor",
     "live",
-    "control",
 )
 
 DESCRIPTION = """\
@@ -71,25 +61,38 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
   fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
+  fden reproduce -o study             the paper's study, simulated
   fden layout --namespace /left       the Foxglove layout for another identifier
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together
   fden monitor                        a running identifier in the terminal
-  fden control -o control             force control with live and with fixed gains
+  fden doctor                         what a running identifier lacks, and the next step
   fden parameters > probe.yaml        every parameter of the identifier, explained
-  fden benchmark accuracy --quick     figures against their goals
+  fden benchmark robots --quick       figures against their goals
 """
+
+
+class _Version(argparse.Action):
+    """Print the version, and where the estimator is not compiled, that."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from fden_ros.core.estimation import loops
+
+        print(f"fden {__version__}")
+        if slow := loops.notice():
+            print(slow)
+        parser.exit()
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of ``fden`` with every subcommand."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="fden", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--version", action="version", version=f"fden {__version__}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
-        importlib.import_module(f"fden_ros.commands.{name}").add_parser(subparsers)
+        importlib.import_module(f"fden_ros.commands.{name}").COMMAND.add_to(subparsers)
     return parser
 
 

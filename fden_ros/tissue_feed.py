@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Live tissue parameters for a controller: trust a number, or know at once that it cannot be.
 
@@ -28,14 +17,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from fden_msgs.msg import TissueEstimate
 from numpy.typing import ArrayLike
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
@@ -47,6 +33,7 @@ from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, geometry_of, read_parameter_file, uncertainty_of
 from fden_ros.ros.messages import state_of
+from fden_ros.ros.plain_node import plain_node
 
 #: What the identifier offers; a feed cannot ask for less.
 OFFERED_DEADLINE = 0.05
@@ -155,28 +142,21 @@ class TissueFeed:
 
         `options` are those of the class; callbacks run in that thread.
         """
-        context = Context()
-        rclpy.init(context=context)
-        node = rclpy.create_node("tissue_feed", context=context)
-        feed = cls(node, identifier, **options)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
         stop = threading.Event()
+        with plain_node("tissue_feed") as (node, executor):
+            feed = cls(node, identifier, **options)
 
-        def spin() -> None:
-            while not stop.is_set():
-                executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+            def spin() -> None:
+                while not stop.is_set():
+                    executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
 
-        thread = threading.Thread(target=spin, name="tissue_feed", daemon=True)
-        thread.start()
-        try:
-            yield feed
-        finally:
-            stop.set()
-            thread.join()
-            executor.shutdown()
-            node.destroy_node()
-            rclpy.try_shutdown(context=context)
+            thread = threading.Thread(target=spin, name="tissue_feed", daemon=True)
+            thread.start()
+            try:
+                yield feed
+            finally:
+                stop.set()
+                thread.join()
 
     # What a controller asks
 

@@ -23,7 +23,8 @@ digest() { sha256sum | cut -c 1-16; }
 # What each step of the set-up depends on. The folder counts: scripts of a virtual environment hold its path.
 base_key() { (cd "$root" && { echo "$route $root $1"; cat scripts/setup scripts/*.py requirements/lock.txt; } | digest); }
 messages_key() { (cd "$root" && { base_key "$1"; cat msg_defs/{.,tf2_msgs}/{*.*,msg/*} msg_defs/srv/*; ls msg_defs/msg msg_defs/srv; } | digest); }
-project_key() { (cd "$root" && { base_key "$1"; cat setup.py setup.cfg package.xml; ls config launch bags; } | digest); }
+# The compiled part counts by its date, by which a build of it is told from its source.
+project_key() { (cd "$root" && { base_key "$1"; cat setup.py setup.cfg package.xml; ls config launch bags; stat -c %Y fden_ros/core/estimation/*.c; } | digest); }
 
 is_current() { # STEP KEY
     [[ -r $stamps/$1 && $(<"$stamps/$1") == "$2" ]]

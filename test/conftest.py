@@ -1,18 +1,11 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""Every test process has a ROS domain of its own and keeps DDS on this host."""
+"""Every test process has a ROS domain of its own and keeps DDS on this host.
+
+A test marked ``statistics`` shows a statistical claim at its full count of seeds. It runs where
+the expression of ``-m`` names the marker (``make statistics``), and nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +27,15 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["ROS_DOMAIN_ID"] = str(_domain.enter_context(domain_coordinator.domain_id()))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if "statistics" in config.option.markexpr:
+        return
+    left_out = [item for item in items if item.get_closest_marker("statistics")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("statistics")]
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

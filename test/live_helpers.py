@@ -1,18 +1,7 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""Nodes of the live system in processes of their own."""
+"""Nodes in processes of their own, and a plain node that hears them."""
 
 from __future__ import annotations
 
@@ -32,13 +21,25 @@ ROOT = Path(__file__).parent.parent
 PARAMETERS = ROOT / "config" / "tissue_simulator.yaml"
 
 
+#: What stops the identifier that tests share: another one would have its name.
+SHARED: list[Callable[[], None]] = []
+
+
+def stop_shared() -> None:
+    """Make way for an identifier of one test's own."""
+    while SHARED:
+        SHARED.pop()()
+
+
 class Ears:
     """A plain node with its executor, in a context of its own."""
+
+    node_name = "ears"
 
     def __enter__(self) -> Ears:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
-        self.node = rclpy.create_node("ears", context=self.context)
+        self.node = rclpy.create_node(self.node_name, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         return self
@@ -54,6 +55,12 @@ class Ears:
         self.node.create_subscription(kind, topic, heard.append, qos)
         return heard
 
+    def spin_for(self, seconds: float) -> None:
+        """Spin for so long, to show that nothing comes."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
     def wait_for(self, condition: Callable[[], Any], what: str, timeout: float = 60.0) -> Any:
         """Spin until `condition` holds; return its value."""
         end = time.monotonic() + timeout
@@ -63,24 +70,39 @@ class Ears:
         return value
 
 
+def command_of(
+    name: str,
+    parameters: Mapping[str, Any],
+    *,
+    file: Path | None = None,
+    remap: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Return the command line that runs a node."""
+    command = [sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"]
+    if file is not None:
+        command += ["--params-file", str(file)]
+    for key, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        command += ["-p", f"{key}:={text}"]
+    for old, new in (remap or {}).items():
+        command += ["-r", f"{old}:={new}"]
+    return command
+
+
 @contextlib.contextmanager
 def node_process(
     name: str, parameters: Mapping[str, Any] | None = None, *, file: Path | None = None
 ) -> Iterator[subprocess.Popen[str]]:
     """Run a node; stop it by SIGINT, and keep its output."""
-    command = [sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"]
-    if file is not None:
-        command += ["--params-file", str(file)]
-    for key, value in (parameters or {}).items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        command += ["-p", f"{key}:={text}"]
-    with process_of(command) as process:
+    with process_of(command_of(name, parameters or {}, file=file)) as process:
         yield process
 
 
 @contextlib.contextmanager
 def process_of(command: list[str]) -> Iterator[subprocess.Popen[str]]:
     """Run a program; continue, stop and reap it whatever was done to it."""
+    if "identifier" in " ".join(command):
+        stop_shared()
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )

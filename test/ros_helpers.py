@@ -1,40 +1,32 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""Real nodes over real DDS: start the identifier in its own process, listen, publish, wait."""
+"""A real identifier over real DDS, one a test worker, and the node that tests it."""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import signal
 import subprocess
-import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.executors import SingleThreadedExecutor
+from live_helpers import SHARED, Ears, command_of, process_of
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
 from fden_ros.ros.messages import to_stamp
 
 NAME = "/identifier"
@@ -45,11 +37,11 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 #: Nothing may be lost where every number is compared.
-LOSSLESS = {
-    "qos_overrides./force.subscription.reliability": "reliable",
-    "qos_overrides./force.subscription.depth": 20000,
-    "qos_overrides./displacement.subscription.reliability": "reliable",
-    "qos_overrides./displacement.subscription.depth": 20000,
+LOSSLESS: dict[str, Any] = {
+    f"qos_overrides./{topic}.subscription.{policy}": value
+    for topic in ("force", "displacement", "surface", "tf")
+    for policy, value in (("reliability", "reliable"), ("depth", 20000))
+} | {
     "qos_overrides./identifier/estimate.publisher.depth": 10000,
     "qos_overrides./identifier/classification.publisher.depth": 1000,
 }
@@ -65,61 +57,21 @@ def wait_for(condition: Callable[[], Any], what: str, timeout: float = TIMEOUT) 
     return value
 
 
-class Bench:
-    """The test's own node: hears the identifier, publishes its inputs, calls its services."""
+class Remote(Ears):
+    """A node that calls the services of an identifier."""
 
     def __init__(self, name: str = NAME) -> None:
         self.name = name
-        self.estimates: list[TissueEstimate] = []
-        self.classifications: list[TissueClassification] = []
-        self.summaries: list[PalpationSummary] = []
-        self.moduli: list[ComplexModulus] = []
-        self.diagnostics: list[DiagnosticArray] = []
 
-    def __enter__(self) -> Bench:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("bench", context=self.context)
-        for kind, topic, heard, qos in (
-            (TissueEstimate, f"{self.name}/estimate", self.estimates, RELIABLE),
-            (TissueClassification, f"{self.name}/classification", self.classifications, LATCHED),
-            (PalpationSummary, f"{self.name}/palpation", self.summaries, LATCHED),
-            (ComplexModulus, f"{self.name}/complex_modulus", self.moduli, RELIABLE),
-            (DiagnosticArray, "/diagnostics", self.diagnostics, RELIABLE),
-        ):
-            self.node.create_subscription(kind, topic, heard.append, qos)
-        self.force = self.node.create_publisher(WrenchStamped, "/force", RELIABLE)
-        self.displacement = self.node.create_publisher(JointState, "/displacement", RELIABLE)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self.context)
-
-    def wait_for(self, condition: Callable[[], Any], what: str, timeout: float = TIMEOUT) -> Any:
-        """Spin until `condition` holds; return its value."""
-        end = time.monotonic() + timeout
-        while not (value := condition()):
-            assert time.monotonic() < end, f"waited {timeout:g} s in vain for {what}"
-            self.executor.spin_once(timeout_sec=0.02)
-        return value
-
-    def spin_for(self, seconds: float) -> None:
-        """Spin for so long, to show that nothing comes."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def call(self, kind: Any, service: str, request: Any = None) -> Any:
+    def call(
+        self, kind: Any, service: str, request: Any = None, timeout: float = TIMEOUT
+    ) -> Any:
         """Call a service of the identifier and return its response."""
         client = self.node.create_client(kind, f"{self.name}/{service}")
         try:
             self.wait_for(client.service_is_ready, f"service {service}")
             future = client.call_async(request or kind.Request())
-            self.wait_for(future.done, f"an answer of {service}")
+            self.wait_for(future.done, f"an answer of {service}", timeout)
             return future.result()
         finally:
             self.node.destroy_client(client)
@@ -131,7 +83,38 @@ class Bench:
 
     def state(self) -> str:
         """Return the lifecycle state's label."""
-        return str(self.call(GetState, "get_state").current_state.label)
+        for _ in range(8):
+            # A node that has ended is still known for a while, and does not answer.
+            with contextlib.suppress(AssertionError):
+                answer = self.call(GetState, "get_state", timeout=5.0)
+                return str(answer.current_state.label)
+        raise AssertionError(f"{self.name} does not answer")
+
+
+class Bench(Remote):
+    """The test's own node: hears the identifier, publishes its inputs, calls its services."""
+
+    node_name = "bench"
+
+    def __enter__(self) -> Bench:
+        super().__enter__()
+        name = self.name
+        self.estimates: list[TissueEstimate] = []
+        self.classifications: list[TissueClassification] = []
+        self.summaries: list[PalpationSummary] = []
+        self.moduli: list[ComplexModulus] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        for kind, topic, heard, qos in (
+            (TissueEstimate, f"{name}/estimate", self.estimates, RELIABLE),
+            (TissueClassification, f"{name}/classification", self.classifications, LATCHED),
+            (PalpationSummary, f"{name}/palpation", self.summaries, LATCHED),
+            (ComplexModulus, f"{name}/complex_modulus", self.moduli, RELIABLE),
+            (DiagnosticArray, "/diagnostics", self.diagnostics, RELIABLE),
+        ):
+            self.node.create_subscription(kind, topic, heard.append, qos)
+        self.force = self.node.create_publisher(WrenchStamped, "/force", RELIABLE)
+        self.displacement = self.node.create_publisher(JointState, "/displacement", RELIABLE)
+        return self
 
     def wait_until_connected(self) -> None:
         """Wait until the identifier's publishers know this node's subscriptions."""
@@ -180,6 +163,110 @@ class Bench:
 PUNCH = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
 
 
+#: Of what may change between two tests.
+DEFAULTS = {
+    p.name: p.default
+    for p in (*PARAMETERS, *NODE_PARAMETERS)
+    if p.name not in ("autostart", "start_type_description_service")
+}
+
+
+class Shared:
+    """One identifier for all tests of this process: its lifecycle makes it new for each.
+
+    Attributes
+    ----------
+    output : str
+        What it has written while the last test used it.
+    """
+
+    _only: Shared | None = None
+
+    def __init__(self) -> None:
+        self.output = ""
+        self._lines: list[str] = []
+        self._values: dict[str, Any] = {}
+        self._process = subprocess.Popen(
+            command_of("identifier", LOSSLESS),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        threading.Thread(target=self._read, daemon=True).start()
+        atexit.register(self._process.kill)
+        SHARED.append(self.stop)
+
+    @classmethod
+    def get(cls) -> Shared:
+        """Return the one that runs, or a new one."""
+        if cls._only is None or cls._only.poll() is not None:
+            cls._only = cls()
+        return cls._only
+
+    def stop(self) -> None:
+        """End it."""
+        self._process.send_signal(signal.SIGINT)
+        self._process.wait(15.0)
+
+    def poll(self) -> int | None:
+        """Return the exit code, None while it runs."""
+        return self._process.poll()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        self._lines.extend(self._process.stdout)
+
+    def begin(self, values: Mapping[str, Any]) -> None:
+        """Configure and activate it with these values and defaults for all others."""
+        self._lines.clear()
+        wanted = {**DEFAULTS, **values}
+        changed = {n: v for n, v in wanted.items() if self._values.get(n, DEFAULTS[n]) != v}
+        with Remote() as remote:
+            _clean_up(remote)
+            if changed:
+                messages = [Parameter(n, value=v).to_parameter_msg() for n, v in changed.items()]
+                request = SetParameters.Request(parameters=messages)
+                for result in remote.call(SetParameters, "set_parameters", request).results:
+                    assert result.successful, result.reason
+            self._values = wanted
+            assert remote.change_state(Transition.TRANSITION_CONFIGURE)
+            assert remote.change_state(Transition.TRANSITION_ACTIVATE)
+
+    def end(self) -> None:
+        """Deactivate it and clean up."""
+        with Remote() as remote:
+            _clean_up(remote)
+        # Lines come through a pipe.
+        time.sleep(0.1)
+        self.output = "".join(self._lines)
+        print(self.output)
+
+
+def _clean_up(remote: Remote) -> None:
+    for state, transition in (
+        ("active", Transition.TRANSITION_DEACTIVATE),
+        ("inactive", Transition.TRANSITION_CLEANUP),
+    ):
+        if remote.state() == state:
+            assert remote.change_state(transition)
+
+
+@contextlib.contextmanager
+def active(
+    parameters: Mapping[str, Any] | None = None, *, file: Path | None = None
+) -> Iterator[Shared]:
+    """Have the shared identifier active with parameters, over those of a file, without losses."""
+    values = dict(read_parameter_file(file).as_dict()) if file is not None else dict(PUNCH)
+    shared = Shared.get()
+    shared.begin({**values, **(parameters or {})})
+    try:
+        yield shared
+    finally:
+        if shared.poll() is None:
+            shared.end()
+    assert shared.poll() is None, shared.output
+
+
 @contextlib.contextmanager
 def identifier(
     parameters: Mapping[str, Any] | None = None,
@@ -187,36 +274,15 @@ def identifier(
     file: Path | None = None,
     remap: Mapping[str, str] | None = None,
     first: str = "",
-) -> Iterator[subprocess.Popen[str]]:
-    """Run the identifier in a process of its own, `first` before it; stop it at the end."""
-    command = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"]
+) -> Iterator[Any]:
+    """Run an identifier in a process of its own, `first` before it; stop it at the end.
+
+    For what the shared one cannot do: its start, its end, other names, broken code.
+    """
+    given = {**(PUNCH if file is None else {}), **(parameters or {})}
+    command = command_of("identifier", given, file=file, remap=remap)
     if first:
         program = f"{first}\nfrom fden_ros.nodes.identifier import main\nraise SystemExit(main())"
         command[1:4] = ["-c", program]
-    if file is not None:
-        command += ["--params-file", str(file)]
-    given = {**(PUNCH if file is None else {}), **(parameters or {})}
-    for name, value in given.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        command += ["-p", f"{name}:={text}"]
-    for old, new in (remap or {}).items():
-        command += ["-r", f"{old}:={new}"]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    try:
+    with process_of(command) as process:
         yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-        try:
-            process.wait(15.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            raise
-        finally:
-            assert process.stdout is not None
-            process.output = process.stdout.read()  # type: ignore[attr-defined]
-            # Shown by pytest if the test fails.
-            print(process.output)  # type: ignore[attr-defined]

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The benchmarks of speed measure what they say; their goals are for a quiet machine."""
 
@@ -19,60 +8,55 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
-from matplotlib.figure import Figure
 
-from fden_ros.benchmarks import node as benchmark
+from benchmark import core, node
 from fden_ros.cli import main
 from fden_ros.nodes.backlog import Backlog, Input
 
 
 def test_a_run_through_the_node_loses_nothing_and_measures_all() -> None:
-    plan = 2 * [
-        benchmark.Turn(benchmark.NODE, 200.0, 1.5),
-        benchmark.Turn(benchmark.RELAY, 200.0, 1.5),
-    ]
-    node, relay = benchmark.measure(plan)
-    assert (node.what, relay.what) == (benchmark.NODE, benchmark.RELAY)
-    for run in (node, relay):
-        assert run.sent == 600
-        assert run.lost == 0
-        assert run.published > 30
-        assert len(run.cpu) == 2
-        assert all(0.0 < cpu < 2.0 for cpu in run.cpu)
-        for turn in range(2):
-            p50, p99, most = (run.latency_ms[name][turn] for name in ("p50", "p99", "p99.9"))
+    rows = node.measure(2 * [node.Turn(node.NODE, 200.0, 1.5), node.Turn(node.RELAY, 200.0, 1.5)])
+    assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
+    for row in rows.values():
+        assert (row["sent"], row["lost"]) == (600, 0)
+        assert row["published"] > 30
+        assert len(row["CPU"]) == 2 and all(0.0 < cpu < 2.0 for cpu in row["CPU"])
+        for p50, p99, most in zip(row["p50"], row["p99"], row["p99.9"], strict=True):
             assert 0.0 < p50 <= p99 <= most
-        assert min(run.memory_mb) > 10.0
-        assert math.isnan(run.memory_growth)
+        assert min(row["memory"]) > 10.0
 
 
 def test_goals_tell_silent_losses_from_those_that_were_said() -> None:
-    def run(what: str, rate: float, lost: int = 0, told: int = 0, cpu: float = 0.2) -> object:
+    def row(lost: int = 0, told: int = 0, cpu: float = 0.2) -> dict[str, Any]:
         # One turn of three met a machine that did something else.
-        latency = {"p50": (0.5,) * 3, "p99": (1.0, 1.0, 9.0), "p99.9": (2.0,) * 3}
-        memory = tuple(100.0 + (second > 100) for second in range(200))
-        turns = (cpu, cpu, 2.0 * cpu)
-        return benchmark.Run(
-            what, rate, 10.0, 100, lost, told, 0, 0, 0, 90, turns, latency, memory
-        )
+        latency = {"p50": [0.5] * 3, "p99": [1.0, 1.0, 9.0], "p99.9": [2.0] * 3}
+        memory = [100.0 + (second > 100) for second in range(200)]
+        return {
+            "lost": lost,
+            "told": told,
+            "CPU": [cpu, cpu, 2.0 * cpu],
+            "memory": memory,
+            **latency,
+        }
 
-    runs = [
-        run(benchmark.NODE, 1000.0, cpu=0.3),
-        run(benchmark.RELAY, 1000.0),
-        run(benchmark.NODE, 2000.0, lost=5, told=5),
-        run(benchmark.NODE, 4000.0, lost=5, told=3),
-    ]
-    goals = {goal.name: goal for goal in benchmark._goals(runs)}  # type: ignore[arg-type]
+    rows = {
+        "node, 1000 Hz": row(cpu=0.35),
+        "relay, 1000 Hz": row(),
+        "node, 2000 Hz": row(lost=5, told=5),
+        "node, 4000 Hz": row(lost=5, told=3),
+    }
+    goals = {goal.name: goal for goal in node.goals_of(rows)}
     assert goals["CPU over relay's"].met is False
     assert goals["p99 latency over relay's"].met is True
     assert goals["memory grown after a minute [MB]"].value == 1.0
-    assert goals["pairs lost silently at 2000 Hz"].met is True
-    assert goals["pairs lost silently at 4000 Hz"].met is False
-    figure = Figure()
-    benchmark._draw(runs, figure)  # type: ignore[arg-type]
-    assert len(figure.axes) == 2
+    assert goals["pairs lost silently, node, 2000 Hz"].met is True
+    assert goals["pairs lost silently, node, 4000 Hz"].met is False
+    rows["node, 1000 Hz"]["memory"] = [100.0]
+    grown = next(goal for goal in node.goals_of(rows) if goal.name.startswith("memory"))
+    assert grown.met is None and not math.isinf(goals["p99 latency [ms]"].value or 0.0)
 
 
 def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted() -> None:
@@ -123,14 +107,11 @@ def test_core_is_quick_and_its_figures_are_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("fracmem")
-    pytest.importorskip("differint")
-    from fden_ros.benchmarks import core
-
-    monkeypatch.setattr(core, "_QUICK_HISTORIES", (1000, 2000))
+    monkeypatch.setattr(core, "QUICK_HISTORIES", (1000, 2000))
     assert main(["benchmark", "core", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     goals = {goal["name"]: goal for goal in result["goals"]}
-    assert goals["fracmem's error over ours"]["met"]
-    assert goals["memory per sample at 1e4 over 1e3"]["value"] == pytest.approx(1.0, abs=0.05)
-    assert set(result["figures"]["stages_microseconds"]) >= {"pairing", "all of it in contact"}
+    assert goals["integral: fracmem's error over ours"]["met"]
+    assert goals["integral: memory, likewise"]["value"] == pytest.approx(1.0, abs=0.05)
+    assert set(result["figures"]["steps"]) >= {"in the air", "in contact"}
     assert (tmp_path / "core.png").stat().st_size > 10_000

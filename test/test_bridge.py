@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The bridge to controllers that exist: the rule, and stand-ins with their parameters over DDS."""
 
@@ -22,6 +11,7 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -41,7 +31,6 @@ from fden_ros.control.gain_rules import (
     StiffnessInUse,
     StiffnessLimits,
 )
-from fden_ros.control.live_tissue import Reading
 from fden_ros.core.outputs import Status, TissueState
 from fden_ros.errors import InputError
 from fden_ros.nodes.bridge import PARAMETERS
@@ -55,41 +44,23 @@ LIMITS = StiffnessLimits(SAFE, least_stiffness=20.0, softening_rate=2.0, time_sc
 # The rule
 
 
-class Known:
+def known(value: float, sd: float = 0.0) -> Any:
     """A reading whose stiffness is known."""
-
-    def __init__(self, value: float, sd: float = 0.0) -> None:
-        self.known = (value, sd)
-
-    def stiffness(self, time_scale: float) -> tuple[float, float]:
-        return self.known
+    return SimpleNamespace(stiffness=lambda time_scale: (value, sd))
 
 
-def known(value: float, sd: float = 0.0) -> Reading:
-    return Known(value, sd)  # type: ignore[return-value]
-
-
-def test_the_stiffness_in_use_falls_slowly_and_rises_at_once() -> None:
+def test_the_stiffness_in_use_falls_slowly_rises_at_once_and_is_safe_on_a_loss() -> None:
     in_use = StiffnessInUse(LIMITS)
-    times = np.arange(0.0, 3.0, 0.05)
-    values = [in_use.step(t, known(50.0, 5.0)) for t in times]
-    assert values[0] == SAFE
+    values = [in_use.step(t, known(50.0, 5.0)) for t in np.arange(0.0, 3.0, 0.05)]
+    assert values[0] == SAFE and values[-1] == 55.0
     assert np.all(np.diff(np.log(values)) >= -2.0 * 0.05 - 1e-12)
-    assert values[-1] == 55.0
-    assert in_use.step(3.0, known(900.0)) == 900.0
-    assert [in_use.step(4.0 + t, known(1.0)) for t in (0.0, 10.0)][1] == 20.0
-
-
-def test_a_loss_is_no_faster_than_safe_nor_than_before_it() -> None:
-    in_use = StiffnessInUse(LIMITS)
-    in_use.step(0.0, known(100.0))
-    in_use.step(9.0, known(100.0))
-    assert in_use.value == 100.0 and in_use.is_live
-    assert in_use.step(9.01, None) == SAFE and not in_use.is_live
-    in_use.step(9.02, known(900.0))
-    assert in_use.step(9.03, None) == 900.0
+    assert in_use.step(3.0, None) == SAFE and not in_use.is_live
+    assert in_use.step(3.1, known(900.0)) == 900.0 and in_use.is_live
+    # No faster than before the loss.
+    assert in_use.step(3.2, None) == 900.0
     in_use.leave()
     assert in_use.value == SAFE
+    assert [in_use.step(4.0 + t, known(1.0)) for t in (0.0, 10.0)][1] == LIMITS.least_stiffness
 
 
 @pytest.mark.parametrize("mass", [0.1, 2.0, 20.0])
@@ -108,15 +79,16 @@ def test_an_admittance_controller_neither_rings_nor_outruns_the_bandwidth(
             assert BANDWIDTH <= slow * (1.0 + 1e-9) <= 2.1 * BANDWIDTH * (1.0 + spring / tissue)
 
 
+def slowest(rule: AdmittanceRule, made_for: float, tissue: float) -> float:
+    """Slowest pole [rad/s] of a controller whose damping is made for one tissue, on another."""
+    damping = 2.0 * rule.damping_ratio(made_for) * np.sqrt(rule.mass * rule.stiffness)
+    return float(np.abs(np.roots([rule.mass, damping, rule.stiffness + tissue])).min())
+
+
 def test_soft_tissue_is_answered_as_quickly_as_the_page_says() -> None:
-    mass, spring, tissue = 2.0, 80.0, 30.0
-    rule = AdmittanceRule(mass, spring, BANDWIDTH)
-    slowest = []
-    for made_for in (SAFE, tissue):
-        damping = 2.0 * rule.damping_ratio(made_for) * np.sqrt(mass * spring)
-        slowest.append(np.abs(np.roots([mass, damping, spring + tissue])).min())
-    page = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
-    assert f"{slowest[1]:.1f} rad/s instead of {slowest[0]:.1f}" in page
+    rule = AdmittanceRule(2.0, 80.0, BANDWIDTH)
+    words = f"{slowest(rule, 30.0, 30.0):.1f} rad/s instead of {slowest(rule, SAFE, 30.0):.1f}"
+    assert words in (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
 
 
 def test_a_cartesian_controller_keeps_its_loop_gain() -> None:

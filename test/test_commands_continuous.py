@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Continuous contact from a bag: table, JSON, results, map and report."""
 
@@ -91,7 +80,7 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
     page, picture, table = (tmp_path / name for name in ("page.html", "picture.png", "table.csv"))
     assert command(bag, "report", "-o", page, "--png", picture, "--csv", table) == 0
     text = page.read_text(encoding="utf-8")
-    assert "places on the path whose stiffness is known." in text
+    assert " places on the path whose stiffness is known: " in text
     assert "dF/dd for a motion of 0.1 s" in text
     assert "<h2>Places</h2>" in text and "no stiffness yet" in text
     # A press's words: what it was, which tissue, how the probe stood; one unpaired force is usual.

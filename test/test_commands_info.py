@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 from __future__ import annotations
 
@@ -109,8 +98,12 @@ def test_the_golden_bags_are_described(capsys: pytest.CaptureFixture[str]) -> No
     assert "/arm/measured_cp   <- displacement" in lines
 
 
-def test_a_table_shows_its_columns(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "press.csv"
-    path.write_text("time_s,force_N\n0,1\n")
+def test_a_table_shows_its_columns_and_the_next_command_is_quoted_for_the_shell(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "a press.csv"
+    path.write_text("time_s,force_N,depth_mm\n0,1,2\n")
     code, contents = info(capsys, path)
-    assert (code, contents) == (0, {"columns": ["time_s", "force_N"]})
+    assert (code, contents) == (0, {"columns": ["time_s", "force_N", "depth_mm"]})
+    assert main(["info", str(path)]) == 0
+    assert capsys.readouterr().out.endswith(f"Next: fden replay '{path}'\n")

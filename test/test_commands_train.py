@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """fden train: from labelled bags and tables to a library, and back into a replay."""
 
@@ -26,6 +15,9 @@ import yaml
 from pipeline_helpers import LIVER_FILE
 
 from fden_ros.cli import main
+from fden_ros.recording.synthetic import write_recording
+from fden_ros.simulation.scenario import Tissue, ramp_scenario
+from fden_ros.simulation.simulate import simulate
 from fden_ros.tissues.library import load_library
 
 CLASSES = {"liver": (6.3, 2.1, 0.13), "muscle": (7.3, 2.3, 0.2)}
@@ -57,9 +49,12 @@ def train(capsys, *arguments):
     return code, shown.out, shown.err
 
 
-def test_table_becomes_a_library_and_a_check(tmp_path, capsys):
-    table, library = written(tmp_path / "table.csv", rows()), tmp_path / "library.yaml"
-    code, out, _ = train(capsys, table, "-o", library)
+def test_table_becomes_a_library_with_a_check_and_priors(tmp_path, capsys):
+    header = ("organ", "animal", *HEADER[2:])
+    table, library = written(tmp_path / "table.csv", rows(), header), tmp_path / "library.yaml"
+    options = ("--tissue-column", "organ", "--specimen-column", "animal")
+    priors = ("--prior", "liver=3", "--prior", "muscle=1", "--unknown", "0.2")
+    code, out, _ = train(capsys, table, "-o", library, *options, *priors)
     assert code == 0
     assert "liver" in out and "error 0.0%" in out and "12 specimens" in out
     found = load_library(library)
@@ -67,37 +62,19 @@ def test_table_becomes_a_library_and_a_check(tmp_path, capsys):
     for tissue in found.tissues:
         off = np.abs(tissue.mean - CLASSES[tissue.name])
         assert np.all(off < [0.3, 0.15, 0.02])
+    assert [round(one.prior, 4) for one in found.classes] == [0.6, 0.2, 0.2]
     assert found.units == "Pa"
 
 
-def test_answer_in_json_has_the_check_and_the_warnings(tmp_path, capsys):
-    body = [(name, "", *rest) for name, _, *rest in rows()]
-    table = written(tmp_path / "table.csv", body)
+def test_answer_in_json_has_check_warnings_and_what_was_left_out(tmp_path, capsys):
+    body = [(row[0], "", *row[2:], i % 4 != 0, "") for i, row in enumerate(rows())]
+    table = written(tmp_path / "table.csv", body, (*HEADER, "converged", "flags"))
     code, out, _ = train(capsys, table, "-o", tmp_path / "l.yaml", "--json")
     answer = json.loads(out)
-    assert code == 0 and answer["contacts"] == 24
+    assert code == 0 and answer["contacts"] == 18
+    assert answer["left_out"] == {"not converged": 6}
     assert answer["check"]["left_out"] == "one contact at a time: no specimen is named"
     assert any("no specimen is named for liver, muscle" in line for line in answer["warnings"])
-
-
-def test_priors_and_names_of_columns_can_be_set(tmp_path, capsys):
-    header = ("organ", "animal", *HEADER[2:])
-    table = written(tmp_path / "table.csv", rows(), header)
-    library = tmp_path / "library.yaml"
-    options = ("--tissue-column", "organ", "--specimen-column", "animal")
-    priors = ("--prior", "liver=3", "--prior", "muscle=1", "--unknown", "0.2")
-    assert train(capsys, table, "-o", library, *options, *priors)[0] == 0
-    found = load_library(library)
-    assert [round(one.prior, 4) for one in found.classes] == [0.6, 0.2, 0.2]
-
-
-def test_contacts_that_did_not_converge_are_left_out_and_counted(tmp_path, capsys):
-    body = [(*row, i % 4 != 0, "") for i, row in enumerate(rows())]
-    table = written(tmp_path / "table.csv", body, (*HEADER, "converged", "flags"))
-    _, out, _ = train(capsys, table, "-o", tmp_path / "l.yaml", "--json")
-    answer = json.loads(out)
-    assert answer["contacts"] == 18
-    assert answer["left_out"] == {"not converged": 6}
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -140,44 +117,27 @@ def test_order_that_was_given_is_not_learned(tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
-    """Two bags of one site each, from the golden scenario's sensors, and their parameters."""
+    """Two bags of one site each, and parameters with a wide prior."""
     folder = tmp_path_factory.mktemp("bags")
     for name, g in (("soft", 450.0), ("stiff", 1500.0)):
-        scenario = {
-            "description": name,
-            "seed": 1,
-            "geometry": {"kind": "flat_punch", "radius_m": 0.01, "thickness_m": 0.02},
-            "approach": {"distance_m": 0.002, "start_pause_s": 1.0},
-            "sites": [
-                {
-                    "tissue": {
-                        "linear_stiffness": g,
-                        "nonlinear_stiffness": 8.0,
-                        "fractional_order": 0.13,
-                    },
-                    "presses": [
-                        {
-                            "kind": "ramp_hold",
-                            "strain_rate": 0.4,
-                            "max_strain": 0.22,
-                            "hold_s": 0.3,
-                        }
-                    ],
-                }
-            ],
-            "force": {"rate_hz": 200.0, "noise_stress_pa": 3.0},
-            "displacement": {"rate_hz": 200.0},
-        }
-        path = folder / f"{name}.yaml"
-        path.write_text(yaml.safe_dump(scenario), encoding="utf-8")
-        assert main(["bag", str(path), "-o", str(folder / name)]) == 0
-    parameters = folder / "soft" / "identifier.yaml"
-    content = yaml.safe_load(parameters.read_text(encoding="utf-8"))
-    wide = folder / "probe.yaml"
+        scenario = ramp_scenario(
+            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=200.0, seed=1,
+            tissue=Tissue(g, 8.0, 0.13),
+        )  # fmt: skip
+        write_recording(simulate(scenario), folder / name)
+    return folder, changed(folder / "soft" / "identifier.yaml", folder / "probe.yaml", **{
+        "prior": {"linear_stiffness_log_sd": 1.0}
+    })  # fmt: skip
+
+
+def changed(path, other, **changes):
+    """Write a parameter file with other values to another path, and return that."""
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
     (section,) = content.values()
-    section["ros__parameters"].setdefault("prior", {})["linear_stiffness_log_sd"] = 1.0
-    wide.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return folder, wide
+    for name, values in changes.items():
+        section["ros__parameters"].setdefault(name, {}).update(values)
+    other.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return other
 
 
 def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsys):
@@ -192,11 +152,7 @@ def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsy
     recorded = yaml.safe_load(library.read_text(encoding="utf-8"))["geometry"]
     assert recorded["thickness"] == 0.02 and recorded["area"] == pytest.approx(math.pi * 1e-4)
 
-    content = yaml.safe_load(config.read_text(encoding="utf-8"))
-    (section,) = content.values()
-    section["ros__parameters"]["classifier"] = {"library": str(library)}
-    chosen = tmp_path / "chosen.yaml"
-    chosen.write_text(yaml.safe_dump(content), encoding="utf-8")
+    chosen = changed(config, tmp_path / "chosen.yaml", classifier={"library": str(library)})
     assert main(["replay", str(folder / "stiff"), "--config", str(chosen), "--json"]) == 0
     (contact,) = json.loads(capsys.readouterr().out)["contacts"]
     assert contact["label"] == "stiff"
@@ -224,11 +180,7 @@ def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, c
     table, library = written(tmp_path / "t.csv", rows()), tmp_path / "library.yaml"
     assert train(capsys, table, "--config", newtons, "-o", library)[0] == 0
     assert load_library(library).units == "N"
-    content = yaml.safe_load(config.read_text(encoding="utf-8"))
-    (section,) = content.values()
-    section["ros__parameters"]["classifier"] = {"library": str(library)}
-    chosen = tmp_path / "chosen.yaml"
-    chosen.write_text(yaml.safe_dump(content), encoding="utf-8")
+    chosen = changed(config, tmp_path / "chosen.yaml", classifier={"library": str(library)})
     assert main(["replay", str(folder / "soft"), "--config", str(chosen)]) == 1
     error = capsys.readouterr().err
     assert "in N s^alpha, but the estimates are in Pa s^alpha" in error
@@ -270,8 +222,11 @@ def test_wrong_sources_are_told_in_one_line(tmp_path, capsys):
         assert words in error and error.count("\n") == 1
 
 
-def test_bad_prior_is_wrong_usage(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("option", "words"), [("--prior=liver", "TISSUE=P"), ("--unknown=1", "below 1")]
+)
+def test_bad_probability_is_wrong_usage(tmp_path, capsys, option, words):
     with pytest.raises(SystemExit) as ended:
-        main(["train", "t.csv", "-o", str(tmp_path / "l.yaml"), "--prior", "liver"])
+        main(["train", "t.csv", "-o", str(tmp_path / "l.yaml"), option])
     assert ended.value.code == 2
-    assert "TISSUE=P" in capsys.readouterr().err
+    assert words in capsys.readouterr().err

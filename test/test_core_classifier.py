@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Which tissue it is, with probabilities that mean what they say."""
 
@@ -71,17 +60,12 @@ def random_covariance(rng, sd):
     return scale @ axes @ np.diag(rng.uniform(0.3, 2.0, 3)) @ axes.T @ scale
 
 
-def test_liver_is_liver():
-    result = classify(LIBRARY, seen(LIVER.mean))
-    assert result.label == "liver"
-    assert probability(result, "liver") > 0.95
-    assert result.typicality > 0.99
-
-
-def test_ten_times_stiffer_is_unknown():
-    result = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
-    assert result.label == UNKNOWN
-    assert probability(result, UNKNOWN) > 0.99
+def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
+    liver = classify(LIBRARY, seen(LIVER.mean))
+    assert liver.label == "liver" and liver.typicality > 0.99
+    assert probability(liver, "liver") > 0.95
+    stiff = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
+    assert stiff.label == UNKNOWN and probability(stiff, UNKNOWN) > 0.99
 
 
 def test_estimate_that_is_not_sure_softens_the_answer():
@@ -164,6 +148,17 @@ def test_prior_of_the_estimator_is_taken_out_again():
         np.testing.assert_allclose(peak, truth, rtol=1e-6)
 
 
+def test_tissues_of_the_same_parameters_are_told_apart_by_their_priors():
+    twins = TissueLibrary(
+        "twins",
+        (replace(LIVER, name="a", prior=3.0), replace(LIVER, name="b", prior=1.0)),
+        replace(LIBRARY.unknown, prior=1e-9),
+    )
+    assert twins.class_names == ("a", "b", UNKNOWN)
+    probabilities = classify(twins, seen(LIVER.mean)).probabilities
+    assert probabilities[:2] == pytest.approx((0.75, 0.25), abs=1e-6)
+
+
 def test_contact_that_showed_nothing_leaves_the_priors():
     twins = TissueLibrary(
         "two",
@@ -199,17 +194,6 @@ def test_prior_odds_multiply_the_odds():
         return unknown / liver
 
     assert odds(tenfold) == pytest.approx(10.0 * odds(LIBRARY))
-
-
-def test_tissues_of_the_same_parameters_share_their_prior():
-    twins = TissueLibrary(
-        "twins",
-        (replace(LIVER, name="a", prior=3.0), replace(LIVER, name="b", prior=1.0)),
-        replace(LIBRARY.unknown, prior=1e-9),
-    )
-    probabilities = classify(twins, seen(LIVER.mean)).probabilities
-    assert probabilities[:2] == pytest.approx((0.75, 0.25), abs=1e-6)
-    assert twins.class_names == ("a", "b", UNKNOWN)
 
 
 def drawn(count, rng, covariances):
@@ -300,13 +284,27 @@ def labels(*answers, config=None):
     return [decider.update(50_000_000 * i, answer) for i, answer in enumerate(answers)]
 
 
-def test_label_waits_for_its_probability_and_for_observability():
-    answers = [
-        said(0.6, 0.3, 0.1),
-        said(0.99, 0.01, 0.0, observable=False),
-        said(0.71, 0.2, 0.09),
-    ]
-    assert labels(*answers) == ["", "", "a"]
+A, B = said(0.8, 0.2, 0.0), said(0.1, 0.9, 0.0)
+OUT, EDGE, IN = (said(0.9, 0.1, 0.0, typicality=t) for t in (0.03, 0.08, 0.14))
+#: Answers 50 ms apart, and the label after each; None: not looked at.
+SEQUENCES = {
+    "waits for its probability and for observability": (
+        [said(0.6, 0.3, 0.1), said(0.99, 0.01, 0.0, observable=False), said(0.71, 0.2, 0.09)],
+        ["", "", "a"],
+    ),
+    "another answer must stand for a while": ([A, B, B, B, A, *[B] * 5], [*["a"] * 9, "b"]),
+    "stays in doubt": ([A, *[said(0.55, 0.35, 0.1)] * 10], ["a"] * 11),
+    "is taken back when no longer likely": ([A, *[said(0.4, 0.35, 0.25)] * 6], [*[None] * 6, ""]),
+    "unknown stays at the edge": ([OUT, *[EDGE] * 8], [UNKNOWN] * 9),
+    "unknown becomes known by a better fit": ([OUT, *[IN] * 8], [*[None] * 8, "a"]),
+}
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_label_of_a_sequence_of_answers(name):
+    answers, expected = SEQUENCES[name]
+    for found, label in zip(labels(*answers), expected, strict=True):
+        assert label is None or found == label
 
 
 def test_label_does_not_flicker_where_the_probability_does():
@@ -321,23 +319,6 @@ def test_label_does_not_flicker_where_the_probability_does():
     changes = sum(a != b for a, b in itertools.pairwise(steady_label))
     assert raw > 800
     assert changes < raw / 10
-
-
-def test_another_answer_must_stand_for_a_while():
-    a, b = said(0.8, 0.2, 0.0), said(0.1, 0.9, 0.0)
-    assert labels(a, b, b, b, a, b, b, b, b, b) == ["a"] * 9 + ["b"]
-
-
-def test_label_is_taken_back_when_it_is_no_longer_likely():
-    a, doubt, none = said(0.8, 0.1, 0.1), said(0.55, 0.35, 0.1), said(0.4, 0.35, 0.25)
-    assert labels(a, *[doubt] * 10) == ["a"] * 11
-    assert labels(a, *[none] * 6)[-1] == ""
-
-
-def test_unknown_by_the_test_needs_a_better_fit_to_become_known():
-    out, edge, in_ = (said(0.9, 0.1, 0.0, typicality=t) for t in (0.03, 0.08, 0.14))
-    assert labels(out, *[edge] * 8) == [UNKNOWN] * 9
-    assert labels(out, *[in_] * 8)[-1] == "a"
 
 
 def test_last_answer_need_not_stand():

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The scale of the force's drift in contact, learned over contacts."""
 
@@ -21,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fden_ros.benchmarks.disturbed import CASES, run_trial
+from benchmark.presses import CASES, trial_of
 from fden_ros.core.estimation.drift_scale import (
     DRIFT_SCALES,
     NO_DRIFT_EVIDENCE,
@@ -74,9 +63,9 @@ def test_one_contact_that_drifts_outweighs_a_hundred_that_did_not():
 
 
 def test_sites_without_drift_sharpen_the_next():
-    (case,) = [case for case in CASES if case.reference]
+    case = CASES["undisturbed"]
     rig = replace(case, sites=4)
-    learned = run_trial(rig, 1, {}).contacts[-1]
-    stated = run_trial(rig, 1, {"force.learn_drift": False}).contacts[-1]
+    learned = trial_of(rig, 1, {}).contacts[-1]
+    stated = trial_of(rig, 1, {"force.learn_drift": False}).contacts[-1]
     assert learned.deviation[0] < 0.95 * stated.deviation[0]
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Presses whose force hardly leaves the noise: what noise hides is unknown, and no truth."""
 
@@ -23,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pipeline_helpers import summaries_of
 
-from fden_ros.benchmarks.disturbed import CASES, run_trial
-from fden_ros.benchmarks.exact_contacts import find
+from benchmark import exact
+from benchmark.presses import CASES, trial_of
 from fden_ros.core import Pipeline
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Output
@@ -33,7 +22,7 @@ from fden_ros.parameters import check, pipeline_config
 Array = NDArray[np.float64]
 
 AREA, THICKNESS, RATE, AIR = 1e-4, 0.02, 30.0, 2.0
-(TEN_SITES,) = [case for case in CASES if case.name == "ten_sites"]
+TEN_SITES = CASES["ten_sites"]
 RIGID = {
     name: 0.0
     for name in (
@@ -160,8 +149,9 @@ def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness() -> None:
 def test_gn_is_within_its_deviation_where_the_tissue_began_far_before_the_force() -> None:
     """By 0.19 and 0.07 of strain: ln Gn was 8 and 6 deviations off, and known."""
     for number in (2056, 2143):
-        found = find(number, 6000)
-        assert abs(found.error[1]) < 3.0 * found.deviation[1]
+        _, outcome = exact.run_trial(number, 6000)
+        contact = outcome.contacts[-1]
+        assert abs(contact.error[1]) < 3.0 * contact.deviation[1]
 
 
 def test_a_touch_whose_linear_part_is_seen_tells_g() -> None:
@@ -177,6 +167,6 @@ def test_a_touch_whose_linear_part_is_seen_tells_g() -> None:
 def test_noise_near_the_surface_neither_touches_nor_lets_go_of_the_tissue() -> None:
     """Alpha was 3.6 and 4.6 deviations off, with half of the usual deviation."""
     stated = {"surface.motion_sd": 2e-4, "displacement.compliance_sd": 1.5e-4}
-    for contact in run_trial(replace(TEN_SITES, sites=5), 4, stated).contacts:
+    for contact in trial_of(replace(TEN_SITES, sites=5), 4, stated).contacts:
         assert contact.deviation[2] > 0.02
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)

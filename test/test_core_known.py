@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What the data determine is told for G, Gn and alpha each, with the default prior."""
 
@@ -28,18 +17,18 @@ import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
-from fden_ros.benchmarks.measured_tests import Test as Measured
-from fden_ros.benchmarks.measured_tests import read_tests
-from fden_ros.benchmarks.real import identify as identify_measured
+from benchmark.measured import Test as Measured
+from benchmark.measured import identify as identify_measured
+from benchmark.measured import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
 from fden_ros.core.estimation.edge import weights_pile_up
 from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import contact_row
-from fden_ros.report.table import contact_table, plus_minus, status_words
+from fden_ros.report.numbers import plus_minus
+from fden_ros.report.table import contact_table, status_words
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
@@ -209,14 +198,9 @@ def test_a_flat_likelihood_is_no_edge_and_one_that_grows_to_the_end_is() -> None
 def test_measured_beef_and_silicone_are_identified_without_a_setting() -> None:
     if not DATA:
         pytest.skip("set FDEN_DATA to the folder of the measured data")
-    # G in N s^alpha, as of a face of 1 cm^2.
-    prior = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
     tests = read_tests(Path(DATA))
     found = {
-        kind: [
-            identify_measured(test, prior, test.times.size)[0]
-            for test in [t for t in tests if t.kind == kind][::step]
-        ]
+        kind: [identify_measured(test)[0] for test in [t for t in tests if t.kind == kind][::step]]
         for kind, step in (("beef", 8), ("silicone", 1))
     }
     assert np.mean([estimate.converged for estimate in found["beef"]]) >= 0.8
@@ -236,9 +220,8 @@ def test_alpha_is_known_only_where_the_fit_of_the_relaxation_wants_the_same(
     forces = (since[:, :-1] - since[:, 1:]) @ np.diff(response)
     forces = forces / forces.max() + np.random.default_rng(0).normal(0.0, 1e-3, times.size)
     depths = 0.02 * 0.08 * np.minimum(times, 4.0)
-    prior = replace(Prior(), linear_stiffness=1e-4 * Prior().linear_stiffness)
     test = Measured("simulated", "beef", times, forces, depths, 0.02)
-    estimate, state = identify_measured(test, prior, times.size)
-    assert estimate.converged and not state.flags
+    estimate, _, summary = identify_measured(test)
+    assert summary is not None and estimate.converged and not summary.flags
     assert estimate.knows(2) == is_known
     assert (abs(estimate.fractional_order - 0.3) < 2.5 * estimate.fractional_order_sd) == is_known

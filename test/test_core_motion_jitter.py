@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The noise of the measured motion, where it comes in steps as coarse as that of an encoder."""
 
@@ -19,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from fden_ros.benchmarks.disturbed import CASES, run_trial
+from benchmark.presses import CASES, trial_of
 from fden_ros.core.estimation.motion_jitter import MotionJitter
 from fden_ros.core.streams.samples import ReadingNoise
 
@@ -54,10 +43,10 @@ def test_a_reading_that_flickers_between_two_steps_stays_on_one_line():
 
 
 def test_alpha_is_within_its_interval_where_a_hold_lies_at_the_edge_of_an_encoders_step():
-    case = next(case for case in CASES if case.name == "encoder_50um")
+    case = CASES["encoder_50um"]
     squares = []
     for number in range(20, 30):
-        (contact,) = run_trial(case, number, {}).contacts
+        (contact,) = trial_of(case, number, {}).contacts
         assert not contact.is_silent
         squares.append((contact.error[2] / contact.deviation[2]) ** 2)
     assert sum(squares) < chi2.ppf(0.9999, len(squares)), squares

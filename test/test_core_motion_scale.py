@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The scale of the surface's motion, learned over contacts; and a surface that has shifted."""
 
@@ -21,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fden_ros.benchmarks import disturbed
-from fden_ros.benchmarks.disturbed import CASES, run_trial
+from benchmark import presses
+from benchmark.presses import CASES, trial_of
 from fden_ros.core.estimation.motion_scale import (
     LEAST_SHARE,
     NO_EVIDENCE,
@@ -38,8 +27,7 @@ BREATHES = (0.0, 8.0, 6.0, -6.0, -24.0)
 
 
 def case_of(name):
-    (case,) = [case for case in CASES if case.name == name]
-    return case
+    return CASES[name]
 
 
 def test_without_any_contact_all_of_the_stated_motion_counts():
@@ -75,8 +63,8 @@ def test_a_contact_that_moves_more_than_was_learned_is_widened():
 @pytest.mark.parametrize(("breathes", "is_learned"), [(False, True), (True, False)])
 def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(breathes, is_learned):
     rig = replace(case_of("breathing_0.3mm" if breathes else "undisturbed"), sites=4)
-    learned = run_trial(rig, 0, {}).contacts[-1]
-    stated = run_trial(rig, 0, {"surface.learn_motion": False}).contacts[-1]
+    learned = trial_of(rig, 0, {}).contacts[-1]
+    stated = trial_of(rig, 0, {"surface.learn_motion": False}).contacts[-1]
     assert bool(np.all(learned.deviation < 0.9 * stated.deviation)) == is_learned
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
 
@@ -84,20 +72,20 @@ def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(breathes
 @pytest.mark.parametrize("number", [3, 4])
 def test_a_surface_that_stays_lower_after_a_press_is_met_within_the_deviations(number):
     """A press of 1.25 s after another: without a shift alpha was 2.8 to 3.3 deviations off."""
-    for contact in run_trial(case_of("plastic_0.1mm"), number, {}).contacts:
+    for contact in trial_of(case_of("plastic_0.1mm"), number, {}).contacts:
         assert np.all(np.abs(contact.error) < 2.0 * contact.deviation)
 
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_noisy_marker_of_the_surface_is_not_taken_for_slow_tissue(number):
     """It was 2.6 to 4.6 deviations of alpha."""
-    (contact,) = run_trial(case_of("breathing_1mm_measured"), number, {}).contacts
+    (contact,) = trial_of(case_of("breathing_1mm_measured"), number, {}).contacts
     assert np.all(np.abs(contact.error) < 2.0 * contact.deviation)
 
 
 def ratios(name, numbers):
     """Return errors over stated deviations, shape (contacts, 3)."""
-    trials = [run_trial(case_of(name), number, {}) for number in numbers]
+    trials = [trial_of(case_of(name), number, {}) for number in numbers]
     contacts = [contact for trial in trials for contact in trial.contacts]
     return np.array([contact.error / contact.deviation for contact in contacts])
 
@@ -114,6 +102,6 @@ def test_the_steps_of_an_encoder_count_as_noise(monkeypatch):
     Not where noise makes the reading of a hold flicker between two steps: docs/robots.md.
     """
     # It holds at 5 mm.
-    monkeypatch.setattr(disturbed, "_MOST_THICKER", 0.0)
-    (contact,) = run_trial(case_of("encoder_50um"), 1, {}).contacts
+    monkeypatch.setattr(presses, "_MOST_THICKER", 0.0)
+    (contact,) = trial_of(case_of("encoder_50um"), 1, {}).contacts
     assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The pipeline as a whole: the life of contacts and sites, gaps, resets, and the order of outputs.
 
@@ -344,6 +333,21 @@ def test_a_reset_in_contact_is_refused_and_changes_nothing() -> None:
     lift = "the probe is in contact: lift it, then "
     assert answers == [lift + what for what in ("reset", "tare")]
     assert [repr(o) for o in asked.outputs] == [repr(o) for o in outcome(data).outputs]
+
+
+def test_a_tare_takes_the_force_of_the_air_off_what_comes_after_it() -> None:
+    data = presses()
+    items = with_call(data, in_the_air(data), Pipeline.tare)
+    moved = [
+        item._replace(value=item.value + 0.01) if getattr(item, "stream", 1) == 0 else item
+        for item in items
+    ]
+    # Without a bias of its own, only the tare can make zero of the air.
+    untared = {"force__measure_bias": False, "force__threshold": 0.03}
+    first, *_, last = outcome(data, moved, **untared).summaries
+    true = [summary.max_force for summary in outcome(data, **untared).summaries]
+    assert first.max_force == pytest.approx(true[0] + 0.01, abs=1e-3)
+    assert last.max_force == pytest.approx(true[-1], abs=1e-3)
 
 
 def test_after_a_clock_jumps_back_in_contact_the_state_is_unknown_until_the_probe_leaves() -> None:

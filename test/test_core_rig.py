@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What is learned of the rig, and what is not."""
 
@@ -26,7 +15,7 @@ import numpy as np
 import pytest
 from pipeline_helpers import feed, identified, items_of, summaries_of
 
-from fden_ros.benchmarks.disturbed import CASES, PRIOR, run_trial, scenario_of
+from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.estimation.estimator import Block
@@ -190,7 +179,7 @@ def test_what_is_said_to_be_exact_is_not_learned():
 @functools.cache
 def touches():
     """Return items and parameters of three sites on one rig."""
-    (case,) = [case for case in CASES if case.name == "ten_sites"]
+    case = CASES["ten_sites"]
     scenario = scenario_of(replace(case, sites=3), 0)
     as_stated = replace(scenario.geometry, thickness_m=0.02)
     recording = simulate(replace(scenario, geometry=as_stated))
@@ -202,9 +191,9 @@ def touches():
 
 @pytest.mark.parametrize(("delay_s", "contradicts"), [(0.0, False), (0.02, True)])
 def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(delay_s, contradicts):
-    (case,) = [case for case in CASES if case.reference]
+    case = CASES["undisturbed"]
     for number in range(3):
-        (contact,) = run_trial(replace(case, delay_s=delay_s), number, {}).contacts
+        (contact,) = trial_of(replace(case, delay_s=delay_s), number, {}).contacts
         assert bool(contact.flags & Flag.HYSTERESIS) == contradicts
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 

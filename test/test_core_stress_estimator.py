@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The posterior on the stress: honest, alpha learned, changes followed, wrong models told."""
 
@@ -26,7 +15,7 @@ from scipy.signal import fftconvolve
 from scipy.special import gamma
 from scipy.stats import chi2
 
-from fden_ros.benchmarks.simulated import STRESS, Case, run_trial
+from benchmark.accuracy import CASES, Case, trial_of
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.stress_estimator import StressEstimator
@@ -35,7 +24,7 @@ from fden_ros.core.outputs import Flag, TissueState
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Palpation, Ramp
+from fden_ros.simulation.trajectory import Palpation
 
 RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
 ORDER, ORDER_SD = 0.2, 0.05
@@ -249,25 +238,24 @@ def test_ten_palpations_of_one_site_leave_no_bias():
 def test_tissue_that_leaves_the_probe_and_is_met_again_is_followed(order):
     # Coarse samples and fast motion: the probe is in the air again within a few of them.
     press = Palpation(0.5, 0.25, 0.3, presses=3, pause_s=0.3)
-    case = Case("met_again", press, order, rate_hz=200.0, parameters={"estimate.period": 0.03})
+    case = Case("met_again", press, order)
     errors = []
     for number in range(10):
-        outcome = run_trial(case, number, (STRESS,)).outcomes[STRESS]
-        error = outcome.error[:2]
-        errors.append(error @ np.linalg.solve(outcome.covariance[:2, :2], error))
+        contact = trial_of(case, number, {}).judged
+        error = contact.error[:2]
+        errors.append(error @ np.linalg.solve(contact.estimate.covariance[:2, :2], error))
     assert sum(errors) < chi2.ppf(0.9999, 2 * len(errors)), errors
 
 
 def test_noise_on_a_released_probe_and_a_corner_between_samples_do_no_harm():
     # 100 samples a second: single ones are blocks, and some in the air are over the release
     # threshold; numbers with an unlucky one, and some without.
-    case = Case("slow_sensor", Ramp(0.5, 0.25), rate_hz=100.0, noise_pa=1.0, jitter_s=1e-3)
+    case = CASES["slow_sensor"]
     errors = []
     for number in (62, 86, 132, 143, 255, *range(8)):
-        trial = run_trial(case, number, (STRESS,))
-        outcome = trial.outcomes[STRESS]
-        assert np.all(np.abs(outcome.error[:2]) < 5.0 * trial.bound[:2])
-        errors.append(outcome.error[:2] / np.sqrt(outcome.covariance.diagonal()[:2]))
+        trial = trial_of(case, number, {})
+        assert np.all(np.abs(trial.judged.error[:2]) < 5.0 * trial.bound[:2])
+        errors.append(trial.judged.error[:2] / trial.judged.deviation[:2])
     assert np.mean(np.square(errors)) < chi2.ppf(0.9999, 26) / 26, errors
 
 

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The rows of docs/faults.md that only a running node meets: over real DDS."""
 
@@ -30,6 +19,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from fault_helpers import outcome_of, shift
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
@@ -37,10 +27,11 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import LOSSLESS, RELIABLE, Bench, identifier, wait_for
+from ros_helpers import LOSSLESS, RELIABLE, Bench, active, identifier, wait_for
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from fden_ros.core.outputs import Flag
 from fden_ros.nodes.identifier import Identifier
 from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
@@ -63,8 +54,8 @@ def row(name: str) -> Callable[[Any], Any]:
 class Live:
     """One node for many rows: time goes on, and so do the samples."""
 
-    def __init__(self, bench: Bench, process: subprocess.Popen[str]) -> None:
-        self.bench, self.process = bench, process
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
         self.now = START_NS
         self.rng = np.random.default_rng(1)
 
@@ -106,18 +97,16 @@ class Live:
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[Live]:
-    with Bench() as bench, identifier({"autostart": True, **LOSSLESS}) as process:
+    with Bench() as bench, active() as process:
         bench.wait_until_heard()
-        shared = Live(bench, process)
+        shared = Live(bench)
         shared.stream(1.0)
         yield shared
-        assert process.poll() is None, "the node has crashed"
         for message in bench.estimates + bench.summaries:
             assert all(map(math.isfinite, floats_of(message)))
-    assert process.returncode == 0
-    assert "Traceback" not in process.output  # type: ignore[attr-defined]
+    assert "Traceback" not in process.output
     # Throttled: one line in ten seconds, whatever comes.
-    lines = process.output.splitlines()  # type: ignore[attr-defined]
+    lines = process.output.splitlines()
     assert sum("samples rejected in the last second" in line for line in lines) < 30
 
 
@@ -154,7 +143,7 @@ def floats_of(message: Any) -> list[float]:
 def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> None:
     with Bench() as bench, identifier({"autostart": True, **LOSSLESS}) as process:
         bench.wait_until_heard()
-        one = Live(bench, process)
+        one = Live(bench)
         one.stream(1.5)
         one.stream(1.0, lambda t: 5e-3 * t)
         bench.wait_for(
@@ -166,14 +155,20 @@ def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> 
     assert not bench.summaries[0].complete
 
 
+def test_samples_lost_here_and_there_without_a_gap_of_20_ms_are_no_gap() -> None:
+    data, generator = shift(), np.random.default_rng(1)
+    kept = [item for item in data.items if generator.random() > 0.01]
+    result = outcome_of(kept, data.parameters)
+    assert len(result.summaries) == 3
+    for summary in result.summaries:
+        assert summary.converged and not summary.flags & Flag.GAP
+
+
 @row("sim_time_without_clock")
 def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on() -> None:
-    with (
-        Bench() as bench,
-        identifier({"autostart": True, "use_sim_time": True, **LOSSLESS}) as process,
-    ):
+    with Bench() as bench, active({"use_sim_time": True}):
         bench.wait_until_heard()
-        one = Live(bench, process)
+        one = Live(bench)
         one.wait_for_words("nothing publishes /clock")
         one.recovers()
 
@@ -197,7 +192,7 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
     parameters = {"autostart": True, "site.timeout": 1.0, **LOSSLESS}
     with Bench() as bench, identifier(parameters, first=BROKEN) as process:
         bench.wait_until_heard()
-        one = Live(bench, process)
+        one = Live(bench)
 
         def press() -> None:
             # Through the air: a probe that rested on the surface has not been seen to touch it.

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Forces and positions in frames that move: by /tf, against the truth of a turning arm."""
 
@@ -40,7 +29,7 @@ from frame_helpers import (
     write_bag,
 )
 from pipeline_helpers import FORCE
-from ros_helpers import LOSSLESS, Bench, identifier
+from ros_helpers import Bench, active
 from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.cli import main
@@ -323,22 +312,9 @@ def live_of(bench: Bench) -> list[bytes]:
 
 def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
     _, expected = outputs_of(bag)
-    lossless = {
-        name.replace("/displacement", topic): value
-        for topic in ("/ft/wrench", "/tf")
-        for name, value in LOSSLESS.items()
-        if "/force" not in name
-    }
-    with (
-        Bench() as bench,
-        identifier(
-            {"autostart": True, **lossless},
-            file=bag / PARAMETER_FILE,
-            remap={"force": "/ft/wrench"},
-        ),
-    ):
+    with Bench() as bench, active(file=bag / PARAMETER_FILE):
         bench.wait_until_connected()
-        with Player(bag, rate=2.0) as player:
+        with Player(bag, rate=2.0, remap={"/ft/wrench": "/force"}) as player:
             player.wait_for_subscribers()
             player.play()
             player.wait_until_acknowledged()
@@ -366,14 +342,14 @@ def test_a_report_shows_force_and_displacement_along_their_axes(bag: Path) -> No
 
 def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
     words = "no chain of transforms leads from s to base: /tf and /tf_static name none"
-    with Bench() as bench, identifier({"autostart": True, **FRAMES}) as node:
+    with Bench() as bench, active(FRAMES) as node:
         now = iter(range(START_NS, 2 * START_NS, 4_000_000))
         bench.wait_for(
             lambda: bench.publish(next(now), 0.0, 0.0) or len(bench.diagnostics) >= 4,
             "four diagnostics",
         )
         assert words in bench.diagnostic()["message"]
-    assert any("[WARN]" in line and words in line for line in node.output.splitlines())  # type: ignore[attr-defined]
+    assert any("[WARN]" in line and words in line for line in node.output.splitlines())
 
 
 def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs() -> None:

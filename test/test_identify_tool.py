@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The tool's weight from turns in the air: the service of the node, how far its answer holds."""
 
@@ -27,24 +16,17 @@ from fden_msgs.msg import TissueEstimate
 from fden_msgs.srv import IdentifyTool
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import NDArray
-from ros_helpers import RELIABLE, Bench, identifier
+from ros_helpers import RELIABLE, Bench, active
 from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.configure.streams import Streams
-from fden_ros.configure.tool import ToolCollection
-from fden_ros.configure.weight import find_weight, weight_finding
+from fden_ros.configure.weight import ToolCollection, find_weight, weight_finding
 from fden_ros.recording.cdr import serialize
 from fden_ros.recording.reader import Topic
 from fden_ros.ros.messages import to_stamp
 
 MASS, CENTRE, GRAVITY = 0.35, np.array([0.01, -0.02, 0.06]), np.array([0.0, 0.0, -9.80665])
 START_NS = 1_700_000_000_000_000_000
-LOSSLESS = {
-    "qos_overrides./force.subscription.reliability": "reliable",
-    "qos_overrides./force.subscription.depth": 20000,
-    "qos_overrides./pose.subscription.reliability": "reliable",
-    "qos_overrides./pose.subscription.depth": 20000,
-}
 Array = NDArray[np.float64]
 
 
@@ -153,17 +135,10 @@ class Arm:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self.poses = bench.node.create_publisher(PoseStamped, "/pose", RELIABLE)
+        bench.node.destroy_publisher(bench.displacement)
+        self.poses = bench.node.create_publisher(PoseStamped, "/displacement", RELIABLE)
+        bench.displacement = self.poses
         self.began_ns = START_NS
-
-    def wait_until_heard(self) -> None:
-        self.bench.wait_for(
-            lambda: (
-                self.bench.force.get_subscription_count() and self.poses.get_subscription_count()
-            ),
-            "the identifier's subscriptions",
-        )
-        self.bench.wait_until_connected()
 
     def turn(self, turns: Turns, stiffness: float = 0.0) -> None:
         """Turn the tool; with a stiffness [N/m] press by 1 mm/s after a second."""
@@ -190,17 +165,16 @@ class Arm:
         )
 
 
-SENSOR = {"autostart": True, "displacement.message": "pose", **LOSSLESS}
-REMAP = {"displacement": "/pose"}
+SENSOR = {"displacement.message": "pose"}
 
 
 @pytest.mark.parametrize("seed", [101, 102, 103])
 def test_the_service_answers_with_the_tool_that_was_turned(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mass = float(rng.uniform(0.1, 0.9))
-    with Bench() as bench, identifier(SENSOR, remap=REMAP):
+    with Bench() as bench, active(SENSOR):
         arm = Arm(bench)
-        arm.wait_until_heard()
+        bench.wait_until_heard()
         begun = arm.ask()
         assert begun.collecting and not begun.success
         assert "three orientations 60 degrees apart" in begun.message
@@ -233,14 +207,14 @@ def test_the_service_answers_with_the_tool_that_was_turned(seed: int) -> None:
 
 
 def test_in_contact_it_is_refused_and_by_joints_it_cannot_be() -> None:
-    with Bench() as bench, identifier(SENSOR, remap=REMAP):
+    with Bench() as bench, active(SENSOR):
         arm = Arm(bench)
-        arm.wait_until_heard()
+        bench.wait_until_heard()
         arm.turn(turned(0, about("x", 0, 0)), stiffness=1000.0)
         refused = arm.ask()
         assert not refused.success and not refused.collecting
         assert refused.message.startswith("the probe is in contact: lift it, then ask again")
-    with Bench() as bench, identifier({"autostart": True}):
+    with Bench() as bench, active():
         bench.wait_until_heard()
         refused = Arm(bench).ask()
         assert not refused.success and not refused.collecting
@@ -248,9 +222,9 @@ def test_in_contact_it_is_refused_and_by_joints_it_cannot_be() -> None:
 
 
 def test_it_can_begin_anew_or_be_given_up() -> None:
-    with Bench() as bench, identifier(SENSOR, remap=REMAP):
+    with Bench() as bench, active(SENSOR):
         arm = Arm(bench)
-        arm.wait_until_heard()
+        bench.wait_until_heard()
         assert arm.ask().collecting
         arm.turn(turned(1, about("x", 0, 0)))
         assert "did not turn" in arm.ask().message

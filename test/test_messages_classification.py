@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a decision took, and how a site compares, in messages and back."""
 
@@ -21,18 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from output_helpers import ESTIMATE, summary
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.relative import Comparison
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
     Classification,
-    ContactSummary,
     Decided,
     Decision,
     Flag,
-    OrderSource,
 )
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import CORRELATIONS, contact_row
@@ -41,38 +28,14 @@ from fden_ros.ros.messages import classification_message, summary_message, summa
 CLASSES = ClassProbabilities("liver", ("liver", "unknown"), (0.9, 0.1), 0.4)
 COMPARISON = Comparison(math.log(2.0), 0.1, 20.0, 0.1, 21.0)
 COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 4e-4, 1e-6], [0.0, 1e-6, 1e-6]])
-
-
-ALL = ParameterSet.ALL
-
-
-def summary(classes=CLASSES, decided=None, comparison=None):
-    return ContactSummary(
-        stamp_ns=2,
-        start_ns=1,
-        end_ns=2,
-        site_id=1,
-        contact_id=1,
-        flags=Flag.MODEL_MISMATCH,
-        converged=True,
-        complete=True,
-        position=None,
-        order_source=OrderSource.LEARNED,
-        estimate=Estimate(6.0, 2.0, 0.1, COVARIANCE, 0.0, 0.0, 1.0, ALL, ALL, 10),
-        max_strain=0.2,
-        max_stress=100.0,
-        max_force=1.0,
-        sample_count=10,
-        rejected_count=0,
-        classes=classes,
-        decided=decided,
-        comparison=comparison,
-    )
+SUMMARY = summary(
+    flags=Flag.MODEL_MISMATCH, classes=CLASSES, estimate=ESTIMATE._replace(covariance=COVARIANCE)
+)
 
 
 def test_what_is_learned_of_the_rig_goes_into_the_summary():
     rig = RigKnowledge((2e-3, 0.01), ((1e-6, 0.0), (0.0, 0.0)), contacts=3)
-    message = summary_message(replace(summary(), rig=rig), "probe")
+    message = summary_message(replace(SUMMARY, rig=rig), "probe")
     assert (message.delay, message.friction) == (2e-3, 0.01)
     assert message.delay_sd == pytest.approx(1e-3)
     assert (message.friction_sd, message.rig_contacts) == (0.0, 3)
@@ -90,15 +53,15 @@ def test_decision_goes_into_the_message_with_its_flags():
 
 
 def test_comparison_goes_into_the_message_with_its_interval():
-    message = summary_message(summary(comparison=COMPARISON), "probe")
+    message = summary_message(replace(SUMMARY, comparison=COMPARISON), "probe")
     assert message.ratio == pytest.approx(2.0)
     assert message.ratio_low < 2.0 < message.ratio_high
-    row = contact_object(summary(comparison=COMPARISON))
+    row = contact_object(replace(SUMMARY, comparison=COMPARISON))
     assert (row["ratio_low"], row["ratio_high"]) == (message.ratio_low, message.ratio_high)
 
 
 def test_summary_comes_back_from_its_message():
-    sent = summary(decided=Decided(0.8, 0.21))
+    sent = replace(SUMMARY, decided=Decided(0.8, 0.21))
     back = summary_of(summary_message(sent, "probe"))
     assert back.classes == CLASSES
     assert back.decided == sent.decided
@@ -106,14 +69,14 @@ def test_summary_comes_back_from_its_message():
 
 def test_probabilities_without_a_label_come_back_too():
     open_ = CLASSES._replace(label="")
-    back = summary_of(summary_message(summary(open_), "probe"))
+    back = summary_of(summary_message(replace(SUMMARY, classes=open_), "probe"))
     assert back.classes == open_ and back.decided is None
     assert back.classes.words == "undetermined"
     assert CLASSES.words == "liver 90%"
 
 
 def test_row_of_a_table_has_the_correlations():
-    row = contact_row(summary(), None)
+    row = contact_row(SUMMARY, None)
     for name, (i, j) in CORRELATIONS.items():
         expected = COVARIANCE[i, j] / math.sqrt(COVARIANCE[i, i] * COVARIANCE[j, j])
         assert row[name] == pytest.approx(expected)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a node says and does before its first pair of samples, and how it ends."""
 
@@ -22,20 +11,25 @@ import os
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
-from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import GetState
+from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import LOSSLESS, RELIABLE, Bench, identifier
+from ros_helpers import RELIABLE, Bench, active, identifier
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
+from fden_ros.nodes.doctor import Examination, examine
 from fden_ros.simulation.simulate import START_NS
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
@@ -97,7 +91,7 @@ def test_another_type_another_qos_and_a_missing_clock_are_named_with_what_mends_
 def test_a_joint_that_is_not_in_the_messages_is_named_with_its_parameter() -> None:
     with (
         Bench() as bench,
-        identifier({"autostart": True, "displacement.name": "tip", **LOSSLESS}) as node,
+        active({"displacement.name": "tip"}) as node,
     ):
         bench.wait_until_heard()
         now = iter(range(START_NS, 2 * START_NS, STEP_NS))
@@ -112,7 +106,7 @@ def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_
     with Bench() as bench:
         for publisher in (bench.force, bench.displacement):
             bench.node.destroy_publisher(publisher)
-        with identifier({"autostart": True, **LOSSLESS}) as node:
+        with active() as node:
             wait_for_looks(bench, 3)
             bench.force = bench.node.create_publisher(WrenchStamped, "/force", RELIABLE)
             bench.displacement = bench.node.create_publisher(JointState, "/displacement", RELIABLE)
@@ -130,7 +124,7 @@ def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_
 
 
 def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet() -> None:
-    with identifier({"autostart": True, "stale_timeout": 0.1}):
+    with active({"stale_timeout": 0.1}):
         with Bench() as early:
             early.wait_for(lambda: early.estimates, "a first word")
         with Bench() as late:
@@ -145,7 +139,7 @@ def test_a_force_of_the_wrong_sign_is_said_before_the_first_press_is_over() -> N
     words = "does it have the wrong sign (force.axis, force.inverted)"
     with (
         Bench() as bench,
-        identifier({"autostart": True, **LOSSLESS, "force.axis": "[0.0,0.0,-1.0]"}) as node,
+        active({"force.axis": [0.0, 0.0, -1.0]}) as node,
     ):
         bench.wait_until_heard()
         for k in range(700):
@@ -158,46 +152,120 @@ def test_a_force_of_the_wrong_sign_is_said_before_the_first_press_is_over() -> N
     assert len(warnings_of(node, words)) == 1
 
 
+def test_lost_messages_are_said_with_their_topic_and_what_mends_it() -> None:
+    with Bench() as bench, identifier({"autostart": True}) as node:
+        bench.wait_until_heard()
+        for k in range(50):
+            bench.publish(START_NS + k * STEP_NS, 0.0, 0.0)
+        bench.wait_for(lambda: bench.diagnostic().get("pairs", "0") != "0", "the first of them")
+        # While it is stopped, shared memory has no room for all of them.
+        node.send_signal(signal.SIGSTOP)
+        for k in range(50, 6000):
+            bench.publish(START_NS + k * STEP_NS, 0.0, 0.0)
+        node.send_signal(signal.SIGCONT)
+        now = iter(range(START_NS + 6000 * STEP_NS, 2 * START_NS, STEP_NS))
+        words = "on /force lost before the node could read them: set qos_overrides./force.sub"
+        bench.wait_for(
+            lambda: (
+                bench.publish(next(now), 0.0, 0.0)
+                or any(words in array.status[0].message for array in bench.diagnostics)
+            ),
+            words,
+        )
+    (line,) = {line.partition("messages a second")[2] for line in warnings_of(node, words)}
+    assert ".depth to 20000 (it is 2000), and qos_overrides./force.subscription.reliab" in line
+
+
 # Lifecycle
 
 
-def test_an_inactive_node_says_what_it_waits_for() -> None:
-    with Bench() as bench, identifier() as node:
-        assert bench.change_state(Transition.TRANSITION_CONFIGURE)
-        assert bench.change_state(Transition.TRANSITION_ACTIVATE)
-        assert bench.change_state(Transition.TRANSITION_DEACTIVATE)
-    for words in (
-        "unconfigured: it neither listens nor publishes until it is configured "
-        "(ros2 lifecycle set /identifier configure)",
-        "configured: silent until it is activated (ros2 lifecycle set /identifier activate)",
-        "deactivated: silent until it is activated (ros2 lifecycle set /identifier activate)",
-    ):
-        assert node.output.count(words) == 1, words
-
-
-def test_a_lifecycle_manager_that_waits_for_no_bond_brings_it_up_and_down() -> None:
-    """The requests of nav2's lifecycle manager with ``bond_timeout: 0.0``, one by one."""
-    steps = (
-        (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
-        (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
-        (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
-        (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
-        (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
-        (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
-        (Transition.TRANSITION_UNCONFIGURED_SHUTDOWN, State.PRIMARY_STATE_FINALIZED),
-    )
+def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end() -> None:
+    """The requests of a lifecycle manager; what is refused is in log, diagnostics and doctor."""
+    change = Transition
     with Bench("/arm/identifier") as bench, identifier(remap={"__ns": "/arm"}) as node:
-        for transition, state in steps:
-            assert bench.change_state(transition), transition
-            assert bench.call(GetState, "get_state").current_state.id == state
+
+        def set_library(path: str) -> bool:
+            value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=path)
+            parameter = Parameter(name="classifier.library", value=value)
+            request = SetParameters.Request(parameters=[parameter])
+            return bool(bench.call(SetParameters, "set_parameters", request).results[0].successful)
+
+        def is_silent() -> bool:
+            bench.spin_for(0.3)
+            heard = len(bench.estimates), len(bench.diagnostics)
+            bench.spin_for(1.2)
+            return (len(bench.estimates), len(bench.diagnostics)) == heard
+
+        assert bench.state() == "unconfigured"
+        assert examine("/arm/identifier").next_step.endswith("set /arm/identifier configure")
+        assert set_library("/nowhere/tissues.yaml")
+        assert not bench.change_state(change.TRANSITION_CONFIGURE)
+        assert bench.state() == "unconfigured"
+        refusal = "cannot configure: /nowhere/tissues.yaml: "
+        bench.wait_for(lambda: refusal in bench.diagnostic().get("message", ""), refusal)
+        assert bench.diagnostic_level() == DiagnosticStatus.ERROR
+        found = examine("/arm/identifier")
+        assert refusal in found.page() and "mend what it refused" in found.next_step
+        assert set_library("")
+        for _ in range(2):
+            assert bench.change_state(change.TRANSITION_CONFIGURE)
+            assert bench.state() == "inactive"
+            for k in range(20):
+                bench.publish(START_NS + k * STEP_NS, 0.0, 0.0)
+            assert is_silent()
+            assert not set_library("/nowhere/tissues.yaml")
+            assert bench.change_state(change.TRANSITION_ACTIVATE)
+            bench.wait_for(lambda: bench.estimates and bench.diagnostics, "its voice")
+            assert bench.change_state(change.TRANSITION_DEACTIVATE)
+            assert is_silent()
+            assert bench.change_state(change.TRANSITION_CLEANUP)
+        assert bench.change_state(change.TRANSITION_UNCONFIGURED_SHUTDOWN)
+        assert bench.state() == "finalized"
     assert node.returncode == 0
+    assert sum("/nowhere/tissues.yaml" in line for line in node.output.splitlines()) == 1
+    for words, count in (
+        ("unconfigured: it neither listens nor publishes until it is configured", 1),
+        ("configured: silent until it is activated (ros2 lifecycle set /arm/identifier act", 2),
+        ("deactivated: silent until it is activated (ros2 lifecycle set /arm/identifier act", 2),
+    ):
+        assert node.output.count(f": {words}") == count, words
+
+
+def test_the_doctor_says_what_a_node_hears_and_lacks_and_the_next_step() -> None:
+    assert "start it" in Examination("/nobody").next_step
+    with Bench() as bench, active():
+        bench.wait_until_heard()
+        assert not bench.call(Trigger, "tare").success
+        stop = threading.Event()
+
+        def feed() -> None:
+            now = iter(range(START_NS, 2 * START_NS, STEP_NS))
+            while not stop.wait(STEP_NS * 1e-9):
+                bench.publish(next(now), 0.0, 0.0)
+
+        thread = threading.Thread(target=feed)
+        thread.start()
+        try:
+            well = examine("/identifier")
+        finally:
+            stop.set()
+            thread.join()
+        ill = examine("/identifier")
+        other = examine("/left/identifier")
+    assert well.is_well and well.next_step == "lift the probe for 2 s, then press"
+    line = next(line for line in well.page().splitlines() if "hears force" in line)
+    assert "/force" in line and "0 lost" in line
+    assert 50 < int(well.values["received.force"]) < 300
+    assert not ill.is_well and "no pair of force and displacement" in ill.next_step
+    assert "last refusal: tare: no force has been measured in the air yet" in ill.page()
+    assert other.next_step == "name the one that runs: fden doctor /identifier"
 
 
 @pytest.mark.parametrize(("period", "deadline"), [(0.01, 0.05), (0.2, 1.0)])
 def test_the_offered_deadline_follows_the_period_of_the_estimate(
     period: float, deadline: float
 ) -> None:
-    with Bench() as bench, identifier({"autostart": True, "estimate.period": period}):
+    with Bench() as bench, active({"estimate.period": period}):
         bench.wait_until_connected()
 
         def offered(topic: str) -> float:

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What is declared in several places agrees, and what is shipped can be built and found."""
 
@@ -219,8 +208,8 @@ def test_colcon_builds_both_packages_into_a_workspace_that_ros_finds(tmp_path: P
         assert shipped == {path.name for path in (ROOT / folder).glob(pattern)} != set()
 
     sourced = f"source {install}/local_setup.bash && cd {tmp_path} && "
-    where = 'python -c "import fden_msgs.msg, fden_ros; print(fden_ros.__file__)"'
-    assert run("bash", "-c", sourced + where).stdout.startswith(str(install))
+    code = "import fden_msgs; from fden_ros.core.estimation import loops; print(loops._COMPILED)"
+    assert f"'{install}/" in run("bash", "-c", f"{sourced}python -c '{code}'").stdout
     fden = install / "fden_ros" / "lib" / "fden_ros" / "fden"
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
 

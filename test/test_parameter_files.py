@@ -1,24 +1,15 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Parameter files: the node and `fden replay` read them alike, and refuse them in one line."""
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +22,7 @@ from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 
 from fden_ros.cli import main
+from fden_ros.nodes import identifier
 from fden_ros.nodes.identifier import Identifier
 from fden_ros.parameters import Parameters, read_parameter_file
 
@@ -76,9 +68,18 @@ def live_values(path: Path, node: str, context: Context) -> dict[str, Any]:
 
 # What is accepted, and what it means
 
+AREA = {"geometry.area": 2e-4}
+
+
+def sections(named: dict[str, str]) -> str:
+    """Sections of a file: the name of the node, and its parameters."""
+    return "".join(f"{name}:\n  ros__parameters: {{{text}}}\n" for name, text in named.items())
+
+
+RIGHT, OTHER = "geometry.area: 2e-4", "geometry.area: 3e-4"
 ACCEPTED: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "dotted": (any_node("geometry.area: 2.0e-4"), "/identifier", {"geometry.area": 2e-4}),
-    "nested": (any_node("geometry: {area: 2.0e-4}"), "/identifier", {"geometry.area": 2e-4}),
+    "dotted": (any_node("geometry.area: 2.0e-4"), "/identifier", AREA),
+    "nested": (any_node("geometry: {area: 2.0e-4}"), "/identifier", AREA),
     "1e-4 is a number": (
         any_node("force.noise: 1e-4, force.limit: 1E3, site.timeout: 5., prior.alpha: .2"),
         "/identifier",
@@ -99,65 +100,44 @@ ACCEPTED: dict[str, tuple[str, str, dict[str, Any]]] = {
         "/identifier",
         {"force.name": "2026-01-01"},
     ),
-    "by name": (
-        "identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
-        "/identifier",
-        {"geometry.area": 2e-4},
-    ),
+    "by name": (sections({"identifier": RIGHT}), "/identifier", AREA),
     "by name and namespace": (
-        "/arm/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n"
-        "identifier:\n  ros__parameters: {geometry.area: 3e-4}\n",
+        sections({"/arm/identifier": RIGHT, "identifier": OTHER}),
         "/arm/identifier",
-        {"geometry.area": 2e-4},
+        AREA,
     ),
     "by nested namespace": (
         "arm:\n  identifier:\n    ros__parameters: {geometry.area: 2e-4}\n",
         "/arm/identifier",
-        {"geometry.area": 2e-4},
+        AREA,
     ),
-    "by another name": (
-        "probe:\n  ros__parameters: {geometry.area: 2e-4}\n",
-        "/probe",
-        {"geometry.area": 2e-4},
-    ),
+    "by another name": (sections({"probe": RIGHT}), "/probe", AREA),
     "one star is one part": (
-        "/*:\n  ros__parameters: {geometry.area: 3e-4}\n"
-        "/*/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
+        sections({"/*": OTHER, "/*/identifier": RIGHT}),
         "/arm/identifier",
-        {"geometry.area": 2e-4},
+        AREA,
     ),
-    "one star alone": (
-        "/*:\n  ros__parameters: {geometry.area: 3e-4}\n",
-        "/identifier",
-        {"geometry.area": 3e-4},
-    ),
+    "one star alone": (sections({"/*": RIGHT}), "/identifier", AREA),
     "two stars are any number of parts": (
-        "/**/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n"
-        "/arm/**:\n  ros__parameters: {geometry.thickness: 0.03}\n",
+        sections({"/**/identifier": RIGHT, "/arm/**": "geometry.thickness: 0.03"}),
         "/arm/left/identifier",
-        {"geometry.area": 2e-4, "geometry.thickness": 0.03},
+        {**AREA, "geometry.thickness": 0.03},
     ),
-    "two stars are no part too": (
-        "/**/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
-        "/identifier",
-        {"geometry.area": 2e-4},
-    ),
+    "two stars are no part too": (sections({"/**/identifier": RIGHT}), "/identifier", AREA),
     "the later section outdoes the earlier": (
-        "identifier:\n  ros__parameters: {geometry.area: 3e-4}\n"
-        + any_node("geometry.area: 2e-4"),
+        sections({"identifier": OTHER}) + any_node(RIGHT),
         "/identifier",
-        {"geometry.area": 2e-4},
+        AREA,
     ),
     "among others": (
-        "other:\n  ros__parameters: {geometry.area: 3e-4, none.of.ours: 1}\n"
-        + any_node("geometry.area: 2e-4"),
+        sections({"other": f"{OTHER}, none.of.ours: 1"}) + any_node(RIGHT),
         "/identifier",
-        {"geometry.area": 2e-4},
+        AREA,
     ),
     "with the node's own": (
-        any_node("use_sim_time: true, autostart: true, stale_timeout: 1, geometry.area: 2e-4"),
+        any_node(f"use_sim_time: true, autostart: true, stale_timeout: 1, {RIGHT}"),
         "/identifier",
-        {"geometry.area": 2e-4},
+        AREA,
     ),
     "with an override of quality of service": (
         any_node("qos_overrides: {/force: {subscription: {reliability: reliable, depth: 7}}}"),
@@ -251,29 +231,44 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
 }
 
 
-def end_of_node(*arguments: str) -> str:
-    """The one line with which a node of its own process refuses to start."""
-    command = [
-        *(sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"),
-        *arguments,
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30.0)
-    assert done.returncode == 1, done.stderr
-    (line,) = (done.stdout + done.stderr).splitlines()
-    assert line.startswith("identifier: ")
-    return line
+End = Callable[..., str]
+
+
+@pytest.fixture
+def end_of_node(capfd: pytest.CaptureFixture[str]) -> Iterator[End]:
+    """The one line with which a node refuses to start, in this process: without a second each."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError("the node runs")
+
+    def end(*arguments: str) -> str:
+        signal.alarm(30)
+        assert identifier.main(["identifier", "--ros-args", *arguments]) == 1
+        signal.alarm(0)
+        captured = capfd.readouterr()
+        (line,) = (captured.out + captured.err).splitlines()
+        assert line.startswith("identifier: ")
+        return line
+
+    kinds = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    handlers = {kind: signal.getsignal(kind) for kind in kinds}
+    signal.signal(signal.SIGALRM, late)
+    yield end
+    signal.alarm(0)
+    for kind, handler in handlers.items():
+        signal.signal(kind, handler)
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_node_and_replay_refuse_a_file_with_the_same_line(
-    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    case: str, tmp_path: Path, end_of_node: End, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text, words = REFUSED[case]
     path = written(tmp_path, text)
     # Without autostart too: nothing waits to be configured with what was not meant.
     assert words in end_of_node("--params-file", str(path))
     assert main(["replay", str(BAG), "--config", str(path)]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = capfd.readouterr().err.splitlines()
     assert f"{path}: " in line and words in line
 
 
@@ -282,7 +277,13 @@ def test_file_that_is_not_there_is_refused(
 ) -> None:
     path = tmp_path / "none.yaml"
     words = f"{path}: cannot read the parameter file: No such file or directory"
-    assert end_of_node("--params-file", str(path)).endswith(words)
+    # Here as a process of its own.
+    program = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"]
+    done = subprocess.run(
+        [*program, "--params-file", str(path)], capture_output=True, text=True, timeout=30.0
+    )
+    assert done.returncode == 1
+    assert done.stdout + done.stderr == f"identifier: {words}\n"
     assert main(["replay", str(BAG), "--config", str(path)]) == 1
     assert capsys.readouterr().err.rstrip().endswith(words)
 
@@ -337,22 +338,27 @@ QOS = "qos_overrides./force.subscription"
     ],
 )
 def test_mistake_on_the_command_line_ends_the_node_with_one_line(
-    arguments: tuple[str, ...], words: str
+    arguments: tuple[str, ...], words: str, end_of_node: End
 ) -> None:
     assert words in end_of_node(*arguments)
 
 
-def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context: Context) -> None:
-    name = "qos_overrides./ft.subscription.depth"
-    node = Identifier(
-        context=context, cli_args=["--ros-args", "-r", "force:=ft", "-p", f"{name}:=7"]
-    )
+@contextlib.contextmanager
+def active(**options: Any) -> Iterator[Identifier]:
+    node = Identifier(**options)
     try:
         assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
         assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
-        assert node.get_parameter(name).value == 7
+        yield node
     finally:
         node.destroy_node()
+
+
+def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context: Context) -> None:
+    name = "qos_overrides./ft.subscription.depth"
+    arguments = ["--ros-args", "-r", "force:=ft", "-p", f"{name}:=7"]
+    with active(context=context, cli_args=arguments) as node:
+        assert node.get_parameter(name).value == 7
 
 
 @pytest.mark.parametrize(
@@ -372,11 +378,6 @@ def test_node_listens_to_the_types_that_the_parameters_name(
     values: dict[str, str], force: type, displacement: type, context: Context
 ) -> None:
     overrides = [RosParameter(name, value=value) for name, value in values.items()]
-    node = Identifier(context=context, parameter_overrides=overrides)
-    try:
-        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    with active(context=context, parameter_overrides=overrides) as node:
         types = {one.topic_name: one.msg_type for one in node.subscriptions}
-        assert (types["/force"], types["/displacement"]) == (force, displacement)
-    finally:
-        node.destroy_node()
+    assert (types["/force"], types["/displacement"]) == (force, displacement)

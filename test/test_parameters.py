@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The table of parameters: checks, files, and what the pipeline makes of them."""
 
@@ -85,29 +74,18 @@ def test_checked_parameters_cannot_change():
 
 
 @pytest.mark.parametrize(
-    ("name", "nearest"),
+    ("name", "said"),
     [
-        ("geometry.aera", "geometry.area"),
-        ("force.treshold", "force.threshold"),
-        ("aplha.learn", "alpha.learn"),
-        ("geometry.thicknes", "geometry.thickness"),
-        ("stale_timout", "stale_timeout"),
+        ("geometry.aera", "; did you mean geometry.area"),
+        ("aplha.learn", "; did you mean alpha.learn"),
+        ("stale_timout", "; did you mean stale_timeout"),
+        ("alpha.source", " any more: use alpha.learn: true for prior, false for given"),
+        ("alpha.value", " any more: use prior.alpha, with alpha.learn: false"),
+        ("alpha.sd", " any more: use prior.alpha_sd, with alpha.learn: false"),
     ],
 )
-def test_unknown_name_suggests_the_nearest(name, nearest):
-    assert f"there is no parameter {name}; did you mean {nearest}" in refused({name: 1.0})
-
-
-@pytest.mark.parametrize(
-    ("old", "value", "new"),
-    [
-        ("alpha.source", "given", "alpha.learn: true for prior, false for given"),
-        ("alpha.value", 0.2, "prior.alpha, with alpha.learn: false"),
-        ("alpha.sd", 0.01, "prior.alpha_sd, with alpha.learn: false"),
-    ],
-)
-def test_old_name_says_the_new_one(old, value, new):
-    assert refused({old: value}) == f"there is no parameter {old} any more: use {new}"
+def test_unknown_name_suggests_the_nearest_and_an_old_one_the_new(name, said):
+    assert refused({name: 1.0}).startswith(f"there is no parameter {name}{said}")
 
 
 @pytest.mark.parametrize(
@@ -115,24 +93,19 @@ def test_old_name_says_the_new_one(old, value, new):
     [
         ("geometry.area", "large", "must be a number"),
         ("geometry.area", True, "must be a number"),
-        ("geometry.area", None, "must be a number"),
-        ("geometry.area", [1.0, 2.0, 3.0], "must be a number"),
         ("geometry.area", 1e-10, "0, or 1e-09 to 1"),
         ("geometry.thickness", 20.0, "[m]: 20 mm are 0.02 m"),
         ("geometry.area", 2.0, "1e-09 to 1"),
         ("geometry.area", math.nan, "1e-09 to 1"),
-        ("geometry.area", math.inf, "1e-09 to 1"),
         ("geometry.hayes", 1, "must be true or false"),
         ("geometry.kind", "cube", "must be one of flat_punch, sphere"),
         ("geometry.kind", 3, "must be a text"),
         ("force.axis", [0.0, 0.0, 0.0], "three numbers, not all 0"),
         ("dither.frequencies", [], "must be a list of 1 to 8 numbers"),
         ("dither.frequencies", [1.0, -1.0], "each 0 to 1000"),
-        ("dither.frequencies", ["fast"], "must be a list of 1 to 8 numbers"),
         ("force.axis", [0.0, 1.0], "must be a list of three numbers"),
         ("force.axis", "001", "must be a list of three numbers"),
         ("force.axis", [0.0, math.nan, 1.0], "three numbers, not all 0"),
-        ("force.axis", [0.0, "x", 1.0], "three numbers, not all 0"),
         ("prior.alpha", 0.7, "0.02 to 0.6"),
         ("alpha.learn", "no", "must be true or false"),
     ],
@@ -143,13 +116,8 @@ def test_value_that_is_not_allowed_says_what_is(name, value, right):
     assert right in message
 
 
-def test_whole_number_will_do_for_a_number():
-    value = check({"converged.log_sd": 1}).converged.log_sd
-    assert value == 1.0
-    assert isinstance(value, float)
-
-
-def test_bounds_themselves_are_allowed():
+def test_whole_numbers_and_the_bounds_themselves_are_allowed():
+    assert repr(check({"converged.log_sd": 1}).converged.log_sd) == "1.0"
     for parameter in PARAMETERS:
         for bound in (parameter.minimum, parameter.maximum):
             if math.isfinite(bound):
@@ -194,83 +162,64 @@ def test_geometry_is_made_of_its_parameters(values, geometry):
     assert pipeline_config(check(values)).geometry == geometry
 
 
-def test_defaults_of_the_table_are_those_of_the_core():
+def test_defaults_of_the_table_are_those_of_the_core_but_for_what_an_arm_leaves_open():
     config = pipeline_config(Parameters())
     core = PipelineConfig(library=load_library())
-    for part in ("geometry", "synchronize", "contact", "plausibility"):
+    for part in ("geometry", "synchronize", "contact", "plausibility", "strain_origin"):
         assert getattr(config, part) == getattr(core, part)
-    assert config.strain_origin is None
     assert config.block_duration == core.block_duration
-    # Different on purpose: see the next test.
-    own = {name: getattr(core.estimator, name) for name in ("uncertainty", "converged_log_sd")}
-    assert replace(config.estimator, **own) == core.estimator
-
-
-def test_the_table_states_a_typical_arm_where_the_core_leaves_nothing_out():
-    arm, core = pipeline_config(Parameters()).estimator, PipelineConfig(load_library()).estimator
-    assert core.uncertainty == Uncertainty()
-    assert set(astuple(core.uncertainty)) == {0.0}
-    assert min(astuple(arm.uncertainty)) > 0.0
-    # What an arm leaves open costs deviation: with the core's limit it would seldom converge.
-    assert (arm.converged_log_sd, core.converged_log_sd) == (0.1, 0.05)
+    arm, exact = config.estimator, core.estimator
+    own = {name: getattr(exact, name) for name in ("uncertainty", "converged_log_sd")}
+    assert replace(arm, **own) == exact == pipeline_config(check(EXACT)).estimator
+    assert exact.uncertainty == Uncertainty()
+    assert set(astuple(exact.uncertainty)) == {0.0} and min(astuple(arm.uncertainty)) > 0.0
+    # With the core's limit an arm would seldom converge.
+    assert (arm.converged_log_sd, exact.converged_log_sd) == (0.1, 0.05)
 
 
 def test_the_parameters_of_a_bench_leave_out_the_model_s_error_only():
     path = Path(__file__).parent.parent / "config" / "bench.yaml"
     bench = pipeline_config(read_parameter_file(path)).estimator
-    arm = pipeline_config(Parameters()).estimator
+    arm = pipeline_config(Parameters()).estimator.uncertainty
     assert bench.uncertainty == Uncertainty(
-        kernel_sd=arm.uncertainty.kernel_sd, characteristic_sd=arm.uncertainty.characteristic_sd
+        kernel_sd=arm.kernel_sd, characteristic_sd=arm.characteristic_sd
     )
     assert bench.converged_log_sd == 0.05
 
 
-def test_what_simulated_bags_state_leaves_nothing_out():
-    exact = pipeline_config(check(EXACT)).estimator
-    assert exact == PipelineConfig(load_library()).estimator
-
-
-def test_alpha_is_learned_from_the_prior_or_given_by_it():
-    learned = pipeline_config(check({"prior.alpha": 0.3, "prior.alpha_sd": 0.02})).estimator
-    assert not learned.fractional_order_given
-    given = pipeline_config(
-        check({"alpha.learn": False, "prior.alpha": 0.3, "prior.alpha_sd": 0.02})
-    ).estimator
-    assert given.fractional_order_given
-    for estimator in (learned, given):
-        assert estimator.prior.fractional_order == 0.3
-        assert estimator.prior.fractional_order_sd == 0.02
-
-
-def test_library_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(InputError, match="tissue library"):
-        pipeline_config(check({"classifier.library": str(tmp_path / "none.yaml")}))
+@pytest.mark.parametrize("learn", [True, False])
+def test_alpha_is_learned_from_the_prior_or_given_by_it(learn):
+    stated = {"alpha.learn": learn, "prior.alpha": 0.3, "prior.alpha_sd": 0.02}
+    estimator = pipeline_config(check(stated)).estimator
+    assert estimator.fractional_order_given is not learn
+    prior = estimator.prior
+    assert (prior.fractional_order, prior.fractional_order_sd) == (0.3, 0.02)
 
 
 # What each parameter does to what comes out is in test_parameter_effects.py; here, where those
 # arrive whose effect is shown of the part that takes them (test_core_decision.py).
 
 ARRIVES = {
-    "force.friction": (0.01, {}, lambda c: c.estimator.friction, 0.01),
-    "rig.learn": (True, {}, lambda c: c.learns_rig, True),
-    "surface.learn_motion": (False, {}, lambda c: c.learns_motion, False),
-    "force.learn_drift": (False, {}, lambda c: c.learns_drift, False),
-    "plausible.force": (50.0, {}, lambda c: c.plausibility.most_force, 50.0),
-    "plausible.strain_rate": (0.0, {}, lambda c: c.plausibility.least_strain_rate, 0.0),
-    "converged.linear_log_sd": (0.2, {}, lambda c: c.estimator.converged_linear_log_sd, 0.2),
-    "converged.alpha_sd": (0.02, {}, lambda c: c.estimator.converged_order_sd, 0.02),
-    "classification.probability": (0.9, {}, lambda c: c.decision.probability, 0.9),
-    "classification.release": (0.6, {}, lambda c: c.decision.release, 0.6),
-    "classification.dwell": (1.0, {}, lambda c: c.decision.dwell, 1.0),
-    "classification.significance": (0.01, {}, lambda c: c.decision.significance, 0.01),
+    "force.friction": (0.01, lambda c: c.estimator.friction),
+    "rig.learn": (True, lambda c: c.learns_rig),
+    "surface.learn_motion": (False, lambda c: c.learns_motion),
+    "force.learn_drift": (False, lambda c: c.learns_drift),
+    "plausible.force": (50.0, lambda c: c.plausibility.most_force),
+    "plausible.strain_rate": (0.0, lambda c: c.plausibility.least_strain_rate),
+    "converged.linear_log_sd": (0.2, lambda c: c.estimator.converged_linear_log_sd),
+    "converged.alpha_sd": (0.02, lambda c: c.estimator.converged_order_sd),
+    "classification.probability": (0.9, lambda c: c.decision.probability),
+    "classification.release": (0.6, lambda c: c.decision.release),
+    "classification.dwell": (1.0, lambda c: c.decision.dwell),
+    "classification.significance": (0.01, lambda c: c.decision.significance),
 }
 
 
 @pytest.mark.parametrize("name", ARRIVES)
 def test_parameter_arrives_where_the_core_takes_it(name):
-    value, others, look, expected = ARRIVES[name]
-    assert look(pipeline_config(check({**others, name: value}))) == expected
-    assert look(pipeline_config(check(others))) != expected
+    value, look = ARRIVES[name]
+    assert look(pipeline_config(check({name: value}))) == value
+    assert look(pipeline_config(check({}))) != value
 
 
 def test_a_friction_that_could_not_count_is_refused():
@@ -297,10 +246,11 @@ def test_distance_between_sites_follows_the_probe_s_radius(geometry, distance):
 
 def test_library_is_read_from_its_path(tmp_path):
     path = tmp_path / "mine.yaml"
+    with pytest.raises(InputError, match="tissue library"):
+        pipeline_config(check({"classifier.library": str(path)}))
     built_in = resources.files("fden_ros.tissues") / "tissues.yaml"
     path.write_text(built_in.read_text().replace("name: paper", "name: mine"))
-    config = pipeline_config(check({"classifier.library": str(path)}))
-    assert config.library.name == "mine"
+    assert pipeline_config(check({"classifier.library": str(path)})).library.name == "mine"
 
 
 QUARTER = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # about x: z of the sensor is -y of the world
@@ -330,22 +280,13 @@ def test_tool_is_made_of_its_parameters(values, load):
 
 
 class Samples:
-    """What a projector hands on."""
+    """What a projector hands on: the names after add_, and the second number."""
 
     def __init__(self):
         self.heard = []
 
-    def add_force(self, stamp_ns, force):
-        self.heard.append(("force", force))
-
-    def add_displacement(self, stamp_ns, displacement, position=None, load=0.0):
-        self.heard.append(("displacement", displacement))
-
-    def add_surface(self, stamp_ns, surface):
-        self.heard.append(("surface", surface))
-
-    def reject(self, stream, reason):
-        self.heard.append((stream, reason))
+    def __getattr__(self, name):
+        return lambda stamp_ns, value, *_: self.heard.append((name.removeprefix("add_"), value))
 
 
 WRENCH = WrenchStamped()
@@ -386,8 +327,3 @@ FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.nor
 def test_no_parameter_is_without_a_test():
     shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, *FRAMES, "classifier.library"}
     assert shown == {parameter.name for parameter in PARAMETERS}
-    live = "".join(
-        (Path(__file__).parent / name).read_text(encoding="utf-8")
-        for name in ("test_parameter_files.py",)
-    )
-    assert {name for name in LIVE if f'"{name}"' not in live} == set()

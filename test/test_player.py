@@ -1,32 +1,21 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Playing a bag on live topics: every message, at its pace, under the names asked for."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from geometry_msgs.msg import WrenchStamped
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from live_helpers import Ears
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -60,65 +49,43 @@ def make_bag(
     return folder
 
 
-class Listener:
-    """Subscribers in a context of their own, spun by a thread."""
+class Listener(Ears):
+    """What came on topics, and when."""
 
-    def __init__(self) -> None:
-        self.received: dict[str, list[Any]] = {}
-        self.arrivals: dict[str, list[float]] = {}
-        self._changed = threading.Condition()
-        self._context = Context()
-        rclpy.init(args=[], context=self._context)
-        self.node = rclpy.create_node("listener", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin)
+    node_name = "listener"
 
     def listen(
         self, topic: str, cls: type, profile: QoSProfile = DEEP, *, raw: bool = True
-    ) -> None:
-        self.received[topic] = []
-        self.arrivals[topic] = []
-
-        def take(message: Any) -> None:
-            with self._changed:
-                self.received[topic].append(message)
-                self.arrivals[topic].append(time.monotonic())
-                self._changed.notify_all()
-
-        self.node.create_subscription(cls, topic, take, profile, raw=raw)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def wait_for(self, condition: Callable[[], bool], timeout_s: float = 20.0) -> bool:
-        with self._changed:
-            return self._changed.wait_for(condition, timeout_s)
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        if self._thread.is_alive():
-            self._thread.join()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
+    ) -> list[Any]:
+        received: list[Any] = []
+        self.node.create_subscription(
+            cls, topic, lambda data: received.append((time.monotonic(), data)), profile, raw=raw
+        )
+        return received
 
 
 @pytest.fixture
 def listener() -> Iterator[Listener]:
-    listener = Listener()
-    yield listener
-    listener.close()
-
-
-@contextmanager
-def playing(bag: Path | BagReader, **options: Any) -> Iterator[Player]:
-    with Player(bag, **options) as player:
-        player.wait_for_subscribers()
-        yield player
+    with Listener() as listener:
+        yield listener
 
 
 def recorded(bag: Path, topic: str) -> list[bytes]:
     return [message.data for message in BagReader(bag).messages([topic])]
+
+
+def play(listener: Listener, bag: Path, times: int = 1, **options: Any) -> list[int]:
+    """Play while the listener listens; return how much was sent each time."""
+    with Player(bag, **options) as player, ThreadPoolExecutor() as pool:
+
+        def run() -> list[int]:
+            player.wait_for_subscribers()
+            return [player.play() for _ in range(times)]
+
+        sent = pool.submit(run)
+        listener.wait_for(sent.done, "the end of the bag")
+        assert player.warnings == ()
+        return sent.result()
 
 
 @pytest.mark.parametrize("rate", [1.0, math.inf])
@@ -126,29 +93,32 @@ def test_reliable_subscriber_receives_every_message_bit_for_bit_in_order(
     tmp_path: Path, listener: Listener, rate: float
 ) -> None:
     bag = make_bag(tmp_path / "bag", 1000)
-    listener.listen("/force", WrenchStamped)
-    listener.listen("/joints", JointState)
-    listener.start()
-    with playing(bag, rate=rate) as player:
-        assert player.play() == 2001
-        assert player.warnings == ()
-        assert listener.wait_for(lambda: all(len(r) == 1000 for r in listener.received.values()))
-    for topic, received in listener.received.items():
+    heard = {
+        "/force": listener.listen("/force", WrenchStamped),
+        "/joints": listener.listen("/joints", JointState),
+    }
+    assert play(listener, bag, rate=rate) == [2001]
+    listener.wait_for(lambda: all(len(r) == 1000 for r in heard.values()), "every message")
+    for topic, received in heard.items():
         # DDS may pad a message to a multiple of 4 bytes.
         expected = recorded(bag, topic)
-        assert [data[: len(e)] for data, e in zip(received, expected, strict=True)] == expected
+        assert [data[: len(e)] for (_, data), e in zip(received, expected, strict=True)] == (
+            expected
+        )
 
 
-def test_messages_keep_the_pace_of_the_recording(tmp_path: Path, listener: Listener) -> None:
+def test_pace_names_and_repetition_are_as_they_are_asked_for(
+    tmp_path: Path, listener: Listener
+) -> None:
     bag = make_bag(tmp_path / "bag", 20, step_ns=100_000_000)
-    listener.listen("/force", WrenchStamped)
-    listener.listen("/joints", JointState)
-    listener.start()
-    with playing(bag, rate=2.0) as player:
-        player.play()
-        assert listener.wait_for(lambda: len(listener.received["/force"]) == 20)
-    arrivals = listener.arrivals["/force"]
-    assert arrivals[-1] - arrivals[0] == pytest.approx(0.95, abs=0.2)
+    heard = listener.listen("/ft/wrench", WrenchStamped)
+    options = {"topics": ["/force"], "remap": {"/force": "/ft/wrench"}}
+    assert Player(bag, **options).input_topics == ("/ft/wrench",)
+    assert play(listener, bag, times=2, rate=2.0, **options) == [20, 20]
+    listener.wait_for(lambda: len(heard) == 40, "every message")
+    arrivals, data = zip(*heard, strict=True)
+    assert arrivals[19] - arrivals[0] == pytest.approx(0.95, abs=0.2)
+    assert data[:20] == data[20:]
 
 
 def test_latched_topic_reaches_a_late_subscriber(tmp_path: Path, listener: Listener) -> None:
@@ -159,16 +129,15 @@ def test_latched_topic_reaches_a_late_subscriber(tmp_path: Path, listener: Liste
     )
     with Player(make_bag(tmp_path / "bag", 3)) as player:
         player.play()
-        listener.listen("/truth", String, latched, raw=False)
-        listener.start()
-        assert listener.wait_for(lambda: listener.received["/truth"] == [String(data="{}")])
+        heard = listener.listen("/truth", String, latched, raw=False)
+        listener.wait_for(lambda: heard, "the latched message")
+    assert heard[0][1] == String(data="{}")
 
 
 def test_best_effort_stays_best_effort(tmp_path: Path, listener: Listener) -> None:
     bag = make_bag(tmp_path / "bag", 3, qos=SENSOR_DATA)
     listener.listen("/force", WrenchStamped)
     listener.listen("/joints", JointState)
-    listener.start()
     with Player(bag) as player, pytest.raises(InputError) as caught:
         player.wait_for_subscribers(timeout_s=3.0)
     line = str(caught.value)
@@ -176,42 +145,15 @@ def test_best_effort_stays_best_effort(tmp_path: Path, listener: Listener) -> No
     assert "\n" not in line
 
 
-def test_topics_are_selected_and_renamed(tmp_path: Path, listener: Listener) -> None:
-    bag = make_bag(tmp_path / "bag", 10)
-    listener.listen("/ft/wrench", WrenchStamped)
-    listener.start()
-    with playing(bag, topics=["/force"], remap={"/force": "/ft/wrench"}) as player:
-        assert player.input_topics == ("/ft/wrench",)
-        assert player.play() == 10
-        assert listener.wait_for(lambda: len(listener.received["/ft/wrench"]) == 10)
-
-
 def test_clock_runs_with_the_bag(tmp_path: Path, listener: Listener) -> None:
     bag = make_bag(tmp_path / "bag", 100, step_ns=10_000_000)
-    for topic, cls in (("/force", WrenchStamped), ("/joints", JointState)):
-        listener.listen(topic, cls)
-    listener.listen("/clock", Clock, raw=False)
-    listener.start()
-    with playing(bag, rate=4.0, clock_hz=40.0) as player:
-        time_limit = time.monotonic() + 20.0
-        while player.clock_subscribers == 0 and time.monotonic() < time_limit:
-            time.sleep(0.01)
-        player.play()
-        assert listener.wait_for(lambda: len(listener.received["/clock"]) >= 10)
-    stamps = [c.clock.sec * 10**9 + c.clock.nanosec - START for c in listener.received["/clock"]]
+    clocks = listener.listen("/clock", Clock, raw=False)
+    with Player(bag, rate=4.0, clock_hz=40.0) as player, ThreadPoolExecutor() as pool:
+        listener.wait_for(lambda: player.clock_subscribers, "the clock's subscriber")
+        sent = pool.submit(player.play)
+        listener.wait_for(lambda: sent.done() and len(clocks) >= 10, "the clock")
+    stamps = [m.clock.sec * 10**9 + m.clock.nanosec - START for _, m in clocks]
     assert stamps == [100_000_000 * i for i in range(len(stamps))]
-
-
-def test_playing_again_repeats_the_stamps(tmp_path: Path, listener: Listener) -> None:
-    bag = make_bag(tmp_path / "bag", 10)
-    listener.listen("/force", WrenchStamped)
-    listener.listen("/joints", JointState)
-    listener.start()
-    with playing(bag) as player:
-        assert player.play() == player.play() == 21
-        assert listener.wait_for(lambda: len(listener.received["/force"]) == 20)
-    received = listener.received["/force"]
-    assert received[:10] == received[10:]
 
 
 def test_stop_ends_playing_at_once(tmp_path: Path) -> None:
@@ -238,7 +180,6 @@ def test_who_waits_is_told_which_topic_still_lacks_a_subscriber(
     bag = make_bag(tmp_path / "bag", 3)
     told: list[str] = []
     listener.listen("/force", WrenchStamped)
-    listener.start()
     with Player(bag) as player, pytest.raises(InputError, match="/joints"):
         player.wait_for_subscribers(timeout_s=5.0, on_wait=told.append)
     assert told[-1] == "/joints"

@@ -1,22 +1,14 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""The Foxglove layout and the RViz configuration show topics and fields that there are."""
+"""The layouts of Foxglove, RViz and PlotJuggler show topics and fields that there are."""
 
 from __future__ import annotations
 
+import array
+import itertools
 import json
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -147,3 +139,30 @@ def test_the_layout_for_a_namespace_has_every_name_below_it(
     panel = other["configById"]["DiagnosticStatusPanel!diagnostics"]
     assert panel["selectedName"] == "left/arm/identifier: tissue identification"
     assert other["layout"] == layout["layout"]
+
+
+def test_every_curve_of_the_plotjuggler_layout_exists_and_is_drawn_in_its_plot() -> None:
+    """As PlotJuggler's ``xmlLoadState`` reads it; series are named by topic and fields."""
+    root = ElementTree.parse(CONFIG / "plotjuggler_layout.xml").getroot()
+    (widget,) = root.findall("tabbed_widget[@parent='main_window']")
+    made = {}
+    for snippet in root.iterfind("customMathEquations/snippet"):
+        sources = [snippet.findtext("linked_source"), snippet.findtext("additional_sources/v1")]
+        made[snippet.get("name")] = sources
+        assert snippet.findtext("function") in ("return value - 2 * v1", "return value + 2 * v1")
+    for tab in widget.iterfind("Tab"):
+        (splitter,) = tab.findall("Container/DockSplitter")
+        assert len(splitter) == int(splitter.get("count", "0"))
+        assert len(str(splitter.get("sizes")).split(";")) == len(splitter)
+    curves = [curve.get("name") for curve in widget.iterfind(".//DockArea/plot/curve")]
+    assert set(made) < set(curves)
+    for name in [*(c for c in curves if c not in made), *itertools.chain(*made.values())]:
+        topic = next(topic for topic in TYPES if str(name).startswith(f"{topic}/"))
+        value = message_class(TYPES[topic])()
+        fields = str(name).removeprefix(f"{topic}/").split("/")
+        if TYPES[topic].endswith("/JointState"):
+            # PlotJuggler puts the joint's name between topic and field.
+            assert fields.pop(0) == "probe"
+        for field in fields:
+            value = getattr(value, field)
+        assert isinstance(value, (int, float, array.array)), name

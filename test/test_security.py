@@ -1,22 +1,12 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Least privilege, and nothing read is ever executed."""
 
 from __future__ import annotations
 
 import ast
+import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
@@ -54,32 +44,37 @@ def test_the_policy_names_what_the_running_node_has_and_nothing_else() -> None:
         "frames.base": "base",
         "start_type_description_service": True,
     }
-    with Bench() as bench, identifier(parameters):
-        bench.wait_until_heard()
-        node = bench.node
+    expected = [
+        allowed("topic", "subscribe"),
+        allowed("topic", "publish"),
+        allowed("service", "reply"),
+        allowed("service", "request"),
+    ]
+    # The identifier first: it ends the shared one, whose names a node from before may keep.
+    with identifier(parameters):
+        for _ in range(3):
+            # Discovery at times passes a participant by; the next one hears of everything anew.
+            with Bench() as bench:
+                bench.wait_until_heard()
+                end = time.monotonic() + 20.0
+                while (found := _names(bench.node)) != expected and time.monotonic() < end:
+                    bench.spin_for(0.1)
+            if found == expected:
+                return
+    assert found == expected
 
-        def names(ask: Any) -> set[str]:
-            return {name for name, _ in ask(NODE, NAMESPACE)}
 
-        def found() -> list[set[str]]:
-            return [
-                names(node.get_subscriber_names_and_types_by_node),
-                names(node.get_publisher_names_and_types_by_node),
-                names(node.get_service_names_and_types_by_node),
-                names(node.get_client_names_and_types_by_node),
-            ]
-
-        expected = [
-            allowed("topic", "subscribe"),
-            allowed("topic", "publish"),
-            allowed("service", "reply"),
-            allowed("service", "request"),
-        ]
-        bench.wait_for(
-            lambda: found() == expected,
-            f"what the policy says; more or less: "
-            f"{[a ^ b for a, b in zip(found(), expected, strict=True)]}",
+def _names(node: Any) -> list[set[str]]:
+    """Return the identifier's names: topics heard and published, services, clients."""
+    return [
+        {name for name, _ in ask(NODE, NAMESPACE)}
+        for ask in (
+            node.get_subscriber_names_and_types_by_node,
+            node.get_publisher_names_and_types_by_node,
+            node.get_service_names_and_types_by_node,
+            node.get_client_names_and_types_by_node,
         )
+    ]
 
 
 def test_nothing_that_could_execute_a_file_is_used() -> None:

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a hold has shown goes on in predictions, and tells of a wrong alpha that was stated."""
 
@@ -23,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from fden_ros.benchmarks.law_presses import (
+from benchmark.laws import (
     ARM,
     CASES,
     MOMENTS,
@@ -50,7 +39,7 @@ MODEL = FdenModel(2000.0, 8.0, 0.2)
 
 
 def by_name(name: str) -> Case:
-    return next(case for case in CASES if case.name == name)
+    return CASES[name]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +57,7 @@ def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
     predicted = [
         prediction
         for seed in range(40, 48)
-        for prediction in run_trial(by_name(name), seed, rig).predictions
+        for prediction in run_trial((name, rig), seed).predictions
         if not prediction.refusal and prediction.moment in IN_THE_HOLD
     ]
     assert len(predicted) >= 3
@@ -79,7 +68,7 @@ def test_an_interval_in_a_hold_of_the_laws_own_tissue_is_narrow() -> None:
     widths = [
         prediction.half_width
         for seed in range(40, 44)
-        for prediction in run_trial(by_name("fden"), seed, RIGID).predictions
+        for prediction in run_trial(("fden", RIGID), seed).predictions
         if not prediction.refusal and prediction.moment in IN_THE_HOLD
     ]
     assert np.median(widths) < 0.015

@@ -1,29 +1,20 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Scenario files: those that come along, and what is said about wrong ones."""
 
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from fden_ros.errors import InputError
+from fden_ros.simulation.disturbance import Disturbances
 from fden_ros.simulation.scenario import (
     Geometry,
     Tissue,
@@ -32,7 +23,6 @@ from fden_ros.simulation.scenario import (
     scenario_names,
     scenario_of_mapping,
 )
-from fden_ros.simulation.simulate import simulate
 from fden_ros.simulation.trajectory import Palpation, Ramp
 
 GOOD = {
@@ -65,16 +55,18 @@ def changed(path, value):
     return data
 
 
-@pytest.mark.parametrize("name", scenario_names())
-def test_scenario_that_comes_along_loads_by_name(name):
-    scenario = load_scenario(name)
-    assert scenario.name == name
-    assert scenario.description
+def test_every_disturbance_is_a_key_of_a_scenario_file_that_comes_along():
+    text = (Path(__file__).parents[1] / "bags" / "robot_arm.yaml").read_text()
+    for field in fields(Disturbances):
+        assert f"  {field.name}:" in text
+    assert load_scenario("robot_arm").disturbances.moves_tissue
 
 
-def test_expected_scenarios_come_along():
-    expected = {"ramp", "slow_ramp", "fast_ramp", "ramp_hold", "palpation", "sinusoid"}
-    assert expected | {"pose_100hz", "delay_dropout", "demo", "inclusion"} <= set(scenario_names())
+def test_stiffening_does_not_go_with_a_disturbed_motion():
+    given = changed(("sites", 0, "stiffening"), {"strain": 0.1, "ratio": 3.0})
+    scenario_of_mapping(given | {"disturbances": {"friction_n": 0.01}})
+    with pytest.raises(InputError, match="a stiffening does not go with"):
+        scenario_of_mapping(given | {"disturbances": {"backlash_m": 1e-4}})
 
 
 def test_scenario_is_found_in_a_sourced_workspace(tmp_path, monkeypatch):
@@ -133,6 +125,11 @@ def test_numbers_without_a_dot_and_defaults_are_understood(tmp_path):
         (("displacement",), {"rate_hz": 0.0}, "rate_hz is 0.0; it must be positive"),
         (("approach",), {"slow_distance_m": 1.0}, "slow_distance_m"),
         (("dropouts",), [{"stream": "force", "start_s": 1.0}], "duration_s is missing"),
+        (("disturbances",), {"hum": 1.0}, "did you mean 'hum_n'"),
+        (("disturbances",), {"hum_n": -1.0}, "hum_n is -1.0; it must be 0 or positive"),
+        (("disturbances",), {"creep_s": 0.0}, "creep_s is 0.0; it must be positive"),
+        (("disturbances",), {"vibration_at_rest": 1}, "must be true or false"),
+        (("disturbances",), {"breathing": {"rate_variation": 1.0}}, "must be below 1"),
     ],
 )
 def test_wrong_value_is_refused_in_one_line_that_says_what_is_right(path, value, complaint):
@@ -197,29 +194,3 @@ def test_giving_one_parameter_leaves_the_other_draws_alone():
     assert fixed.fractional_order == 0.2
     assert fixed.linear_stiffness == free.linear_stiffness
     assert fixed.nonlinear_stiffness == free.nonlinear_stiffness
-
-
-def test_staircase_goes_in_by_equal_steps_and_holds_each():
-    mapping = {
-        "geometry": {"kind": "flat_punch", "area_m2": 1e-4, "thickness_m": 0.02},
-        "sites": [
-            {
-                "tissue": {"draw": "liver"},
-                "presses": [
-                    {
-                        "kind": "staircase",
-                        "strain_rate": 0.5,
-                        "max_strain": 0.3,
-                        "steps": 3,
-                        "hold_s": 2.0,
-                    }
-                ],
-            }
-        ],
-        "force": {"noise_n": 0.0},
-    }
-    recording = simulate(scenario_of_mapping(mapping), 1)
-    strain = recording.displacement.value / 0.02
-    held = [np.mean(np.abs(strain - level) < 1e-9) for level in (0.1, 0.2, 0.3)]
-    duration = strain.size / 1000.0
-    assert duration * np.array(held) == pytest.approx([2.0] * 3, abs=0.01)

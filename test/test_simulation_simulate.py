@@ -1,21 +1,11 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Recordings: what the sensors see, reproducibly, and the truth beside it."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 from dataclasses import replace
@@ -36,6 +26,7 @@ from fden_ros.simulation.scenario import (
     scenario_names,
 )
 from fden_ros.simulation.simulate import START_NS, simulate
+from fden_ros.simulation.trajectory import Staircase
 
 LIVER = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
 AREA_M2 = np.pi * 0.01**2
@@ -59,6 +50,7 @@ def contact_times(truth):
 @pytest.mark.parametrize("name", scenario_names())
 def test_scenario_that_comes_along_makes_sound_streams_and_truth(name):
     scenario = load_scenario(name)
+    assert scenario.name == name and scenario.description
     recording = simulate(scenario)
     for stream in (recording.force, recording.displacement):
         assert stream.stamp_ns.dtype == np.int64
@@ -68,18 +60,12 @@ def test_scenario_that_comes_along_makes_sound_streams_and_truth(name):
     truth = json.loads(json.dumps(recording.truth))
     assert truth == recording.truth
     assert [site["site"] for site in truth["sites"]] == list(range(1, len(scenario.sites) + 1))
-    assert [c["contact"] for c in truth["contacts"]] == list(range(1, len(truth["contacts"]) + 1))
-    assert {c["site"] for c in truth["contacts"]} == {s["site"] for s in truth["sites"]}
-    edges = np.ravel(contact_times(truth))
-    assert np.all(np.diff(edges) > 0.0)
+    contacts = truth["contacts"]
+    assert [c["contact"] for c in contacts] == list(range(1, len(contacts) + 1))
+    assert {c["site"] for c in contacts} == {s["site"] for s in truth["sites"]}
+    assert np.all(np.diff(np.ravel(contact_times(truth))) > 0.0)
     assert check(truth["identifier_parameters"])
-
-
-@pytest.mark.parametrize("name", scenario_names())
-def test_time_in_the_air_tells_sites_from_presses(name):
-    scenario = load_scenario(name)
-    recording = simulate(scenario)
-    contacts = recording.truth["contacts"]
+    # Time in the air tells sites from presses.
     for before, after in itertools.pairwise(contacts):
         air = (after["start_ns"] - before["end_ns"]) * 1e-9
         if after["site"] == before["site"]:
@@ -88,27 +74,16 @@ def test_time_in_the_air_tells_sites_from_presses(name):
             assert air > 3.0
 
 
-def test_same_scenario_and_seed_give_the_same_bytes():
+def digest(recording):
+    parts = [a.tobytes() for s in recording.streams for a in (s.stamp_ns, s.value)]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+def test_seed_decides_every_byte():
     scenario = load_scenario("pose_100hz")
-    first, again = simulate(scenario, seed=11), simulate(scenario, seed=11)
-    assert first.truth == again.truth
-    for one, other in ((first.force, again.force), (first.displacement, again.displacement)):
-        assert one.stamp_ns.tobytes() == other.stamp_ns.tobytes()
-        assert one.value.tobytes() == other.value.tobytes()
-    assert first.displacement.position.tobytes() == again.displacement.position.tobytes()
-
-
-def test_another_seed_gives_another_tissue_and_other_noise():
-    scenario = load_scenario("ramp")
-    one, other = simulate(scenario, seed=1), simulate(scenario, seed=2)
-    assert one.truth["sites"] != other.truth["sites"]
-    assert one.force.value[0] != other.force.value[0]
-
-
-def test_force_noise_does_not_depend_on_the_displacement_sensor():
-    scenario = ramp_scenario(tissue=LIVER)
-    slower = replace(scenario, displacement=DisplacementSensor(rate_hz=50.0, noise_m=1e-5))
-    assert simulate(scenario).force.value.tobytes() == simulate(slower).force.value.tobytes()
+    first, again, other = (simulate(scenario, seed=seed) for seed in (11, 11, 12))
+    assert first.truth == again.truth and digest(first) == digest(again)
+    assert other.truth["sites"] != first.truth["sites"] and digest(other) != digest(first)
 
 
 def test_force_is_the_exact_stress_times_the_area():
@@ -137,15 +112,6 @@ def test_displacement_comes_from_the_air_and_reads_the_surface_at_the_touch():
     assert reading.max() == pytest.approx(0.123 + 0.3 * 0.02, abs=1e-6)
 
 
-def test_nothing_changes_in_the_motion_at_the_touch():
-    recording = simulate(quiet_ramp())
-    times = seconds(recording.displacement)
-    ((start, _),) = contact_times(recording.truth)
-    around = np.abs(times - start) < 0.2
-    speed = np.diff(recording.displacement.value[around]) / np.diff(times[around])
-    np.testing.assert_allclose(speed, 0.1 * 0.02, rtol=1e-6)
-
-
 def test_noise_bias_and_drift_have_the_stated_size():
     sensor = ForceSensor(noise_stress_pa=3.0, bias_n=0.05, drift_n_per_s=0.01)
     scenario = ramp_scenario(tissue=LIVER)
@@ -163,26 +129,21 @@ def test_noise_bias_and_drift_have_the_stated_size():
     assert np.std(moved) == pytest.approx(2e-6, rel=5.0 / np.sqrt(2.0 * count))
 
 
-@pytest.mark.parametrize("jitter_s", [1e-5, 2e-4, 1.0])
+@pytest.mark.parametrize("jitter_s", [2e-4, 1.0])
 def test_jitter_moves_the_samples_with_their_stamps_and_keeps_them_in_order(jitter_s):
-    scenario = quiet_ramp(
-        force=ForceSensor(jitter_s=jitter_s), displacement=DisplacementSensor(jitter_s=jitter_s)
-    )
-    recording = simulate(scenario)
+    sensors = ForceSensor(jitter_s=jitter_s), DisplacementSensor(jitter_s=jitter_s)
+    recording = simulate(quiet_ramp(force=sensors[0], displacement=sensors[1]))
     clean = simulate(quiet_ramp())
     assert np.diff(recording.force.stamp_ns).min() > 0
-    assert np.std(np.diff(recording.force.stamp_ns)) > 1e9 * min(jitter_s, 2e-4)
-    on_clock = np.interp(
-        seconds(recording.displacement), seconds(clean.displacement), clean.displacement.value
-    )
-    np.testing.assert_allclose(recording.displacement.value, on_clock, rtol=0.0, atol=1e-5)
-    ((start, _),) = contact_times(clean.truth)
-    times = seconds(recording.force)
-    loading = (times > start) & (times < start + 3.0)
-    exact = stress_of_piecewise_linear_strain(
-        [0.0, 3.0], [0.0, 0.3], times[loading] - start, FdenModel(520.0, 8.5, 0.131)
-    )
-    np.testing.assert_allclose(recording.force.value[loading], exact * AREA_M2, rtol=1e-9)
+    assert np.std(np.diff(recording.force.stamp_ns)) > 2e5
+    for stream, exact, tolerance in (
+        (recording.displacement, clean.displacement, 1e-5),
+        (recording.force, clean.force, 1e-4),
+    ):
+        on_clock = np.interp(seconds(stream), seconds(exact), exact.value)
+        early = seconds(stream) < contact_times(clean.truth)[0][0] + 3.0
+        off = np.abs(stream.value - on_clock)[early]
+        assert off.max() < tolerance
 
 
 def test_delay_stamps_the_displacement_late():
@@ -242,9 +203,10 @@ def test_sphere_follows_hertz_where_the_tissue_is_linear():
     np.testing.assert_allclose(recording.force.value, hertz, rtol=0.0, atol=1e-4 * peak)
 
 
-def test_pass_through_streams_are_stress_and_strain():
-    scenario = quiet_ramp(geometry=Geometry("pass_through"))
-    recording = simulate(scenario)
-    flat = simulate(quiet_ramp())
-    assert recording.displacement.value.max() == pytest.approx(0.3, abs=1e-3)
-    assert recording.force.value.max() == pytest.approx(flat.force.value.max() / AREA_M2, rel=1e-3)
+def test_staircase_goes_in_by_equal_steps_and_holds_each():
+    scenario = quiet_ramp()
+    (site,) = scenario.sites
+    stairs = replace(site, presses=(Staircase(0.5, 0.3, steps=3, hold_s=2.0),))
+    strain = simulate(replace(scenario, sites=(stairs,))).displacement.value / 0.02
+    held = [np.count_nonzero(np.abs(strain - level) < 1e-9) for level in (0.1, 0.2, 0.3)]
+    assert held == pytest.approx([2000] * 3, abs=10)

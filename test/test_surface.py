@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """A measured surface: taken off the displacement, the same live, from bags and from tables."""
 
@@ -31,7 +20,7 @@ from fden_msgs.msg import TissueEstimate
 from hypothesis import given
 from hypothesis import strategies as st
 from property_helpers import examples
-from ros_helpers import LOSSLESS, Bench, identifier
+from ros_helpers import Bench, active
 
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
@@ -247,15 +236,7 @@ def live_of(bench: Bench) -> list[bytes]:
 def test_live_equals_replay_with_a_surface_bit_for_bit(bag: Path) -> None:
     result, expected = outputs_of(bag)
     assert result.inputs["surface"] == "/surface" and len(result.summaries) == 1
-    lossless = {
-        name.replace("/force", "/surface"): value
-        for name, value in LOSSLESS.items()
-        if "/force" in name
-    }
-    with (
-        Bench() as bench,
-        identifier({"autostart": True, **LOSSLESS, **lossless}, file=bag / PARAMETER_FILE),
-    ):
+    with Bench() as bench, active(file=bag / PARAMETER_FILE):
         bench.wait_until_connected()
         with Player(bag, rate=2.0) as player:
             player.wait_for_subscribers()
@@ -267,13 +248,10 @@ def test_live_equals_replay_with_a_surface_bit_for_bit(bag: Path) -> None:
 
 def test_a_surface_that_nothing_publishes_is_named_with_its_remap_after_2_s() -> None:
     words = "nothing publishes /surface, where geometry_msgs/msg/PointStamped is expected"
-    with (
-        Bench() as bench,
-        identifier({"autostart": True, "surface.message": "point"}) as node,
-    ):
+    with Bench() as bench, active({"surface.message": "point"}) as node:
         bench.wait_for(lambda: words in bench.diagnostic().get("message", ""), words)
         bench.wait_for(lambda: len(bench.diagnostics) >= 4, "four diagnostics")
-    assert any("[WARN]" in line and words in line for line in node.output.splitlines())  # type: ignore[attr-defined]
+    assert any("[WARN]" in line and words in line for line in node.output.splitlines())
 
 
 def test_a_table_with_the_surface_in_its_fourth_column_gives_what_the_bag_gives(

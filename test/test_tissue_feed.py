@@ -1,41 +1,25 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a controller is told: of states directly, and of a live identifier that freezes or dies."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import signal
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
-from live_helpers import PARAMETERS, node_process
-from rclpy.executors import SingleThreadedExecutor
+from live_helpers import PARAMETERS, Ears, node_process
 from ros_helpers import wait_for
 from sensor_msgs.msg import JointState
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
-from fden_ros.control.prediction import Prediction
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Status, TissueState, stale
@@ -123,31 +107,18 @@ def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue() -> Non
             start, run.times, run.depth
         )
         force = np.interp(start + ahead, run.times, run.force)
-        predicted = live.predict_force(ahead, way, now)
-        moved = live.predict_motion(ahead, force, now)
-        assert predicted is not None and moved is not None, live.refusal(now)
+        predictor = live.predictor(now)
+        assert predictor is not None, live.refusal(now)
+        predicted, moved = predictor.force(ahead, way), predictor.motion(ahead, force)
         for name, prediction, truth in (("force", predicted, force), ("motion", moved, way)):
-            inside[name] += list(_holds(prediction, truth)[[5, 20, 49]])
+            low, high = prediction.interval(2.0)
+            inside[name] += list(((low <= truth) & (truth <= high))[[5, 20, 49]])
         errors.append(np.max(np.abs(predicted.value - force)) / force.max())
+        # The two are inverse to each other.
+        assert predictor.motion(ahead, predicted.value).value == pytest.approx(way, abs=2e-6)
     assert np.mean(inside["force"]) >= 0.85
     assert np.mean(inside["motion"]) >= 0.85
     assert np.median(errors) < 0.02
-
-
-def _holds(prediction: Prediction, truth: np.ndarray) -> np.ndarray:
-    low, high = prediction.interval(2.0)
-    return (low <= truth) & (truth <= high)
-
-
-def test_force_and_motion_are_inverse_to_each_other(press: Press) -> None:
-    live, now = press.heard_until(3.0)
-    times = np.linspace(0.05, 1.0, 40)
-    way = 0.001 * np.sin(2.0 * times)
-    force = live.predict_force(times, way, now)
-    assert force is not None
-    back = live.predict_motion(times, force.value, now)
-    assert back is not None
-    assert back.value == pytest.approx(way, abs=2e-6)
 
 
 def test_apparent_stiffness_scales_to_the_controllers_time(press: Press) -> None:
@@ -162,12 +133,11 @@ def test_apparent_stiffness_scales_to_the_controllers_time(press: Press) -> None
 
 def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press: Press) -> None:
     live, now = press.heard_until(3.0)
-    assert live.refusal(now + 0.9 * DEADLINE) is None
     reading = live.reading(now + 0.9 * DEADLINE)
     assert reading is not None and reading.age == pytest.approx(0.9 * DEADLINE, abs=0.01)
-    assert live.refusal(now + 1.01 * DEADLINE) is Refusal.LOST
-    assert live.reading(now + 1.01 * DEADLINE) is None
-    assert live.predict_force([0.1], [0.0], now + 1.01 * DEADLINE) is None
+    late = now + 1.01 * DEADLINE
+    assert live.refusal(late) is Refusal.LOST
+    assert live.reading(late) is None and live.predictor(late) is None
 
 
 def test_an_identifier_without_input_is_lost_only_when_it_no_longer_says_so(press: Press) -> None:
@@ -241,7 +211,7 @@ def test_nothing_is_predicted_of_a_contact_that_was_joined_late(press: Press) ->
         now = state.stamp_ns / NANOSECONDS
         live.add(state, now)
     assert live.reading(now) is not None
-    assert live.predict_force([0.1], [0.0], now) is None
+    assert live.predictor(now) is None
 
 
 def test_a_restart_is_noticed_and_its_predecessors_memory_dropped(press: Press) -> None:
@@ -262,10 +232,12 @@ def test_changes_are_told_when_they_matter(press: Press) -> None:
 
 def test_a_plan_must_have_as_many_times_as_values(press: Press) -> None:
     live, now = press.heard_until(3.0)
+    predictor = live.predictor(now)
+    assert predictor is not None
     with pytest.raises(InputError, match="as many of each"):
-        live.predict_force([0.1, 0.2], [0.0], now)
+        predictor.force([0.1, 0.2], [0.0])
     with pytest.raises(InputError, match="increase"):
-        live.predict_force([0.2, 0.1], [0.0, 0.0], now)
+        predictor.force([0.2, 0.1], [0.0, 0.0])
 
 
 def test_pressed_tissue_does_not_seem_free_where_the_law_is_off(press: Press) -> None:
@@ -302,18 +274,15 @@ def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(pre
                 now = state.stamp_ns / NANOSECONDS
                 live.add(state, now)
         assert live.refusal(now) is None
-        assert (live.predict_force([0.1], [0.0], now) is not None) == is_known
+        assert (live.predictor(now) is not None) == is_known
 
 
-def test_without_a_geometry_nothing_is_predicted() -> None:
+def test_a_feed_says_what_it_lacks() -> None:
     with (
         TissueFeed.standalone("/nobody") as feed,
         pytest.raises(InputError, match="geometry"),
     ):
         feed.predict_force([0.1], [0.0])
-
-
-def test_a_deadline_shorter_than_the_promise_is_refused() -> None:
     with pytest.raises(InputError, match="at least"):
         TissueFeed(None, deadline=0.01)  # type: ignore[arg-type]
 
@@ -325,104 +294,61 @@ SLOW_RIG = {"axis.max_speed": 0.01, "force.rate": 100.0, "displacement.rate": 10
 SLOW_IDENTIFIER = {"autostart": True, "estimate.period": 0.02}
 
 
-class Heard:
-    """A feed in its own thread, and when it was told what."""
-
-    def __init__(self) -> None:
-        self.losses: list[tuple[float, Refusal]] = []
-        self.changes: list[Reading] = []
-
-    def lost(self, refusal: Refusal) -> None:
-        self.losses.append((time.monotonic(), refusal))
-
-
-@contextlib.contextmanager
-def pressing() -> Iterator[Any]:
-    """The probe rests on simulated liver, deep enough; yield what presses it."""
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("presser", context=context)
-    command = node.create_publisher(JointState, "/command", 10)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        with node_process("tissue_simulator", SLOW_RIG, file=PARAMETERS):
-            wait_for(command.get_subscription_count, "the simulator")
-            # The air's noise and bias are measured first.
-            executor.spin_once(timeout_sec=0.1)
-
-            def press(depth: float) -> None:
-                command.publish(JointState(name=["z"], position=[depth]))
-
-            yield press
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
-
-
-def touch(press: Any, feed: TissueFeed) -> None:
+def touch(command: Any, feed: TissueFeed) -> None:
     """Touch anew and wait until there is an estimate to rely on."""
-    press(-0.004)
+    command.publish(JointState(name=["z"], position=[-0.004]))
     wait_for(lambda: feed.refusal() is Refusal.NO_CONTACT, "the air")
     # Data that began in contact want the air for `site.timeout`, 2 s, and the probe has to leave.
     end = time.monotonic() + 4.0
     wait_for(lambda: time.monotonic() > end, "the air's noise to be known")
-    press(0.006)
+    command.publish(JointState(name=["z"], position=[0.006]))
     wait_for(lambda: feed.reading(), "an estimate to rely on")
 
 
 def test_a_frozen_killed_and_restarted_node_is_noticed_within_the_deadline() -> None:
-    heard = Heard()
+    losses: list[tuple[float, Refusal]] = []
+    changes: list[Reading] = []
     with (
-        pressing() as press,
+        Ears() as ears,
+        node_process("tissue_simulator", SLOW_RIG, file=PARAMETERS),
         TissueFeed.standalone(
             deadline=DEADLINE,
             parameters=PARAMETERS,
-            on_loss=heard.lost,
-            on_change=heard.changes.append,
+            on_loss=lambda refusal: losses.append((time.monotonic(), refusal)),
+            on_change=changes.append,
         ) as feed,
     ):
+        command = ears.node.create_publisher(JointState, "/command", 10)
+        ears.wait_for(command.get_subscription_count, "the simulator")
         assert feed.refusal() is Refusal.NEVER_HEARD
+
+        def loss_after(act: Any) -> float:
+            """How long the callback took [s]. Whoever asks knows at the deadline."""
+            losses.clear()
+            begin = time.monotonic()
+            act()
+            wait_for(lambda: time.monotonic() > begin + DEADLINE + 0.001, "the deadline")
+            assert feed.reading() is None and feed.refusal() is Refusal.LOST
+            # On a loaded machine the last estimate may have been late already.
+            wait_for(lambda: any(loss is Refusal.LOST for _, loss in losses), "the callback")
+            return next(at for at, loss in losses if loss is Refusal.LOST) - begin
+
         with node_process("identifier", SLOW_IDENTIFIER, file=PARAMETERS) as node:
-            touch(press, feed)
-            assert heard.changes and feed.restarts == 0
+            touch(command, feed)
+            assert changes and feed.restarts == 0
             stiffness = wait_for(lambda: feed.stiffness(0.1), "the stiffness")
             assert 3.0 < stiffness[0] < 500.0
             prediction = wait_for(
                 lambda: feed.predict_force([0.1, 0.2], [0.0005, 0.001]), "a prediction"
             )
             assert 0.0 < prediction.value[0] < prediction.value[1]
-
-            frozen = freeze(node.pid, heard, feed)
+            frozen = loss_after(lambda: os.kill(node.pid, signal.SIGSTOP))
             os.kill(node.pid, signal.SIGCONT)
             assert frozen <= DEADLINE + CALLBACK_SLACK
             wait_for(lambda: feed.refusal() is not Refusal.LOST, "the node to go on")
-
-            touch(press, feed)
-            heard.losses.clear()
-            killed_at = time.monotonic()
-            node.kill()
-            at = killed_at + DEADLINE + 0.001
-            wait_for(lambda: time.monotonic() > at, "the deadline")
-            assert feed.refusal() is Refusal.LOST and feed.reading() is None
-            wait_for(lambda: heard.losses, "the callback")
-            assert heard.losses[0][1] is Refusal.LOST
-            assert heard.losses[0][0] - killed_at <= DEADLINE + CALLBACK_SLACK
+            touch(command, feed)
+            assert loss_after(node.kill) <= DEADLINE + CALLBACK_SLACK
         with node_process("identifier", SLOW_IDENTIFIER, file=PARAMETERS):
             wait_for(lambda: feed.restarts == 1, "the restart to be noticed")
-            touch(press, feed)
+            touch(command, feed)
             wait_for(lambda: feed.predict_force([0.1], [0.0]), "a prediction")
-
-
-def freeze(process_id: int, heard: Heard, feed: TissueFeed) -> float:
-    """Stop the process; return how long the callback took. Whoever asks knows at the deadline."""
-    heard.losses.clear()
-    stopped_at = time.monotonic()
-    os.kill(process_id, signal.SIGSTOP)
-    at = stopped_at + DEADLINE + 0.001
-    wait_for(lambda: time.monotonic() > at, "the deadline")
-    assert feed.reading() is None and feed.refusal() is Refusal.LOST
-    # On a loaded machine the last estimate may have been late already.
-    wait_for(lambda: any(loss is Refusal.LOST for _, loss in heard.losses), "the callback")
-    return next(at for at, loss in heard.losses if loss is Refusal.LOST) - stopped_at

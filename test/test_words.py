@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What is said of a contact, and where: stiffness in N/m, what is determined, flags, warnings."""
 
@@ -21,24 +10,17 @@ import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from output_helpers import ESTIMATE, state, summary
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
 from fden_ros.cli import main
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.outputs import (
-    ContactSummary,
-    Flag,
-    OrderSource,
-    Phase,
-    Status,
-    TissueState,
-)
+from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag, OrderSource
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.decisions import Decisions
 from fden_ros.offline.remarks import remarks
@@ -48,7 +30,8 @@ from fden_ros.parameters import DEFAULT_HARDWARE_ID, check, pipeline_config, rea
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
-from fden_ros.report.table import contact_table, plus_minus
+from fden_ros.report.numbers import plus_minus, result
+from fden_ros.report.table import contact_table
 from fden_ros.ros.status import diagnostic_status
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
@@ -58,74 +41,39 @@ PRESS = ROOT / "bags" / "golden" / "golden_press"
 TABLE = ROOT / "examples" / "press.csv"
 PROBE = ROOT / "examples" / "probe.yaml"
 COLUMNS = "time_s,force_N,depth_mm*1e-3"
-ESTIMATE = Estimate(
-    math.log(500.0),
-    math.log(8.0),
-    0.13,
-    np.diag([0.01, 0.0004, 0.0001]),
-    strain_origin=0.0,
-    strain_origin_sd=0.0,
-    probability_beyond_boundary=1.0,
-    valid=ParameterSet.ALL,
-    known=ParameterSet.ALL,
-    sample_count=1000,
-)
+#: Of the simulated probe.
+AREA, THICKNESS = math.pi * 0.01**2, 0.02
 
 
-def summary(**changes: Any) -> ContactSummary:
-    values: dict[str, Any] = {
-        "stamp_ns": 2,
-        "start_ns": 0,
-        "end_ns": 2,
-        "site_id": 1,
-        "contact_id": 1,
-        "flags": Flag.NONE,
-        "converged": True,
-        "complete": True,
-        "position": None,
-        "order_source": OrderSource.LEARNED,
-        "estimate": ESTIMATE,
-        "max_strain": 0.3,
-        "max_stress": 900.0,
-        "max_force": 0.3,
-        "sample_count": 100,
-        "rejected_count": 0,
-        "classes": None,
-    }
-    return ContactSummary(**values | changes)
-
-
-def state(**changes: Any) -> TissueState:
-    values: dict[str, Any] = {
-        "stamp_ns": 1,
-        "status": Status.CONVERGING,
-        "flags": Flag.NONE,
-        "site_id": 1,
-        "contact_id": 1,
-        "phase": Phase.LOADING,
-        "estimate": ESTIMATE,
-    }
-    return TissueState(**values | changes)
+def pressed(
+    nonlinear_stiffness: float,
+    max_strain: float,
+    seed: int,
+    changes: dict[str, object] | None = None,
+) -> ContactSummary:
+    scenario = ramp_scenario(
+        strain_rate=0.2,
+        max_strain=max_strain,
+        hold_s=0.5,
+        tissue=Tissue(577.0, nonlinear_stiffness, 0.131),
+        rate_hz=250.0,
+        seed=seed,
+    )
+    recording = simulate(scenario)
+    _, outputs = identified(items_of(recording), parameters_of(recording) | (changes or {}))
+    (contact,) = summaries_of(outputs)
+    return contact
 
 
 # The apparent stiffness
 
 
 def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest_point() -> None:
-    tissue = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
-    scenario = ramp_scenario(
-        strain_rate=0.2, max_strain=0.25, hold_s=1.0, tissue=tissue, rate_hz=250.0, seed=3
-    )
-    recording = simulate(scenario)
-    parameters = parameters_of(recording) | {"estimate.time_scale": 0.5}
-    _, outputs = identified(items_of(recording), parameters)
-    (contact,) = summaries_of(outputs)
+    contact = pressed(8.5, 0.25, 3, {"estimate.time_scale": 0.5})
     found = contact.apparent_stiffness
     assert found is not None and found.time_scale == 0.5
-    geometry = pipeline_config(check(parameters)).geometry
-    assert isinstance(geometry, FlatPunch)
-    tangent = 520.0 * math.exp(8.5 * 0.25 - 1.0) * 0.5**-0.131 / math.gamma(1.0 - 0.131)
-    true = tangent * geometry.area / geometry.thickness
+    tangent = 577.0 * math.exp(8.5 * 0.25 - 1.0) * 0.5**-0.131 / math.gamma(1.0 - 0.131)
+    true = tangent * AREA / THICKNESS
     assert abs(found.value - true) < 4.0 * found.sd
     assert found.sd < 0.02 * true
 
@@ -162,25 +110,8 @@ def test_the_apparent_stiffness_is_in_the_json_the_bag_of_results_and_the_table_
 # What the data determine
 
 
-def pressed(nonlinear_stiffness: float, max_strain: float, seed: int) -> ContactSummary:
-    tissue = Tissue(577.0, nonlinear_stiffness, 0.131)
-    scenario = ramp_scenario(
-        strain_rate=0.2,
-        max_strain=max_strain,
-        hold_s=0.5,
-        tissue=tissue,
-        rate_hz=250.0,
-        seed=seed,
-    )
-    recording = simulate(scenario)
-    _, outputs = identified(items_of(recording), parameters_of(recording))
-    (contact,) = summaries_of(outputs)
-    return contact
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_of_material_that_is_linear_so_far_g_is_known_and_gn_is_not(seed: int) -> None:
-    contact = pressed(1.0, 0.08, seed)
+def test_of_material_that_is_linear_so_far_g_is_known_and_gn_is_not() -> None:
+    contact = pressed(1.0, 0.08, 0)
     assert not contact.converged
     estimate = contact.estimate
     assert estimate is not None
@@ -219,9 +150,6 @@ def printed(*contacts: ContactSummary, truth: dict[int, dict[str, float]] | None
 
 
 def test_the_table_with_the_truth_and_flags_is_whole_in_80_columns() -> None:
-    from fden_ros.core.classification.classifier import ClassProbabilities
-    from fden_ros.core.outputs import ApparentStiffness
-
     flagged = summary(
         contact_id=12,
         site_id=12,
@@ -335,8 +263,6 @@ def test_the_rows_of_a_table_go_into_the_bag_of_results_and_replay_alike(tmp_pat
 
 
 def test_the_words_on_what_cannot_be_are_whole_beside_numbers_of_any_size() -> None:
-    from fden_ros.core.outputs import ApparentStiffness
-
     impossible = summary(
         converged=False,
         flags=Flag.IMPLAUSIBLE | Flag.ESTIMATE_AT_EDGE,
@@ -351,3 +277,32 @@ def test_the_words_on_what_cannot_be_are_whole_beside_numbers_of_any_size() -> N
     text = printed(impossible)
     assert "…" not in text and "e+07" not in text
     assert "implausible" in text and "undetermined" in text
+
+
+# What is no result is not printed as one
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "is_of_data", "words"),
+    [
+        (47.4, 4.1, True, "47.4 ± 4.1"),
+        (609.0, 322.0, False, "(609 ± 322)"),
+        (239.0, 250.0, True, "below 1400"),  # 239 exp(1.645 250/239) = 1336
+        (0.31, 0.31, True, "below 1.7"),
+        (239.0, 708.0, True, "–"),
+    ],
+)
+def test_a_number_as_large_as_its_deviation_is_a_bound_or_nothing(
+    value: float, deviation: float, is_of_data: bool, words: str
+) -> None:
+    assert result(value, deviation, is_of_data=is_of_data) == words
+
+
+def test_table_and_log_put_what_the_prior_says_in_brackets() -> None:
+    open_ = ESTIMATE._replace(
+        covariance=np.diag([1.2, 0.04, 0.0001]), valid=ParameterSet.LINEAR_STIFFNESS
+    )
+    contact = summary(estimate=open_, apparent_stiffness=ApparentStiffness(40.0, 44.0, 0.1))
+    for text in (printed(contact), "\n".join(Decisions(Counter()).of(state(estimate=open_)))):
+        assert "below 3" in text and "(8.0 ± 1.6)" in text and "± 5" not in text
+    assert "below 250" in printed(contact)

@@ -1,24 +1,15 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden bag``: make a synthetic palpation bag."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 
+from fden_ros.commands.command import Command, number
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
@@ -37,27 +28,22 @@ examples:
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "bag",
-        help="make a synthetic palpation bag",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "scenario", nargs="?", metavar="SCENARIO", help="name of a scenario, or a YAML file"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="the bag folder to make")
     parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of tissue and noise (default: the scenario's)"
+        "--seed",
+        type=number(least=0, whole=True),
+        metavar="N",
+        help="seed of tissue and noise (default: the scenario's)",
     )
     parser.add_argument(
         "--force", action="store_true", help="replace the bag if it is there already"
     )
     parser.add_argument("--list", action="store_true", help="list the scenarios and exit")
-    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
         return _list_scenarios()
     if args.scenario is None or args.output is None:
         args.parser.error("give SCENARIO and -o DIR, or --list to see the scenarios")
-    if args.seed is not None and args.seed < 0:
-        args.parser.error(f"argument --seed: expected 0 or more, got {args.seed}")
     from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
     from fden_ros.simulation.scenario import load_scenario
     from fden_ros.simulation.simulate import simulate
@@ -82,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
     )
     for topic in bag.topics:
         print(f"  {topic.name:24} {topic.type_name:32} {topic.message_count:>8}")
-    print(f"Next: fden replay {args.output} --config {args.output / PARAMETER_FILE}")
+    folder, config = (shlex.quote(str(p)) for p in (args.output, args.output / PARAMETER_FILE))
+    print(f"Next: fden replay {folder} --config {config}")
     return 0
 
 
@@ -96,3 +81,6 @@ def _list_scenarios() -> int:
     for name in names:
         print(f"{name:{width}}  {load_scenario(name).description}".rstrip())
     return 0
+
+
+COMMAND = Command("bag", "make a synthetic palpation bag", DESCRIPTION, EPILOG, add_arguments, run)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden calibrate``: what has to be known of sensors and robot before tissue is identified."""
 
@@ -23,12 +12,19 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fden_ros.commands.command import Command
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 if TYPE_CHECKING:
-    from fden_ros.offline.calibration import DelayResult
+    from fden_ros.configure.oscillations import DelayResult
 
 DESCRIPTION = "Measure what has to be known of sensors and robot before tissue is identified."
+
+EPILOG = """\
+examples:
+  fden calibrate delay sweep         from oscillations at two frequencies
+  fden calibrate rig session_bag --config arm.yaml -o arm_learned.yaml
+"""
 
 DELAY_DESCRIPTION = """\
 Find the delay between the stamps of force and displacement, from oscillations of the probe on
@@ -67,55 +63,33 @@ Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 _ORDERS = (0.0, 0.05, 0.1, 0.131, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "calibrate",
-        help="find the delay between force and displacement, or what contacts tell of the rig",
-        description=DESCRIPTION,
-    )
-    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
-    delay = what.add_parser(
-        "delay",
-        help="delay between the stamps of force and displacement",
-        description=DELAY_DESCRIPTION,
-        epilog=DELAY_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    delay.add_argument(
+def add_delay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add those of ``fden calibrate delay``."""
+    parser.add_argument(
         "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
     )
-    add_input_options(delay)
-    delay.add_argument("--alpha", type=float, metavar="A", help="alpha of the tissue, if known")
-    delay.add_argument(
+    add_input_options(parser)
+    parser.add_argument("--alpha", type=float, metavar="A", help="alpha of the tissue, if known")
+    parser.add_argument(
         "--alpha-sd", type=float, default=0.0, metavar="S", help="its standard deviation"
     )
-    delay.add_argument("--json", action="store_true", help="print one JSON object")
-    delay.set_defaults(run=run, parser=delay)
-    _add_rig_parser(what)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
-def _add_rig_parser(what: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    rig = what.add_parser(
-        "rig",
-        help="delay and friction that the contacts of a recording tell",
-        description=RIG_DESCRIPTION,
-        epilog=RIG_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    rig.add_argument(
+def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add those of ``fden calibrate rig``."""
+    parser.add_argument(
         "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
     )
-    add_input_options(rig)
-    rig.add_argument(
+    add_input_options(parser)
+    parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="FILE",
         help="write a parameter file: that of --config with what was learned",
     )
-    rig.add_argument("--json", action="store_true", help="print one JSON object")
-    rig.set_defaults(run=run_rig, parser=rig)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run_rig(args: argparse.Namespace) -> int:
@@ -147,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         args.parser.error(f"argument --alpha: expected 0 to 1, got {args.alpha}")
     if not (math.isfinite(args.alpha_sd) and args.alpha_sd >= 0.0):
         args.parser.error(f"argument --alpha-sd: expected 0 or more, got {args.alpha_sd}")
-    from fden_ros.offline.calibration import find_delay, read_samples
+    from fden_ros.configure.oscillations import find_delay, read_samples
 
     force, displacement = read_samples(args.bag, parameters_of(args), selection_of(args))
     result = find_delay(force, displacement, args.alpha, args.alpha_sd)
@@ -264,3 +238,29 @@ def _show_undecided(console: Any, result: DelayResult) -> None:
     for order in _ORDERS:
         table.add_row(f"{order:g}", f"{1e3 * longest.delay(order):.2f} ms")
     console.print(table)
+
+
+COMMAND = Command(
+    "calibrate",
+    "find the delay between force and displacement, or what contacts tell of the rig",
+    DESCRIPTION,
+    EPILOG,
+    parts=(
+        Command(
+            "delay",
+            "delay between the stamps of force and displacement",
+            DELAY_DESCRIPTION,
+            DELAY_EPILOG,
+            add_delay_arguments,
+            run,
+        ),
+        Command(
+            "rig",
+            "delay and friction that the contacts of a recording tell",
+            RIG_DESCRIPTION,
+            RIG_EPILOG,
+            add_rig_arguments,
+            run_rig,
+        ),
+    ),
+)

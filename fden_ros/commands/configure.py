@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden configure``: a parameter file from recordings of a probe nobody has configured."""
 
@@ -24,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fden_ros.commands.command import Command
 from fden_ros.commands.inputs import add_selection_options, selection_of
 from fden_ros.errors import InputError
 
@@ -54,15 +44,8 @@ Exit codes: 0 a file was proposed, 1 the input cannot be used, 2 wrong usage.
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "configure",
-        help="propose a parameter file from recordings of an unknown probe",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "recordings",
         type=Path,
@@ -106,7 +89,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     indenter.add_argument("--thickness", type=float, metavar="H", help="of the tissue [m]")
     indenter.add_argument("--sphere", type=float, metavar="R", help="radius of the tip [m]")
     add_selection_options(parser)
-    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -225,12 +207,14 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
     from fden_ros.configure.reading import read
     from fden_ros.configure.robots import robot_selection
     from fden_ros.recording.reader import BagReader
+    from fden_ros.recording.table import looks_like_a_table
 
     given = selection_of(args)
     readings = []
     for path in args.recordings:
         selection = given
-        if robot is not None:
+        is_table = given.columns is not None or looks_like_a_table(path)
+        if robot is not None and not is_table:
             selection = robot_selection(robot, str(path), BagReader(path).topics, given)
         with _bar(f"reading {path.name}") as show:
             readings.append(read(path, selection, show))
@@ -353,3 +337,13 @@ def _brief_lines(found: Survey) -> list[str]:
     if missing:
         lines.append(f"cannot tell: {', '.join(missing)}; the file says what would")
     return lines
+
+
+COMMAND = Command(
+    "configure",
+    "propose a parameter file from recordings of an unknown probe",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

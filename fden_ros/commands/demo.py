@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden demo``: a synthetic palpation played into the live node, with a picture at the end."""
 
@@ -18,13 +7,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import signal
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
+
+from fden_ros.commands.command import Command
+from fden_ros.commands.processes import Nodes, running
 
 DESCRIPTION = """\
 Make a synthetic palpation bag, play it into the real identifier node over DDS, and show each
@@ -32,20 +20,19 @@ contact's estimates and classification beside the truth while they come in. At t
 and result.json lie in the output folder.
 """
 
+EPILOG = """\
+examples:
+  fden demo
+  fden demo -o /tmp/demo             the results elsewhere
+"""
+
 _SCENARIO = "demo"
 _NAMESPACE = "/fden_demo"
 _QUIET_TIMEOUT = 20.0
-_SHUTDOWN_TIMEOUT = 10.0
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="identify a synthetic palpation live",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "-o",
         "--output",
@@ -54,7 +41,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="DIR",
         help="folder of the results; its earlier demo is replaced (default: demo)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -70,40 +56,20 @@ def run(args: argparse.Namespace) -> int:
     write_recording(recording, bag, overwrite=bag.exists())
     print(f"made {bag}, {len(recording.truth['sites'])} sites; starting the identifier ...")
     read_parameter_file(bag / PARAMETER_FILE)
-    node = _start_identifier(bag / PARAMETER_FILE)
-    try:
-        session = _listen_while_playing(bag, recording.truth, node)
-    finally:
-        _stop(node)
+    settings = {"identifier": "autostart:=true"}
+    with running(bag / PARAMETER_FILE, _NAMESPACE, settings) as nodes:
+        session = _listen_while_playing(bag, recording.truth, nodes)
     _save(session, args.output)
     return 0
 
 
-def _start_identifier(parameter_file: Path) -> subprocess.Popen[bytes]:
-    arguments = [
-        *(sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"),
-        *("--params-file", str(parameter_file), "-p", "autostart:=true"),
-        *("-r", f"__ns:={_NAMESPACE}", "--log-level", "warn"),
-    ]
-    return subprocess.Popen(arguments, stdin=subprocess.DEVNULL, env=os.environ.copy())
-
-
-def _stop(node: subprocess.Popen[bytes]) -> None:
-    node.send_signal(signal.SIGINT)
-    try:
-        node.wait(_SHUTDOWN_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        node.kill()
-        node.wait()
-
-
-def _listen_while_playing(bag: Path, truth: dict[str, Any], node: subprocess.Popen[bytes]) -> Any:
+def _listen_while_playing(bag: Path, truth: dict[str, Any], nodes: Nodes) -> Any:
     from rich.console import Console
     from rich.live import Live
 
-    from fden_ros.errors import InputError
-    from fden_ros.nodes.listener import Listener
+    from fden_ros.nodes.monitor import Monitor
     from fden_ros.nodes.player import Player
+    from fden_ros.report.figure import Session
     from fden_ros.report.live import live_view
 
     sites = {site["site"]: site for site in truth["sites"]}
@@ -111,7 +77,7 @@ def _listen_while_playing(bag: Path, truth: dict[str, Any], node: subprocess.Pop
     done = threading.Event()
     with (
         Player(bag, remap=_remap(bag)) as player,
-        Listener(f"{_NAMESPACE}/identifier") as listener,
+        Monitor(f"{_NAMESPACE}/identifier", keeps_states=True) as monitor,
     ):
 
         def play() -> None:
@@ -128,14 +94,11 @@ def _listen_while_playing(bag: Path, truth: dict[str, Any], node: subprocess.Pop
         thread.start()
         console = Console()
         with Live(console=console, refresh_per_second=5, transient=False) as live:
-            while not (done.is_set() and len(listener.summaries) >= len(truth["contacts"])):
-                listener.spin(0.1)
-                live.update(live_view(listener.states, listener.summaries, sites))
-                if node.poll() is not None:
-                    raise InputError(
-                        f"the identifier ended early, with exit code {node.returncode}"
-                    )
-                if problems or (done.is_set() and listener.quiet_for > _QUIET_TIMEOUT):
+            while not (done.is_set() and len(monitor.summaries) >= len(truth["contacts"])):
+                monitor.spin(0.1)
+                live.update(live_view(monitor.states, monitor.summaries, sites))
+                nodes.require_alive()
+                if problems or (done.is_set() and monitor.quiet_for > _QUIET_TIMEOUT):
                     break
         if not console.is_terminal:
             console.line()  # rich ends the last line on terminals only
@@ -143,7 +106,7 @@ def _listen_while_playing(bag: Path, truth: dict[str, Any], node: subprocess.Pop
         thread.join()
         if problems:
             raise problems[0]
-        return listener.session(sites)
+        return Session(tuple(monitor.states), tuple(monitor.summaries), sites)
 
 
 def _remap(bag: Path) -> dict[str, str]:
@@ -169,3 +132,13 @@ def _save(session: Any, folder: Path) -> None:
     picture = folder / "session.png"
     save_session_figure(session, picture, "Synthetic palpation, identified live")
     print(f"wrote {picture} and {result}")
+
+
+COMMAND = Command(
+    "demo",
+    "identify a synthetic palpation live",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

@@ -1,48 +1,36 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden fit``: the paper's experiments on a CSV file of your own."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fden_ros.commands.command import Command, add_json, number, positive, print_json
+from fden_ros.experiments.kinds import EXPERIMENTS, Options, fit_file
+
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fden_ros.experiments.files import Options
     from fden_ros.experiments.result import Fit, Parameter
 
-DESCRIPTION = """\
+_ROWS = "\n".join(
+    f"  {'' if index else name:14}{columns:50}{gives}"
+    for name, experiment in EXPERIMENTS.items()
+    for index, (columns, gives) in enumerate(experiment.files)
+)
+
+DESCRIPTION = f"""\
 Identify alpha, G and Gn from one of the paper's experiments. FILE is CSV with a line of column
 names (comma, semicolon or tab; # begins a comment):
 
-  KIND          columns                                           gives
-  dynamic       omega_rad_s, storage_modulus_pa, loss_modulus_pa  alpha, G
-  bode          omega_rad_s, gain_per_pa, phase_rad               alpha, G
-  creep         time_s, strain [, stress_pa]                      alpha, xc, G
-  nonlinearity  stress_pa, strain_coefficient                     G, Gn, Gi, xb
-                or a folder of creep files with stress_pa         alpha, G, Gn, Gi, xb
-  relaxation    time_s, stress_pa [, strain]                      alpha, fc, G
-                several strains, or a folder of such files        alpha, G, Gn, Gi, xb
-  indentation   time_s, strain, stress_pa                         alpha, G, Gn, Gi, xb
+  {"KIND":14}{"columns":50}gives
+{_ROWS}
 
 torque_n_m and angle_rad stand in for stress_pa and strain where --radius and --height are given.
 Prints a table with standard deviations and 95 % intervals, or with --json one object.
@@ -61,18 +49,6 @@ examples:
 Exit codes: 0 done, 1 the file cannot be used, 2 wrong usage.
 """
 
-KINDS = ("dynamic", "bode", "creep", "nonlinearity", "relaxation", "indentation")
-_OPTIONS_OF = {
-    "stress": ("creep",),
-    "strain": ("relaxation",),
-    "start": ("creep", "nonlinearity", "relaxation"),
-    "ramp": ("relaxation",),
-    "alpha": ("nonlinearity", "indentation"),
-    "alpha_sd": ("nonlinearity", "indentation"),
-    "convention": ("nonlinearity",),
-    "radius": ("creep", "nonlinearity", "relaxation", "indentation"),
-    "height": ("creep", "nonlinearity", "relaxation", "indentation"),
-}
 _UNITS = {
     "alpha": ("α", ""),
     "g": ("G", "Pa s^α"),
@@ -83,58 +59,52 @@ _UNITS = {
     "f_c": ("fc", "Pa s^α"),
 }
 _TITLES = {
+    "slope": "by the slope of |G*|",
     "phase": "by the phase",
     "slopes": "slopes of G' and G''",
     "appendix_d": "the paper's switching filter (Appendix D)",
     "appendix_f": "on the fractional stress (Appendix F)",
     "coefficients": "by one coefficient a curve",
-    "paper": "the paper's way to the letter",
+    "paper": "the paper's procedure to the letter",
 }
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "fit",
-        help="identify from a laboratory's experiment (CSV)",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
+    parser.add_argument("kind", choices=EXPERIMENTS, metavar="KIND", help=", ".join(EXPERIMENTS))
     parser.add_argument("file", type=Path, metavar="FILE", help="a CSV file, or a folder of them")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="draw data and model (.png, .svg, .pdf)"
     )
     numbers = parser.add_argument_group("what the file does not say")
     numbers.add_argument(
-        "--stress", type=_positive, metavar="PA", help="creep: the constant stress"
+        "--stress", type=positive, metavar="PA", help="creep: the constant stress"
     )
     numbers.add_argument(
-        "--strain", type=_positive, metavar="X", help="relaxation: the held strain (0.1 is 10 %%)"
+        "--strain", type=positive, metavar="X", help="relaxation: the held strain (0.1 is 10 %%)"
     )
     numbers.add_argument(
         "--from",
         dest="start",
-        type=_number,
+        type=number(),
         metavar="S",
         help="leave out rows before this time (default: creep 1 s, else none)",
     )
     numbers.add_argument(
         "--ramp",
-        type=_positive,
+        type=positive,
         metavar="S",
         help="relaxation: the strain rose at constant rate from time 0 to S (default: a step)",
     )
     numbers.add_argument(
         "--alpha",
-        type=_order,
+        type=number(above=0.0, below=1.0),
         metavar="A",
         help="fractional order known from elsewhere (indentation learns it otherwise)",
     )
     numbers.add_argument(
-        "--alpha-sd", type=_positive, metavar="SD", help="its standard deviation (default: exact)"
+        "--alpha-sd", type=positive, metavar="SD", help="its standard deviation (default: exact)"
     )
     numbers.add_argument(
         "--convention",
@@ -142,42 +112,37 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="nonlinearity of a file: keep the factor Gamma(1+alpha), which needs --alpha, or "
         "leave it out as the paper does",
     )
-    numbers.add_argument("--radius", type=_positive, metavar="M", help="radius of the sample")
-    numbers.add_argument("--height", type=_positive, metavar="M", help="height of the sample")
-    parser.set_defaults(run=run, usage_error=parser.error)
+    numbers.add_argument("--radius", type=positive, metavar="M", help="radius of the sample")
+    numbers.add_argument("--height", type=positive, metavar="M", help="height of the sample")
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit and print; return the exit code."""
     options = _options(args)
-    from fden_ros.experiments.files import fit_file
-
     fit = fit_file(args.kind, args.file, options)
     if args.plot:
         from fden_ros.experiments.plot import save_fit_figure
 
         save_fit_figure(fit, args.plot, f"{args.kind}: {args.file.name}")
     if args.json:
-        json.dump({"file": str(args.file), **fit.as_object()}, sys.stdout, allow_nan=False)
-        print()
-        return 0
+        return print_json({"file": str(args.file), **fit.as_object()})
     _print(fit, args.file)
     return 0
 
 
 def _options(args: argparse.Namespace) -> Options:
-    for name, kinds in _OPTIONS_OF.items():
-        if getattr(args, name) is not None and args.kind not in kinds:
-            option = {"start": "from"}.get(name, name).replace("_", "-")
-            args.usage_error(f"--{option} is for {' and '.join(kinds)}, not for {args.kind}")
+    for option in sorted({name for one in EXPERIMENTS.values() for name in one.options}):
+        kinds = [kind for kind, one in EXPERIMENTS.items() if option in one.options]
+        given = getattr(args, {"from": "start"}.get(option, option.replace("-", "_")))
+        if given is not None and args.kind not in kinds:
+            args.parser.error(f"--{option} is for {' and '.join(kinds)}, not for {args.kind}")
     if (args.radius is None) != (args.height is None):
-        args.usage_error("--radius and --height belong together")
+        args.parser.error("--radius and --height belong together")
     if args.alpha_sd is not None and args.alpha is None:
-        args.usage_error("--alpha-sd needs --alpha")
+        args.parser.error("--alpha-sd needs --alpha")
     if args.convention == "exact" and args.alpha is None and not args.file.is_dir():
-        args.usage_error("--convention exact needs --alpha")
+        args.parser.error("--convention exact needs --alpha")
     from fden_ros.core.law.geometry import TorsionalRheometer
-    from fden_ros.experiments.files import Options
 
     return Options(
         stress=args.stress,
@@ -228,22 +193,6 @@ def _add_rows(table: Table, parameters: Mapping[str, Parameter]) -> None:
         table.add_row(symbol, f"{p.value:.5g}", sd, interval, unit)
 
 
-def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a number")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"{text} must be positive")
-    return value
-
-
-def _order(text: str) -> float:
-    value = _number(text)
-    if not 0.0 < value < 1.0:
-        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1")
-    return value
+COMMAND = Command(
+    "fit", "identify from a laboratory's experiment (CSV)", DESCRIPTION, EPILOG, add_arguments, run
+)

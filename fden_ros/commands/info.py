@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden info``: what is in a bag, and what a replay would use of it."""
 
@@ -18,10 +7,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fden_ros.commands.command import Command
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 if TYPE_CHECKING:
@@ -44,33 +35,25 @@ and ten usual ones. Exit codes: 0 a replay can begin, 1 it cannot, 2 wrong usage
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "info",
-        help="show what is in a bag and what would be used",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
     )
     add_input_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Inspect and print; return 1 if a replay could not begin."""
-    from fden_ros.recording.contents import contents_object, inspect
+    from fden_ros.recording.contents import inspect
     from fden_ros.recording.table import looks_like_a_table
 
     if looks_like_a_table(args.bag):
         return _show_table(args.bag, args.json)
     contents = inspect(args.bag, parameters_of(args), selection_of(args))
     if args.json:
-        json.dump(contents_object(contents), sys.stdout, allow_nan=False)
+        json.dump(contents.as_object(), sys.stdout, allow_nan=False)
         print()
     else:
         _show(contents)
@@ -91,7 +74,7 @@ def _show_table(path: Path, as_json: bool) -> int:
     for number, heading in enumerate(headings, start=1):
         print(f"  {number:2}  {heading}")
     columns = "" if guessed_columns(headings) else " --columns TIME,FORCE,DISPLACEMENT"
-    print(f"Next: fden replay {path}{columns}")
+    print(f"Next: fden replay {shlex.quote(str(path))}{columns}")
     return 0
 
 
@@ -107,20 +90,25 @@ def _show(contents: BagContents) -> None:
     filled = [topic for topic in contents.topics if topic.start_ns]
     if filled:
         length = max(t.end_ns for t in filled) - min(t.start_ns for t in filled)
-        print(f"{sum(t.message_count for t in filled)} messages in {length * 1e-9:.1f} s")
+        print(f"{sum(t.messages for t in filled)} messages in {length * 1e-9:.1f} s")
     for warning in contents.warnings:
         print(f"warning: {warning}")
 
 
 def _describe(topic: TopicContents) -> str:
-    parts = [topic.type_name.replace("/msg/", "/"), f"{topic.message_count} messages"]
-    if topic.rate:
-        parts.append(f"{topic.rate:.4g} Hz, jitter {1e3 * topic.jitter:.2g} ms")
-    if topic.gap_count:
-        parts.append(f"{topic.gap_count} gaps, the longest {topic.longest_gap:.2g} s")
+    parts = [topic.type.replace("/msg/", "/"), f"{topic.messages} messages"]
+    if topic.rate_hz:
+        parts.append(f"{topic.rate_hz:.4g} Hz, jitter {1e3 * topic.jitter_s:.2g} ms")
+    if topic.gaps:
+        parts.append(f"{topic.gaps} gaps, the longest {topic.longest_gap_s:.2g} s")
     if topic.stamped:
-        parts.append(f"recorded {1e3 * topic.delay:.3g} ms after its stamps")
+        parts.append(f"recorded {1e3 * topic.delay_s:.3g} ms after its stamps")
         parts.append(f"frame {topic.frame!r}")
     else:
         parts.append("no stamps")
     return ", ".join(parts)
+
+
+COMMAND = Command(
+    "info", "show what is in a bag and what would be used", DESCRIPTION, EPILOG, add_arguments, run
+)

@@ -1,22 +1,12 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Options that several commands share: what of a recording is force, displacement, surface."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -102,6 +92,7 @@ def selection_of(args: argparse.Namespace) -> Any:
 
     if args.rows is not None and args.columns is None:
         args.parser.error("--rows is for tables: give --columns too")
+    _take_from_files(args)
     return Selection(
         force_topic=args.force_topic,
         displacement_topic=args.displacement_topic,
@@ -112,6 +103,27 @@ def selection_of(args: argparse.Namespace) -> Any:
         surface_topic=args.surface_topic,
         surface_field=args.surface_field,
     )
+
+
+def _take_from_files(args: argparse.Namespace) -> None:
+    """Fill in what ``fden configure`` has written of a recording, where no option says it."""
+    from fden_ros.recording.source import SELECTION_LINE
+    from fden_ros.recording.table import looks_like_a_table
+
+    paths = [path for path in map(vars(args).get, ("bag", "recording")) if path is not None]
+    is_table = args.columns is not None or any(map(looks_like_a_table, paths))
+    for path in getattr(args, "config", None) or []:
+        if not path.is_file():
+            continue
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            if not line.startswith(SELECTION_LINE):
+                continue
+            parser = argparse.ArgumentParser()
+            add_selection_options(parser)
+            written = parser.parse_known_args(shlex.split(line.removeprefix(SELECTION_LINE)))[0]
+            for name, value in vars(written).items():
+                if getattr(args, name) is None and is_table == (name in ("columns", "rows")):
+                    setattr(args, name, value)
 
 
 def as_argument(parse: Callable[[str], _Value]) -> Callable[[str], _Value]:

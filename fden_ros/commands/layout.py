@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden layout``: the Foxglove layout for an identifier of another name."""
 
@@ -22,10 +11,15 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from fden_ros.commands.command import Command
+
 DESCRIPTION = """\
 Print the Foxglove layout (config/foxglove_layout.json) for topics under a namespace, or of other
 names. Import it in Foxglove: Layouts, Import from file.
+"""
 
+EPILOG = """\
+examples:
   fden layout --namespace /left > left.json
   fden layout --force /ft/wrench --displacement /arm/pose > probe.json
 
@@ -34,14 +28,8 @@ RViz needs none: the topics of config/identifier.rviz follow its own namespace,
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "layout",
-        help="the Foxglove layout for topics under a namespace",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "--namespace", default="", metavar="NS", help="of the identifier and its inputs"
     )
@@ -49,7 +37,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         parser.add_argument(
             f"--{what}", metavar="TOPIC", help=f"topic of the {what} (default: NS/{what})"
         )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,3 +70,13 @@ def _renamed(value: Any, names: Mapping[str, str]) -> Any:
             if rest != value and (not rest or rest[0] in "/. "):
                 return other + rest
     return value
+
+
+COMMAND = Command(
+    "layout",
+    "the Foxglove layout for topics under a namespace",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden monitor``: a running identifier in the terminal."""
 
@@ -23,11 +12,16 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from fden_ros.commands.command import Command, positive
+
 DESCRIPTION = """\
 Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
 standard deviations, curves of the force and of G with its interval over the last 20 s, the
 classification, the last contacts, and its warnings. Ctrl-C ends it.
+"""
 
+EPILOG = """\
+examples:
   fden monitor                       the node /identifier
   fden monitor /left/identifier      another one
 """
@@ -35,19 +29,12 @@ classification, the last contacts, and its warnings. Ctrl-C ends it.
 _PERIOD = 0.2
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "monitor",
-        help="show a running identifier in the terminal",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "identifier", nargs="?", default="/identifier", help="its name (default: /identifier)"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after this time [s]")
-    parser.set_defaults(run=run)
+    parser.add_argument("--duration", type=positive, metavar="S", help="stop after this time [s]")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -106,3 +93,13 @@ def _signals_noted() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+COMMAND = Command(
+    "monitor",
+    "show a running identifier in the terminal",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

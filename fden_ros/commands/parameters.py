@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden parameters``: every parameter of the identifier, as a parameter file or a table."""
 
@@ -19,12 +8,19 @@ from __future__ import annotations
 import argparse
 import textwrap
 
+from fden_ros.commands.command import Command
 from fden_ros.parameters import PARAMETERS, Parameter, Value
 
 DESCRIPTION = """\
 Print a parameter file with every parameter of the identifier at its default, each explained.
 Keep what differs for your probe, and give it to the node (--params-file) or to `fden replay
 --config`.
+"""
+
+EPILOG = """\
+examples:
+  fden parameters > probe.yaml
+  fden parameters --markdown         the same as a table
 """
 
 _HEADER = """\
@@ -34,16 +30,9 @@ _HEADER = """\
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "parameters",
-        help="print every parameter of the identifier, explained",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--markdown", action="store_true", help="print a table instead")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,3 +82,13 @@ def _yaml(value: Value) -> str:
         return f'"{value}"'
     # YAML 1.1 takes 1e-05 for a text.
     return f"{value:.1e}" if isinstance(value, float) and 0 < value < 1e-3 else str(value)
+
+
+COMMAND = Command(
+    "parameters",
+    "print every parameter of the identifier, explained",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

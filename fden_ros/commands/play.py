@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden play``: publish a bag on live topics."""
 
@@ -24,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from fden_ros.commands.command import Command, count, number, positive
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,15 +39,8 @@ _DEFAULT_CLOCK_HZ = 100.0
 _BAR_PERIOD_S = 0.1
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "play",
-        help="publish a bag on live topics",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("bag", metavar="BAG", help="a rosbag2 folder or an .mcap file")
     parser.add_argument(
         "--rate",
@@ -69,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--loop", action="store_true", help="play again and again")
     parser.add_argument(
         "--clock",
-        type=_positive,
+        type=positive,
         nargs="?",
         const=_DEFAULT_CLOCK_HZ,
         metavar="HZ",
@@ -90,7 +73,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     waiting = parser.add_mutually_exclusive_group()
     waiting.add_argument(
         "--wait-for",
-        type=_count,
+        type=count,
         default=1,
         metavar="N",
         help="subscribers that each force and displacement topic must have first (default: 1)",
@@ -98,19 +81,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     waiting.add_argument("--no-wait", action="store_true", help="begin without subscribers")
     parser.add_argument(
         "--timeout",
-        type=_positive,
+        type=positive,
         default=30.0,
         metavar="S",
         help="how long to wait for subscribers (default: 30 s)",
     )
     parser.add_argument(
         "--delay",
-        type=_not_negative,
+        type=number(least=0.0),
         default=0.5,
         metavar="S",
         help="pause between finding the subscribers and the first message (default: 0.5 s)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -126,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"{args.bag} holds no message to play: choose another bag")
     for warning in (*bag.warnings, *player.warnings):
         _say(f"warning: {warning}")
-    told = len(player.warnings)
+    shown = len(player.warnings)
     with player:
         if not args.no_wait and player.input_topics:
             player.wait_for_subscribers(
@@ -142,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
             _say(f"sent {sent} messages in {time.monotonic() - began:.1f} s")
             if not args.loop:
                 break
-    for warning in player.warnings[told:]:
+    for warning in player.warnings[shown:]:
         _say(f"warning: {warning}")
     return 0
 
@@ -178,38 +160,8 @@ def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected a number, got {text!r}") from None
-
-
 def _positive_or_inf(text: str) -> float:
-    value = _number(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"expected a number above 0 or inf, got {text!r}")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
-    return value
-
-
-def _not_negative(text: str) -> float:
-    value = _number(text)
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"expected a number of at least 0, got {text!r}")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
-    return int(text)
+    return math.inf if text == "inf" else positive(text)
 
 
 def _remapping(text: str) -> tuple[str, str]:
@@ -217,3 +169,6 @@ def _remapping(text: str) -> tuple[str, str]:
     if not (old and separator and new):
         raise argparse.ArgumentTypeError(f"expected FROM:=TO, got {text!r}")
     return old, new
+
+
+COMMAND = Command("play", "publish a bag on live topics", DESCRIPTION, EPILOG, add_arguments, run)

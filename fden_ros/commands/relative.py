@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden relative``: every site against those around it, from a table of results."""
 
@@ -18,11 +7,10 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fden_ros.commands.command import Command, add_json, positive, print_json, write
 from fden_ros.commands.inputs import add_config_options, parameters_of
 from fden_ros.errors import InputError
 
@@ -49,31 +37,23 @@ the input cannot be used, 2 wrong usage.
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "relative",
-        help="find sites that are stiffer than their surroundings",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("results", type=Path, metavar="RESULTS", help="CSV or Parquet")
     add_config_options(parser)
-    parser.add_argument("--ratio", type=_positive, default=1.5, metavar="R", help="default: 1.5")
+    parser.add_argument("--ratio", type=positive, default=1.5, metavar="R", help="default: 1.5")
     parser.add_argument(
-        "--strain", type=_positive, default=0.1, metavar="X", help="of the comparison (0.1)"
+        "--strain", type=positive, default=0.1, metavar="X", help="of the comparison (0.1)"
     )
     parser.add_argument(
-        "--time-scale", type=_positive, default=0.1, metavar="S", help="of the comparison (0.1 s)"
+        "--time-scale", type=positive, default=0.1, metavar="S", help="of the comparison (0.1 s)"
     )
     parser.add_argument(
-        "--distance", type=_positive, default=0.0, metavar="M", help="of surroundings (all)"
+        "--distance", type=positive, default=0.0, metavar="M", help="of surroundings (all)"
     )
     parser.add_argument("--map", type=Path, metavar="FILE", help="draw a map (.png, .svg, .pdf)")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the table")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,23 +69,13 @@ def run(args: argparse.Namespace) -> int:
 
         figure = Figure(figsize=(7, 6), layout="constrained")
         _draw(figure, rows, config)
-        _write(args.map, lambda: figure.savefig(args.map, dpi=130))
+        write(args.map, lambda path: figure.savefig(path, dpi=130))
     if args.csv is not None:
-        _write(args.csv, lambda: _write_csv(args.csv, rows))
+        write(args.csv, lambda path: _write_csv(path, rows))
     if args.json:
-        json.dump({"sites": rows}, sys.stdout, allow_nan=False)
-        print()
-        return 0
+        return print_json({"sites": rows})
     _print(rows, args.ratio)
     return 0
-
-
-def _write(path: Path, write: Any) -> None:
-    try:
-        write()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise InputError(f"{path}: cannot be written: {reason}") from None
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -173,11 +143,11 @@ def _draw(figure: Figure, rows: list[dict[str, Any]], config: Any) -> None:
     )
 
 
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} must be a positive number")
-    return value
+COMMAND = Command(
+    "relative",
+    "find sites that are stiffer than their surroundings",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden replay``: estimates from a recording, straight from the file."""
 
@@ -23,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fden_ros.commands.command import Command
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 if TYPE_CHECKING:
@@ -54,15 +44,8 @@ was identified: no contact is converged, nor a stiffness known (contact.mode: co
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "replay",
-        help="estimate from a recorded bag",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
     )
@@ -75,17 +58,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--force", action="store_true", help="replace OUT if it is there already")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print; return the exit code."""
+    from fden_ros.core.estimation import loops
     from fden_ros.offline.replay import replay
 
     if args.output is None and (args.with_inputs or args.force):
         args.parser.error("--with-inputs and --force are about OUT: give -o OUT too")
     parameters, selection = parameters_of(args), selection_of(args)
     progress = sys.stderr.isatty()
+    if slow := loops.notice():
+        print(f"fden: {slow}", file=sys.stderr)
     if args.output is None:
         result = replay(args.bag, parameters, selection, progress=progress)
         _show(result, args.json)
@@ -140,3 +125,8 @@ def _show(result: Replay, as_json: bool) -> None:
         console.print(f"  {reason}: {count}")
     for warning in result.warnings:
         console.print(f"[yellow]warning:[/yellow] {escape(warning)}")
+
+
+COMMAND = Command(
+    "replay", "estimate from a recorded bag", DESCRIPTION, EPILOG, add_arguments, run
+)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden report``: a page that a person reads, from a recording."""
 
@@ -23,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fden_ros.commands.command import Command
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 if TYPE_CHECKING:
@@ -44,15 +34,8 @@ Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "report",
-        help="write a page on a recording",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
     )
@@ -60,7 +43,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--png", type=Path, metavar="FILE", help="one picture of the session")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row a contact")
     add_input_options(parser)
-    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,10 +50,12 @@ def run(args: argparse.Namespace) -> int:
     if args.output is None and args.png is None and args.csv is None:
         args.parser.error("nothing to write: give -o FILE.html, --png FILE or --csv FILE")
     from fden_ros.offline.session import gather
+    from fden_ros.report.sentence import sentence
 
     session = gather(
         args.bag, parameters_of(args), selection_of(args), progress=sys.stderr.isatty()
     )
+    print(sentence(session))
     if args.output is not None:
         from fden_ros.report.page import save_page
 
@@ -109,3 +93,6 @@ def _save_table(session: Session, path: Path) -> None:
     writer.writeheader()
     writer.writerows(session_rows(session))
     write_text(path, text.getvalue())
+
+
+COMMAND = Command("report", "write a page on a recording", DESCRIPTION, EPILOG, add_arguments, run)

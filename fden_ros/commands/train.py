@@ -1,38 +1,23 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """``fden train``: a tissue library from labelled contacts."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fden_ros.commands.command import Command, add_json, number, print_json, write
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from fden_ros.tissues.training import Check, Contacts, Spread
-
-if TYPE_CHECKING:
+    from fden_ros.core.classification.classifier import TissueLibrary
     from fden_ros.parameters import Parameters
+    from fden_ros.tissues.training import Check, Contacts, Spread
 
 DESCRIPTION = """\
 Learn a tissue library from labelled contacts: per tissue the distribution of (ln G, ln Gn, alpha)
@@ -64,15 +49,8 @@ codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to ``fden``."""
-    parser = subparsers.add_parser(
-        "train",
-        help="learn a tissue library from labelled contacts",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("labelled", nargs="+", metavar="LABELLED", help="as above")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE", help="the library, YAML"
@@ -88,93 +66,84 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument(
         "--unknown",
-        type=_share,
+        type=number(above=0.0, below=1.0),
         default=None,
         metavar="P",
         help="probability of meeting what is none of them (default: 0.1)",
     )
     parser.add_argument("--tissue-column", default="tissue", metavar="NAME")
     parser.add_argument("--specimen-column", default="specimen", metavar="NAME")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     add_input_options(parser)
-    parser.set_defaults(run=run, parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Learn, check, write and print; return the exit code."""
-    from fden_ros.benchmarks import progress
-    from fden_ros.offline.labelled import Columns, Source, read_source
     from fden_ros.parameters import geometry_of
+    from fden_ros.report.progress import progress
     from fden_ros.tissues.library import units_of
     from fden_ros.tissues.training import (
         UNKNOWN_PRIOR,
         check,
         check_object,
-        joined,
         learn,
         library_of,
         library_text,
     )
 
-    parameters, selection = parameters_of(args), selection_of(args)
-    columns = Columns(args.tissue_column, args.specimen_column)
-    sources = [Source.parse(text) for text in args.labelled]
-    with progress("contacts", len(sources)) as advance:
-        parts = []
-        for source in sources:
-            parts.append(read_source(source, parameters, selection, columns))
-            advance()
-    contacts = joined(parts)
-    priors = dict(args.prior)
-    for tissue in priors:
-        if tissue not in contacts.classes:
-            raise InputError(
-                f"--prior {tissue}: there is no such tissue in the data; it has "
-                f"{', '.join(contacts.classes)}"
-            )
-    unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
+    parameters = parameters_of(args)
+    contacts = _read(args, parameters)
     geometry = _geometry(parameters) if geometry_of(parameters).is_stated else {}
     units = units_of(geometry_of(parameters))
+    unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
+    name, kind = args.name or args.output.stem, str(geometry.get("kind", ""))
 
-    def make(spreads: Mapping[str, Spread]) -> Any:
-        return library_of(
-            spreads,
-            args.name or args.output.stem,
-            priors,
-            unknown,
-            units,
-            str(geometry.get("kind", "")),
-        )
+    def make(spreads: Mapping[str, Spread]) -> TissueLibrary:
+        return library_of(spreads, name, dict(args.prior), unknown, units, kind)
 
     spreads = learn(contacts)
     with progress("one specimen left out", len(set(contacts.groups))) as advance:
         result = check(contacts, spreads, make, advance)
     text = library_text(make(spreads), spreads, contacts, result, geometry)
-    try:
-        args.output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{args.output}: cannot be written: {error.strerror}") from None
+    write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
     if args.json:
-        summary = {
-            "library": str(args.output),
-            "units": units,
-            "contacts": len(contacts),
-            "mismatched": contacts.mismatched,
-            "left_out": dict(contacts.skipped),
-            "check": check_object(result),
-            "warnings": _warnings(contacts, result),
-        }
-        json.dump(summary, sys.stdout, allow_nan=False)
-        print()
-        return 0
-    from rich.console import Console
-
-    console = Console()
-    if not console.is_terminal:
-        console.width = 120
-    _print(console, contacts, spreads, result, units)
-    console.print(f"wrote {args.output}")
+        return print_json(
+            {
+                "library": str(args.output),
+                "units": units,
+                "contacts": len(contacts),
+                "mismatched": contacts.mismatched,
+                "left_out": dict(contacts.skipped),
+                "check": check_object(result),
+                "warnings": _warnings(contacts, result),
+            }
+        )
+    _print(contacts, spreads, result, units)
+    print(f"wrote {args.output}")
     return 0
+
+
+def _read(args: argparse.Namespace, parameters: Parameters) -> Contacts:
+    from fden_ros.offline.labelled import Columns, Source, read_source
+    from fden_ros.report.progress import progress
+    from fden_ros.tissues.training import joined
+
+    selection = selection_of(args)
+    columns = Columns(args.tissue_column, args.specimen_column)
+    sources = [Source.parse(text) for text in args.labelled]
+    parts = []
+    with progress("contacts", len(sources)) as advance:
+        for source in sources:
+            parts.append(read_source(source, parameters, selection, columns))
+            advance()
+    contacts = joined(parts)
+    for tissue, _ in args.prior:
+        if tissue not in contacts.classes:
+            raise InputError(
+                f"--prior {tissue}: there is no such tissue in the data; it has "
+                f"{', '.join(contacts.classes)}"
+            )
+    return contacts
 
 
 def _geometry(parameters: Parameters) -> dict[str, Any]:
@@ -211,18 +180,16 @@ def _warnings(contacts: Contacts, result: Check) -> list[str]:
     return warnings
 
 
-def _print(
-    console: Console,
-    contacts: Contacts,
-    spreads: Mapping[str, Spread],
-    result: Check,
-    units: str,
-) -> None:
+def _print(contacts: Contacts, spreads: Mapping[str, Spread], result: Check, units: str) -> None:
     import numpy as np
     from rich import box
+    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
+    console = Console()
+    if not console.is_terminal:
+        console.width = 120
     table = Table(
         title="Tissues: median and spread over contacts", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
@@ -276,11 +243,11 @@ def _prior(text: str) -> tuple[str, float]:
     return name, value
 
 
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1.0:
-        raise argparse.ArgumentTypeError(f"{text} must lie between 0 and 1")
-    return value
+COMMAND = Command(
+    "train",
+    "learn a tissue library from labelled contacts",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Axis and sign of force and displacement: where the force of a contact points, and the motion."""
 
@@ -24,8 +13,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from fden_ros.configure.finding import Finding, unknown
-from fden_ros.configure.session import Contact, Session
-from fden_ros.configure.stiffening import stiffening
+from fden_ros.configure.session import Contact, Lines, Session
+from fden_ros.configure.signs import LEAST_RATIO
 from fden_ros.core.arrays import Array
 
 #: An axis is claimed from a standard deviation of its direction of this size on [rad]: 2 degrees
@@ -33,8 +22,8 @@ from fden_ros.core.arrays import Array
 LARGEST_SD = math.radians(2.0) / 2.45
 #: Force and motion of a contact go together from this correlation on.
 _TOGETHER = 0.5
-#: Stiffening shows the sign from this many deviations on.
-_BEND = 5.0
+#: Force and motion of a contact are compared by their changes over this part of it.
+_CHANGES = 20
 #: No drive runs straighter than this [m]: a short stroke shows no direction.
 _STRAIGHT = 5e-6
 #: The way to a contact and from it is looked at for this time [s], and counts from this many
@@ -79,21 +68,44 @@ class Axes:
 
 def find_axes(sessions: Sequence[Session]) -> Axes:
     """Find both axes from the contacts of one rig's recordings."""
-    chosen = tuple(session for session in sessions if session.contacts and session.leaves)
+    lines = next((session.lines for session in sessions if session.lines is not None), None)
+    if lines is None:
+        return Axes(None, None, (), "no contact was seen")
+    touched = tuple(session for session in sessions if session.contacts)
+    if not lines.signs.is_stated:
+        return Axes(None, None, touched, _two_readings(lines))
+    chosen = tuple(session for session in touched if session.leaves)
     if chosen:
-        return _from_touches(chosen)
-    resting = tuple(session for session in sessions if not session.leaves)
-    if resting:
-        return _from_preload(resting)
-    return Axes(None, None, (), "no contact was seen")
+        return _from_touches(chosen, lines)
+    return _from_preload(touched, lines)
 
 
-def _from_touches(sessions: tuple[Session, ...]) -> Axes:
+def _two_readings(lines: Lines) -> str:
+    """Say both readings in words, and how far they are from excluding each other."""
+    first, second = (
+        f"the force grows {_along(sign * lines.grows)} and the displacement "
+        f"{_along(sign * lines.into)} into the tissue"
+        for sign in (1.0, -1.0)
+    )
+    ratio = math.exp(lines.signs.log_ratio)
+    return (
+        f"two readings fit: {first}, or {second}; the first is {ratio:.2g} times as likely, and "
+        f"{LEAST_RATIO:g} times would exclude the other"
+    )
+
+
+def _along(direction: Array) -> str:
+    if direction.size == 1:
+        return "upwards" if direction[0] > 0.0 else "downwards"
+    return "along [" + ", ".join(f"{part:.2f}" for part in direction) + "]"
+
+
+def _from_touches(sessions: tuple[Session, ...], lines: Lines) -> Axes:
     """Contact force against the air, and motion where it rises and falls with it."""
     pushes = [(s, c, s.net[c.first : c.last]) for s in sessions for c in s.contacts]
     moment = sum((push.T @ push for _, _, push in pushes), np.zeros((pushes[0][2].shape[1],) * 2))
     direction = np.linalg.eigh(moment)[1][:, -1]
-    if sum(float((push @ direction).sum()) for _, _, push in pushes) < 0.0:
+    if float(direction @ lines.grows) < 0.0:
         direction = -direction
     parts = [push.T @ (push @ direction) for _, _, push in pushes]
     floors = []
@@ -119,6 +131,8 @@ def _from_touches(sessions: tuple[Session, ...]) -> Axes:
         displacement = Axis(displacement.direction, math.hypot(displacement.sd, bent))
     weight = sum(w for w, _ in together)
     agreed = sum(w * c for w, c in together) / weight if weight > 0.0 else 0.0
+    if lines.into.size == 1:
+        return Axes(force, Axis(lines.into, 0.0), sessions)
     if agreed < _TOGETHER:
         displacement = None
     if displacement is None or displacement.sd > LARGEST_SD:
@@ -164,8 +178,9 @@ def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
 def _motion_part(session: Session, contact: Contact, push: Array) -> tuple[Array, float, float]:
     """Return the motion that goes with the force (j,), its noise, and the correlation."""
     position = session.position[contact.first : contact.last]
-    # Changes over two chunks: in a hold the force relaxes without any motion.
-    moved, rose = position[2:] - position[:-2], push[2:] - push[:-2]
+    # Changes over a short time: in a hold the force relaxes without any motion.
+    lag = max(2, len(push) // _CHANGES)
+    moved, rose = position[lag:] - position[:-lag], push[lag:] - push[:-lag]
     rose = rose / max(float(np.sqrt(np.mean(rose**2))), 1e-300)
     part: Array = moved.T @ rose
     noise = float(np.mean(session.motion_noise)) / math.sqrt(_per_chunk(session, motion=True))
@@ -199,56 +214,19 @@ def _combined(parts: Sequence[Array], floors: Sequence[float]) -> Axis | None:
     return Axis(direction, max(scatter, floor))
 
 
-def _from_preload(sessions: tuple[Session, ...]) -> Axes:
-    """Return a common line where the probe never leaves; its sign from the stiffening."""
-    cross: Array | None = None
-    for session in sessions:
-        still = ~session.turning
-        force = session.force[still] - session.force[still].mean(axis=0)
-        position = session.position[still] - session.position[still].mean(axis=0)
-        product = position.T @ force
-        cross = product if cross is None else cross + product
-    assert cross is not None
-    left, _, right = np.linalg.svd(cross)
-    into, grows = left[:, 0], right[0]
-    if not all(_go_together(session, into, grows) for session in sessions):
-        return Axes(None, None, sessions, "force and motion do not go together")
-    bends = [stiffening(session, into, grows) for session in sessions]
-    mean = sum(bends) / math.sqrt(len(bends))
-    if abs(mean) < _BEND:
-        return Axes(None, None, sessions, "it never leaves the surface, and shows no sign")
-    sign = math.copysign(1.0, mean)
-    if into.size == 1:
-        displacement = Axis(np.array([sign * into[0]]), 0.0)
-    else:
-        displacement = _split_axis([s.position[~s.turning] for s in sessions], sign * into)
-    if grows.size == 1:
-        return Axes(Axis(np.array([sign * grows[0]]), 0.0), displacement, sessions)
-    force_axis = _split_axis([s.force[~s.turning] for s in sessions], sign * grows)
-    return Axes(force_axis, displacement, sessions)
-
-
-def _go_together(session: Session, into: Array, grows: Array) -> bool:
-    """Whether force and displacement go together, at the lag that fits best."""
-    streams = session.streams
-    step = max(float(np.median(np.diff(streams.force_times))), 5e-3)
-    times = np.arange(streams.start + 0.1, streams.end - 0.1, step)
-    columns = [np.interp(times, streams.force_times, column) for column in session.unloaded.T]
-    force = np.stack(columns, axis=1) @ grows
-    still = np.interp(times, session.times, session.turning.astype(float)) == 0.0
-    return any(
-        _correlation((streams.position_at(times + lag) @ into)[still], force[still]) > _TOGETHER
-        for lag in np.linspace(-0.03, 0.08, 23)
+def _from_preload(sessions: tuple[Session, ...], lines: Lines) -> Axes:
+    """Return the common lines where the probe is never seen in the air."""
+    return Axes(
+        _split_axis([s.force[~s.turning] for s in sessions], lines.grows),
+        _split_axis([s.position[~s.turning] for s in sessions], lines.into),
+        sessions,
     )
-
-
-def _correlation(a: Array, b: Array) -> float:
-    spread = float(a.std() * b.std())
-    return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
 
 
 def _split_axis(values: Sequence[Array], direction: Array) -> Axis:
     """Return the main direction of parts of the values, with the scatter of eight of them."""
+    if direction.size == 1:
+        return Axis(direction, 0.0)
     parts = []
     for block in values:
         for some in np.array_split(block, 8):
@@ -274,7 +252,7 @@ def _finding(
     basis = (
         f"{count} contacts against the air"
         if all(s.leaves for s in sessions)
-        else "one contact that never ends; the sign from its stiffening"
+        else "contact that never ends for sure"
     )
     if by_approach:
         basis = f"the ways to and from {count} contacts, which do not give way"

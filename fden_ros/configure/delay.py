@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The delay between force and displacement: from turns, rigid presses, or two oscillations.
 
@@ -29,11 +18,11 @@ import numpy as np
 
 from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, Seconds, unknown
+from fden_ros.configure.oscillations import DelayResult, Oscillation, Samples, find_delay
 from fden_ros.configure.rigid import Press
 from fden_ros.configure.session import Session
 from fden_ros.configure.weight import Weight
 from fden_ros.errors import InputError
-from fden_ros.offline.calibration import DelayResult, Oscillation, Samples, find_delay
 
 #: A delay is claimed up to this deviation [s]: 1 ms is then two of them.
 _LARGEST_SD = 5e-4

@@ -1,38 +1,21 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""A recording cut into air and contact, without knowing any axis, sign or unit.
-
-A probe in contact can only be pushed. So the forces of a recording lie on one side of those in
-the air, and along one line; and in the air the probe travels without any change of the force.
-"""
+"""Recordings of one rig cut into air and contact, once it is known which way the probe presses."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.configure.finding import Seconds
-from fden_ros.configure.statistics import noise_of
+from fden_ros.configure.signs import Course, Mask, Signs, find_signs
+from fden_ros.configure.statistics import fit, noise_of
 from fden_ros.configure.streams import Streams
 from fden_ros.core.arrays import Array
-
-Mask = NDArray[np.bool_]
 
 #: Chunks [s] average the noise; each holds at least 4 samples of force and 3 of position.
 _CHUNK = 0.05
@@ -41,19 +24,18 @@ _TURNING = 0.02
 #: A change counts from 6 standard deviations of a chunk, and 0.3 % of the range of the force.
 _DEVIATIONS = 6.0
 _SHARE = 0.003
-#: A stretch of this time [s] is flat if it scatters by less than 2.5 times the usual.
+#: Medians over this time [s] show the level in the air, which drifts by 0.2 % of the range a
+#: second at most.
 _WINDOW = 0.6
-_FLAT = 2.5
-#: Scatter of more than this share of the range is motion in contact, not noise.
-_STILL = 0.02
-#: The first stretch of air is taken up to a pause of this time [s].
-_PAUSE = 2.0
-#: The level in the air drifts by some 0.2 % of the range a second, before more is known.
 _DRIFT_SHARE = 0.002
 #: The force in the air is followed by medians over this time [s].
 _FOLLOW = 2.0
+#: Force and motion are compared by their changes over this part of a recording.
+_CHANGES = 100
 #: In the air the probe travels by this share of its way in contact, at least.
 _TRAVEL = 0.2
+#: The force in the air follows the motion by less than this share of that in contact.
+_FLAT = 0.15
 #: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off.
 _SAME = 0.5
 #: The variance of a median over that of a mean, of normal noise.
@@ -75,6 +57,23 @@ class Contact:
 
 
 @dataclass(frozen=True)
+class Lines:
+    """Directions in which force and motion go together, and which end of them is the tissue's.
+
+    Parameters
+    ----------
+    grows, into : Array
+        Unit vectors of the force (k,) and the displacement (j,); into the tissue where `signs`
+        are stated.
+    signs : Signs
+    """
+
+    grows: Array
+    into: Array
+    signs: Signs
+
+
+@dataclass(frozen=True)
 class Session:
     """A recording in chunks, the tool's weight taken off.
 
@@ -92,6 +91,8 @@ class Session:
     contacts : tuple of Contact
     leaves : bool
         Whether the force in the air is seen.
+    lines : Lines or None
+        Of force and motion; None where nothing was touched in any recording of the rig.
     force_noise, motion_noise : Array
         Standard deviation per sample of each component (k,), (j,).
     unloaded : Array
@@ -111,6 +112,7 @@ class Session:
     force_noise: Array
     motion_noise: Array
     unloaded: Array
+    lines: Lines | None
 
     @property
     def net(self) -> Array:
@@ -133,42 +135,164 @@ class Session:
         )
 
 
-def make_session(streams: Streams, load: Array | None = None) -> Session:
-    """Cut a recording into air and contact.
+def make_sessions(
+    recordings: Sequence[Streams], loads: Sequence[Array | None] | None = None
+) -> tuple[Session, ...]:
+    """Cut recordings of one rig into air and contact.
 
     Parameters
     ----------
-    streams : Streams
-    load : Array, optional
-        Force of the tool's weight at the force's stamps (n, k), to be taken off.
+    recordings : sequence of Streams
+    loads : sequence of Array, optional
+        Force of the tool's weight at the force's stamps (n, k), to be taken off each.
     """
+    given = loads or [None] * len(recordings)
+    chunks = [_chunks(one, load) for one, load in zip(recordings, given, strict=True)]
+    pressed = [one for one in chunks if one.is_pressed]
+    if not pressed:
+        return tuple(_untouched(one) for one in chunks)
+    grows = _force_line(pressed)
+    into = _motion_line(pressed, grows)
+    signs = find_signs(
+        [Course(c.times, c.position @ into, c.force @ grows, ~c.turning) for c in pressed]
+    )
+    lines = Lines(signs.force * grows, signs.way * into, signs)
+    return tuple(_cut(one, lines) if one.is_pressed else _untouched(one) for one in chunks)
+
+
+@dataclass(frozen=True)
+class _Chunks:
+    """A recording in chunks, before anything is known of it."""
+
+    streams: Streams
+    edges: Array
+    times: Array
+    force: Array
+    position: Array
+    turning: Mask
+    force_noise: Array  #: per sample (k,)
+    chunk_noise: Array  #: (k,)
+    unloaded: Array
+
+    @property
+    def spread(self) -> float:
+        """Range of the force along its line, in deviations of a chunk."""
+        still = self.force[~self.turning]
+        if len(still) < 2 * _LEAST:
+            return 0.0
+        centred = still - np.median(still, axis=0)
+        direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+        noise = float(np.linalg.norm(self.chunk_noise * direction))
+        return float(np.ptp(centred @ direction)) / max(noise, 1e-300)
+
+    @property
+    def is_pressed(self) -> bool:
+        """Whether the force changes by more than its noise."""
+        return self.spread >= _LEAST_CHANGE
+
+
+def _chunks(streams: Streams, load: Array | None) -> _Chunks:
     raw = streams.force if load is None else streams.force - load
     edges = _edges(streams)
     force = _means(streams.force_times, raw, edges)
     position = _means(streams.motion_times, streams.position, edges)
     good = np.isfinite(force[:, 0]) & np.isfinite(position[:, 0])
     times = 0.5 * (edges[1:] + edges[:-1])
-    force, position = _filled(times, force, good), _filled(times, position, good)
-    turning = _turning(streams, edges)
     noise = noise_of(streams.force_times, streams.force)
-    size = max(float(np.median(np.diff(edges))) * streams.force_times.size, 1.0)
-    size = max(size / max(streams.end - streams.start, 1e-9), 1.0)
-    found = _Air(times, force, position, turning, noise / math.sqrt(size), streams)
-    return Session(
+    count = float(np.median(np.diff(edges))) * streams.force_times.size
+    count = max(count / max(streams.end - streams.start, 1e-9), 1.0)
+    return _Chunks(
         streams,
         edges,
         times,
-        force,
-        position,
-        found.baseline,
-        found.air,
-        turning,
-        found.contacts(edges),
-        found.leaves,
+        _filled(times, force, good),
+        _filled(times, position, good),
+        _turning(streams, edges),
         noise,
-        noise_of(streams.motion_times, streams.position),
+        noise / np.sqrt(count),
         raw,
     )
+
+
+def _force_line(pressed: Sequence[_Chunks]) -> Array:
+    """Return the line along which the force changes most."""
+    still = [one.force[~one.turning] for one in pressed]
+    centred = np.concatenate([force - np.median(force, axis=0) for force in still])
+    return np.asarray(np.linalg.svd(centred, full_matrices=False)[2][0])
+
+
+def _motion_line(pressed: Sequence[_Chunks], grows: Array) -> Array:
+    """Return the line of the motion that goes with the force, where that grows along `grows`."""
+    total = np.zeros(pressed[0].position.shape[1])
+    for one in pressed:
+        # Over a short time: in a hold the force relaxes without any motion.
+        lag = max(2, one.times.size // _CHANGES)
+        still = ~(one.turning[lag:] | one.turning[:-lag])
+        rises = (one.force[lag:] - one.force[:-lag]) @ grows
+        total += (one.position[lag:] - one.position[:-lag])[still].T @ rises[still]
+    return np.asarray(total / max(float(np.linalg.norm(total)), 1e-300))
+
+
+def _untouched(chunks: _Chunks) -> Session:
+    still = ~chunks.turning
+    leaves = int(still.sum()) >= 2 * _LEAST
+    air = still if leaves else np.zeros_like(still)
+    return _session(chunks, air, _followed(chunks.times, chunks.force, air), (), leaves, None)
+
+
+def _cut(chunks: _Chunks, lines: Lines) -> Session:
+    """Return the session: contact is where the force lies above that in the air."""
+    still = ~chunks.turning
+    push = chunks.force @ lines.grows
+    limit = _DEVIATIONS * float(np.linalg.norm(chunks.chunk_noise * lines.grows))
+    limit = max(limit, _SHARE * float(np.ptp(push[still])))
+    height = push - _lowest(chunks.times, push, still, limit)
+    air: Mask = still & (np.abs(height) < limit)
+    leaves = lines.signs.is_stated and _is_air(
+        chunks.times, height, chunks.position @ lines.into, air, still
+    )
+    if not leaves:
+        whole = Contact(0, push.size, float(chunks.edges[0]), float(chunks.edges[-1]))
+        middle = np.broadcast_to(np.median(chunks.force, axis=0), chunks.force.shape).copy()
+        return _session(chunks, air & False, middle, (whole,), False, lines)
+    baseline = _followed(chunks.times, chunks.force, air)
+    return _session(chunks, air, baseline, _contacts(height > limit, chunks.edges), True, lines)
+
+
+def _session(
+    chunks: _Chunks,
+    air: Mask,
+    baseline: Array,
+    contacts: tuple[Contact, ...],
+    leaves: bool,
+    lines: Lines | None,
+) -> Session:
+    return Session(
+        chunks.streams,
+        chunks.edges,
+        chunks.times,
+        chunks.force,
+        chunks.position,
+        baseline,
+        air,
+        chunks.turning,
+        contacts,
+        leaves,
+        chunks.force_noise,
+        noise_of(chunks.streams.motion_times, chunks.streams.position),
+        chunks.unloaded,
+        lines,
+    )
+
+
+def _contacts(pressed: Mask, edges: Array) -> tuple[Contact, ...]:
+    joined: list[list[int]] = []
+    for a, b in runs(pressed):
+        if joined and float(edges[a] - edges[joined[-1][1]]) < _SAME:
+            joined[-1][1] = b
+        elif b - a >= _LEAST:
+            joined.append([a, b])
+    return tuple(Contact(a, b, float(edges[a]), float(edges[b])) for a, b in joined)
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
@@ -218,148 +342,43 @@ def _turning(streams: Streams, edges: Array) -> Mask:
     return np.asarray(angles / np.diff(edges) > _TURNING)
 
 
-class _Windows(NamedTuple):
-    """Stretches of flat force: when, at which level, how far the probe went, usual scatter."""
+def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
+    """Return the level that the force never falls below, but for a drift (n,).
 
-    times: Array
-    levels: Array
-    paths: Array
-    noise: float
-
-
-class _Air:
-    """The force in the air, found without an axis."""
-
-    def __init__(
-        self,
-        times: Array,
-        force: Array,
-        position: Array,
-        turning: Mask,
-        chunk_noise: Array,
-        streams: Streams,
-    ) -> None:
-        self._times = times
-        still = ~turning
-        self.leaves = False
-        self.air = np.zeros(times.size, dtype=bool)
-        self.baseline = np.broadcast_to(np.median(force, axis=0), force.shape).copy()
-        self._height = np.zeros(times.size)
-        self._limit = math.inf
-        if still.sum() < 2 * _LEAST:
-            return
-        centred = force - np.median(force[still], axis=0)
-        direction = np.linalg.svd(centred[still], full_matrices=False)[2][0]
-        line = centred @ direction
-        noise = float(np.sqrt(np.sum((chunk_noise * direction) ** 2)))
-        spread = float(np.ptp(line[still]))
-        self._limit = max(_DEVIATIONS * noise, _SHARE * spread)
-        if spread < _LEAST_CHANGE * noise:
-            self.air, self.leaves = still.copy(), True
-            self.baseline = _followed(times, force, self.air)
-            return
-        windows = self._windows(line, position, still, noise)
-        if windows.times.size < 2:
-            return
-        self._limit = max(_DEVIATIONS * windows.noise, _SHARE * spread)
-        taken = self._grow(windows, _level(windows, self._limit), spread)
-        base = _through(self._times, windows.times[taken], windows.levels[taken])
-        air: Mask = still & (np.abs(line - base) < self._limit)
-        above = float(np.mean((line - base > self._limit)[still]))
-        below = float(np.mean((base - line > self._limit)[still]))
-        self._height = (line - base) * (1.0 if above >= below else -1.0)
-        # A probe pulls nowhere: all that is not air lies on one side.
-        self.leaves = min(above, below) < 0.02 + 0.1 * max(above, below)
-        self.air = air
-        if self.leaves and self.air.sum() >= _LEAST:
-            self.leaves = not _follows(self._height, position, self.air, still)
-        if self.leaves:
-            self.baseline = _followed(times, force, self.air)
-
-    def _windows(self, line: Array, position: Array, still: Mask, noise: float) -> _Windows:
-        """Return the stretches of 0.6 s in which the force is flat."""
-        width = max(_LEAST + 1, math.ceil(_WINDOW / float(self._times[1] - self._times[0])))
-        starts = np.arange(0, line.size - width + 1, max(width // 2, 1))
-        index = starts[:, None] + np.arange(width)
-        index = index[still[index].all(axis=1)]
-        if index.shape[0] < 3:
-            return _Windows(np.empty(0), np.empty(0), np.empty(0), 0.0)
-        levels, scatter = line[index].mean(axis=1), line[index].std(axis=1, ddof=1)
-        usual = min(float(np.quantile(scatter, 0.1)), _STILL * float(np.ptp(line)))
-        usual = max(noise, usual)
-        flat = scatter < _FLAT * usual
-        path = np.linalg.norm(np.diff(position[index], axis=1), axis=2).sum(axis=1)
-        times = self._times[index].mean(axis=1)
-        return _Windows(times[flat], levels[flat], path[flat], usual)
-
-    def _grow(self, windows: _Windows, level: float, spread: float) -> Mask:
-        """Follow the level through its drift, from where it is found to before and after."""
-        sd = windows.noise
-        taken = _longest(windows.times, np.abs(windows.levels - level) < 0.5 * self._limit)
-        slope_prior = _DRIFT_SHARE * spread
-        while not taken.all():
-            open_ones = np.flatnonzero(~taken)
-            times, levels = windows.times[taken], windows.levels[taken]
-            since = times[None] - windows.times[open_ones, None]
-            nearest = np.argsort(np.abs(since), axis=1)[:, :20]
-            since, near_levels = np.take_along_axis(since, nearest, axis=1), levels[nearest]
-            centre = since.mean(axis=1)
-            away = since - centre[:, None]
-            precision = (away**2).sum(axis=1) / sd**2 + 1.0 / slope_prior**2
-            slope = (away * near_levels).sum(axis=1) / sd**2 / precision
-            predicted = near_levels.mean(axis=1) - slope * centre
-            allowed = self._limit + 3.0 * np.abs(centre) / np.sqrt(precision)
-            off = np.abs(windows.levels[open_ones] - predicted) / allowed
-            # The surest first: once the air after a long contact has joined, a hold cannot.
-            if off.min() > 1.0:
+    A contact only pushes: the level goes along the lower hull of the force's medians, from the
+    lowest of them to both sides, as far as it is no steeper than a drift.
+    """
+    width = max(_LEAST + 1, math.ceil(_WINDOW / float(times[1] - times[0])))
+    inside = np.flatnonzero(still)
+    blocks = np.array_split(inside, max(inside.size // width, 1))
+    knots = np.array([times[block].mean() for block in blocks])
+    levels = np.array([np.median(push[block]) for block in blocks])
+    hull: list[int] = []
+    for new in range(knots.size):
+        while len(hull) > 1 and _is_above(knots, levels, hull[-2], hull[-1], new):
+            hull.pop()
+        hull.append(new)
+    steepest = _DRIFT_SHARE * float(np.ptp(push[still]))
+    middle = int(np.argmin(levels[hull]))
+    kept = [hull[middle]]
+    for some in (hull[middle + 1 :], hull[:middle][::-1]):
+        last = hull[middle]
+        for one in some:
+            rise = float(levels[one] - levels[last])
+            if rise > limit + steepest * abs(float(knots[one] - knots[last])):
                 break
-            taken[open_ones[off <= max(0.2, float(off.min()))]] = True
-        return taken
-
-    def contacts(self, edges: Array) -> tuple[Contact, ...]:
-        """Return the stretches in contact; the whole recording where it has no air."""
-        if not self.leaves:
-            return (Contact(0, self._times.size, float(edges[0]), float(edges[-1])),)
-        joined: list[list[int]] = []
-        for a, b in runs(self._height > self._limit):
-            if joined and float(edges[a] - edges[joined[-1][1]]) < _SAME:
-                joined[-1][1] = b
-            elif b - a >= _LEAST:
-                joined.append([a, b])
-        return tuple(Contact(a, b, float(edges[a]), float(edges[b])) for a, b in joined)
+            kept.append(one)
+            last = one
+    kept.sort()
+    return np.interp(times, knots[kept], levels[kept])
 
 
-def _level(windows: _Windows, width: float) -> float:
-    """Return the flat force at which the probe travels most: that of the air."""
-    usual = float(np.quantile(windows.paths, 0.75))
-    weights = np.minimum(windows.paths, usual) + 0.05 * usual + 1e-300
-    order = np.argsort(windows.levels)
-    levels, masses = windows.levels[order], np.cumsum(weights[order])
-    low = np.searchsorted(levels, levels - 0.5 * width)
-    high = np.searchsorted(levels, levels + 0.5 * width, side="right") - 1
-    inside = masses[high] - np.where(low > 0, masses[low - 1], 0.0)
-    best = int(np.argmax(inside))
-    return float(np.median(levels[low[best] : high[best] + 1]))
-
-
-def _longest(times: Array, mask: Mask) -> Mask:
-    """Return the longest part of the mask without a pause of more than 2 s."""
-    index = np.flatnonzero(mask)
-    parts = np.split(index, np.flatnonzero(np.diff(times[index]) > _PAUSE) + 1)
-    chosen = np.zeros_like(mask)
-    chosen[max(parts, key=len)] = True
-    return chosen
-
-
-def _through(times: Array, knots: Array, levels: Array) -> Array:
-    """Return the line through levels at `knots`, their trend beyond the ends."""
-    order = np.argsort(knots)
-    knots, levels = knots[order], levels[order]
-    line = np.interp(times, knots, levels)
-    if knots.size > 4 and float(np.ptp(knots)) > 5.0:
-        slope = float(np.polyfit(knots - knots[0], levels, 1)[0])
-        line += slope * (np.minimum(times - knots[0], 0.0) + np.maximum(times - knots[-1], 0.0))
-    return np.asarray(line)
+def _is_above(x: Array, y: Array, first: int, middle: int, last: int) -> bool:
+    """Whether a point lies on or above the line between its neighbours."""
+    return bool(
+        (y[middle] - y[first]) * (x[last] - x[first])
+        >= (y[last] - y[first]) * (x[middle] - x[first])
+    )
 
 
 def _followed(times: Array, values: Array, air: Mask) -> Array:
@@ -399,34 +418,18 @@ def _medians(times: Array, values: Array, air: Mask) -> Array:
     return np.stack([np.interp(times, knots, column) for column in table.T], axis=1)
 
 
-def _follows(height: Array, position: Array, air: Mask, still: Mask) -> bool:
-    """Whether the force in what is taken for air follows the motion, as it does in contact.
-
-    Where the probe does not travel there, nothing shows that it is the air.
-    """
+def _is_air(times: Array, height: Array, way: Array, air: Mask, still: Mask) -> bool:
+    """Whether the probe travels in what is taken for air, and the force does not follow it."""
     pressed = still & ~air
-    if pressed.sum() < _LEAST:
+    if min(int(air.sum()), int(pressed.sum())) < _LEAST:
+        return bool(air.sum() >= _LEAST)
+    longest = max((float(np.ptp(way[a:b])) for a, b in runs(air) if b - a >= _LEAST), default=0.0)
+    if longest < _TRAVEL * float(np.ptp(way[pressed])):
         return False
-    scale = np.linalg.norm(position[pressed] - position[pressed].mean(axis=0), axis=1).std()
-    steps = np.diff(position, axis=0)
-    both = still[1:] & still[:-1]
-    contact = both & (pressed[1:] | pressed[:-1])
-    change = np.diff(height)
-    # Into the tissue, as far as the contact shows it.
-    into = (steps[contact] * change[contact, None]).sum(axis=0)
-    length = float(np.linalg.norm(into))
-    if length <= 0.0 or scale <= 0.0:
-        return False
-    along = steps @ (into / length)
-    free = both & air[1:] & air[:-1]
-    if free.sum() < _LEAST or float(np.sum(along[free] ** 2)) <= 0.0:
-        return True
-    slope = float(along[free] @ change[free]) / float(along[free] @ along[free])
-    in_contact = float(along[contact] @ change[contact]) / float(along[contact] @ along[contact])
-    travel = float(np.sqrt(np.sum(along[free] ** 2)))
-    line = position @ into
-    longest = max((float(np.ptp(line[a:b])) for a, b in runs(air) if b - a >= _LEAST), default=0.0)
-    if longest < _TRAVEL * float(np.ptp(line[pressed])):
-        return True
-    fit_sd = float(np.std(change[free])) / travel
-    return slope > 0.15 * in_contact and slope > 4.0 * fit_sd
+    design = np.stack([way, np.ones_like(times), times - times[0]], axis=1)
+    free = fit(design[air], height[air])
+    change, steps = np.diff(height), np.diff(way)
+    contact = still[1:] & still[:-1] & (pressed[1:] | pressed[:-1])
+    in_contact = float(steps[contact] @ change[contact]) / float(steps[contact] @ steps[contact])
+    slope, sd = float(free.solution[0]), math.sqrt(float(free.covariance[0, 0]))
+    return slope + 2.0 * sd < _FLAT * in_contact

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The surface's normal, from where the probe first touched at several places."""
 
@@ -24,11 +13,11 @@ import numpy as np
 
 from fden_ros.configure.axes import LARGEST_SD, Axes
 from fden_ros.configure.finding import Finding, unknown
+from fden_ros.configure.plane import LEAST_UNSTATED, NoPlaneError, SurfacePlane, fit_plane
 from fden_ros.configure.rigid import Press
 from fden_ros.configure.session import Contact, Session
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.surface import find_surface
-from fden_ros.offline.surface_plane import LEAST_UNSTATED, NoPlaneError, SurfacePlane, fit_plane
 
 SUBJECT = "surface normal"
 _REMEDY = (

@@ -1,21 +1,11 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The parameter file of a survey, commented: value, deviation, where from, and what is missing."""
 
 from __future__ import annotations
 
+import shlex
 import textwrap
 from collections.abc import Sequence
 
@@ -24,6 +14,7 @@ from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
 from fden_ros.errors import InputError
 from fden_ros.parameters import PARAMETERS, Value
+from fden_ros.recording.source import SELECTION_LINE
 from fden_ros.recording.table import stated_columns
 
 _WIDTH = 95
@@ -58,14 +49,19 @@ def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, V
 def replay_problems(survey: Survey, readings: Sequence[Reading]) -> list[str]:
     """Return why `fden replay` with the file will not give numbers to rely on, a line each."""
     problems = []
+    unknown: dict[str, list[str]] = {}
     for what in ("force", "displacement"):
-        finding = survey.finding(f"{what} unit")
-        if finding.claim and finding.value in ("mm", "g"):
-            problems.append(f"{what}: {finding.evidence.partition(': ')[2]}")
-        if not survey.finding(f"{what} axis").claim:
-            problems.append(f"the axis of the {what} is not known: {_first(survey, what)}")
+        unit, axis = survey.finding(f"{what} unit"), survey.finding(f"{what} axis")
+        if not unit.claim:
+            problems.append(f"{unit.subject}: {unit.evidence}; {unit.motion}")
+        elif unit.value in ("mm", "g"):
+            problems.append(f"{what}: {unit.evidence.partition(': ')[2]}")
+        if not axis.claim:
+            unknown.setdefault(f"{axis.evidence}. To find out: {axis.motion}", []).append(what)
+    for why, names in unknown.items():
+        problems.append(f"the axis of the {' and of the '.join(names)} is not known: {why}")
     if survey.finding("lift-off").value == "never":
-        problems.append("no touch is seen: the recording never leaves the surface")
+        problems.append("no touch is seen for sure: begin with 2 s in the air, 3 mm off")
     if not survey.finding("indenter").claim:
         problems.append(
             "the indenter is the default's, a flat face of 1 cm^2 on 20 mm: G and Gn are not the "
@@ -76,20 +72,24 @@ def replay_problems(survey: Survey, readings: Sequence[Reading]) -> list[str]:
 
 def replay_command(path: str, reading: Reading) -> str:
     """Return the command that replays a recording with the file at `path`."""
-    parts = [f"fden replay {reading.path} --config {path}"]
+    return f"fden replay {shlex.quote(str(reading.path))} --config {shlex.quote(path)}"
+
+
+def _chosen(reading: Reading) -> list[str]:
+    """Return the options that say what in a recording was read, where they are needed."""
+    parts = []
     chosen = reading.selection
     for what in ("force", "displacement"):
-        topic = getattr(chosen, f"{what}_topic")
-        field = getattr(chosen, f"{what}_field")
-        parts += [f"--{what}-topic {topic}"] if topic else []
-        parts += [f"--{what}-field {field}"] if field else []
+        for part in ("topic", "field"):
+            value = getattr(chosen, f"{what}_{part}")
+            parts += [f"--{what}-{part}", value] if value else []
     if chosen.columns is not None and not _says_itself(reading):
         of = [chosen.columns.time, chosen.columns.force, chosen.columns.displacement]
         text = ",".join(c.name if c.factor == 1 else f"{c.name}*{c.factor}" for c in of)
-        parts.append(f"--columns '{text}'")
+        parts += ["--columns", text]
     if chosen.where is not None:
-        parts.append(f"--rows '{chosen.where[0]}={chosen.where[1]}'")
-    return " ".join(parts)
+        parts += ["--rows", f"{chosen.where[0]}={chosen.where[1]}"]
+    return parts
 
 
 def _says_itself(reading: Reading) -> bool:
@@ -200,6 +200,8 @@ def _head(survey: Survey, readings: Sequence[Reading]) -> list[str]:
         lines.append(
             f"# Live: -r force:={names['force']} -r displacement:={names['displacement']}"
         )
+    if chosen := _chosen(first):
+        lines.append(f"{SELECTION_LINE}{shlex.join(chosen)}")
     lines.append("# ± is one standard deviation. What stays at its default is left out.")
     for problem in replay_problems(survey, readings):
         lines += _comment(f"ATTENTION: {problem}", "")
@@ -219,10 +221,6 @@ def _source(reading: Reading, what: str) -> str:
     if reading.frames.get(what):
         parts.append(f"frame {reading.frames[what]}")
     return f"{parts[0]} ({', '.join(parts[1:])})" if len(parts) > 1 else parts[0]
-
-
-def _first(survey: Survey, what: str) -> str:
-    return survey.finding(f"{what} axis").motion
 
 
 def _has(name: str, value: str) -> bool:

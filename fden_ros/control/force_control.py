@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Force control on soft tissue: one law, with gains from the live stiffness or fixed.
 
@@ -40,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fden_ros.control.gain_rules import StiffnessInUse, StiffnessLimits
 from fden_ros.control.live_tissue import Reading
 from fden_ros.errors import InputError
 
@@ -102,6 +92,8 @@ class ForceControlConfig:
                 )
 
 
+#: No gain is larger than for tissue as soft as this [N/m].
+_LEAST_STIFFNESS = 0.1
 #: The secant is taken over 25 ms [s] and 20 um [m] at least, less a multiple of its deviation.
 _WINDOW = 0.025
 _LEAST_MOTION = 2e-5
@@ -134,10 +126,18 @@ class ForceController:
         self.config = config
         self.gains = Gains.SAFE if config.scheduled else Gains.FIXED
         self.stiffness = config.safe_stiffness
+        self._in_use = StiffnessInUse(
+            StiffnessLimits(
+                config.safe_stiffness,
+                least_stiffness=min(_LEAST_STIFFNESS, config.safe_stiffness),
+                softening_rate=math.inf,
+                deviations=config.deviations,
+                time_scale=1.0 / config.bandwidth,
+            )
+        )
         self._recent: deque[tuple[float, float, float]] = deque()
         self._time: float | None = None
         self._target = 0.0
-        self._known = config.safe_stiffness
         self._forget()
 
     def step(
@@ -175,7 +175,7 @@ class ForceController:
         """In the air: whatever is touched next is new."""
         self._recent.clear()
         self._stiffening = 1.0
-        self._held = self.config.safe_stiffness
+        self._in_use.leave()
         self._integral = 0.0
         if self.config.scheduled:
             self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
@@ -191,21 +191,14 @@ class ForceController:
     def _schedule(
         self, time: float, force: float, depth: float, reading: Reading | None, elapsed: float
     ) -> None:
-        config = self.config
-        if reading is None:
-            if self.gains is Gains.LIVE:
-                # No faster than is safe, and no faster than before the loss.
-                self._held = max(config.safe_stiffness, self._known)
-            self.gains, self._known = Gains.SAFE, self._held
-        else:
-            value, sd = reading.stiffness(1.0 / config.bandwidth)
-            self.gains, self._known = Gains.LIVE, value + config.deviations * sd
+        known = self._in_use.step(time, reading)
+        self.gains = Gains.SAFE if reading is None else Gains.LIVE
         measured = self._measured_stiffness(time, force, depth)
         if measured is not None:
-            ratio = max(measured / self._known / _BELIEVED, 1.0)
+            ratio = max(measured / known / _BELIEVED, 1.0)
             forgotten = 1.0 + (self._stiffening - 1.0) * math.exp(-_FORGETTING * elapsed)
             self._stiffening = max(ratio, forgotten)
-        self.stiffness = self._known * self._stiffening
+        self.stiffness = known * self._stiffening
 
     def _measured_stiffness(self, time: float, force: float, depth: float) -> float | None:
         """Return the secant dF/dd of the last moments [N/m]; None unless the probe goes in."""

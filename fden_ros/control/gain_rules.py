@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Gains of controllers that exist, from the tissue's stiffness by the force controller's rule.
 
@@ -46,7 +35,7 @@ class StiffnessLimits:
         No gain is larger than for tissue as soft as this [N/m].
     softening_rate
         The stiffness in use falls by no more than the factor e per 1 / `softening_rate` [1/s];
-        it rises at once, which makes every gain smaller.
+        it rises at once, which makes every gain smaller. Infinite: it falls at once, too.
     deviations
         It is the estimate plus this number of its standard deviations.
     time_scale
@@ -109,7 +98,9 @@ class StiffnessInUse:
             return self.value
         stiffness, sd = reading.stiffness(limits.time_scale)
         wanted = max(stiffness + limits.deviations * sd, limits.least_stiffness)
-        least = self.value * math.exp(-limits.softening_rate * elapsed)
+        least = 0.0
+        if math.isfinite(limits.softening_rate):
+            least = self.value * math.exp(-limits.softening_rate * elapsed)
         self.value, self.is_live = max(wanted, least), True
         return self.value
 

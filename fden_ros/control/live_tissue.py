@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The latest estimate with its age, or the reason why there is none to rely on.
 
@@ -27,9 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from numpy.typing import ArrayLike
-
-from fden_ros.control.prediction import Prediction, Predictor
+from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
@@ -86,6 +73,13 @@ class Refusal(enum.Enum):
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
 
+_BY_STATUS = {
+    Status.UNKNOWN: Refusal.UNKNOWN,
+    Status.STALE: Refusal.STALE,
+    Status.NO_CONTACT: Refusal.NO_CONTACT,
+}
+
+
 @dataclass(frozen=True)
 class Reading:
     """An estimate that may be relied on at the time it was asked for.
@@ -129,8 +123,6 @@ class LiveTissue:
     required : ParameterSet
         What must have converged: by default G and Gn. G alone is enough for the stiffness about
         the present strain; predictions need both.
-    refused_flags : Flag
-        Estimates with one of these are refused.
     change : float
         `on_change` is called when the apparent stiffness has moved by more than this share.
     real_time : bool
@@ -147,7 +139,6 @@ class LiveTissue:
         uncertainty: Uncertainty = NOTHING_UNKNOWN,
         deadline: float = 0.1,
         required: ParameterSet = ParameterSet.STIFFNESS,
-        refused_flags: Flag = REFUSED_FLAGS,
         change: float = 0.05,
         real_time: bool = True,
         on_change: Callable[[Reading], None] | None = None,
@@ -160,7 +151,6 @@ class LiveTissue:
         self.on_loss = on_loss
         self.restarts = 0
         self._required = required
-        self._refused_flags = refused_flags
         self._change = change
         self._real_time = real_time
         self._state: TissueState | None = None
@@ -168,7 +158,7 @@ class LiveTissue:
         self._lag = 0.0
         self._least_delay = math.inf
         self._alive = True
-        self._told: Reading | None = None
+        self._reported: Reading | None = None
         self._forget()
 
     def _forget(self) -> None:
@@ -212,16 +202,13 @@ class LiveTissue:
     def check(self, now: float) -> None:
         """Call back where something has changed; to be called at least once per deadline."""
         reading = self.reading(now)
-        told = self._told
+        before = self._reported
         if reading is None:
-            if told is not None:
-                self._told = None
-                refusal = self.refusal(now)
-                if self.on_loss is not None and refusal is not None:
-                    self.on_loss(refusal)
-            return
-        if told is None or self._has_changed(told, reading):
-            self._told = reading
+            self._reported, refusal = None, self.refusal(now)
+            if before is not None and self.on_loss is not None and refusal is not None:
+                self.on_loss(refusal)
+        elif before is None or self._has_changed(before, reading):
+            self._reported = reading
             if self.on_change is not None:
                 self.on_change(reading)
 
@@ -238,27 +225,19 @@ class LiveTissue:
             return Refusal.LOST
         if self._lag > self.deadline:
             return Refusal.LATE
-        by_status = {
-            Status.UNKNOWN: Refusal.UNKNOWN,
-            Status.STALE: Refusal.STALE,
-            Status.NO_CONTACT: Refusal.NO_CONTACT,
-        }
-        if state.flags & self._refused_flags:
+        if state.flags & REFUSED_FLAGS:
             return Refusal.REJECTED
-        if state.status in by_status:
-            return by_status[state.status]
+        if state.status in _BY_STATUS:
+            return _BY_STATUS[state.status]
         if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
             return Refusal.NOT_CONVERGED
         if not self._is_known(state):
-            known, valid = state.estimate.known, state.estimate.valid
             is_linear = (
-                ParameterSet.LINEAR_STIFFNESS in known
-                and ParameterSet.NONLINEAR_STIFFNESS not in valid
+                ParameterSet.LINEAR_STIFFNESS in state.estimate.known
+                and ParameterSet.NONLINEAR_STIFFNESS not in state.estimate.valid
             )
             return Refusal.NOT_OBSERVABLE if is_linear else Refusal.NOT_CONVERGED
-        if self._contradicted == state.contact_id:
-            return Refusal.CONTRADICTED
-        return None
+        return Refusal.CONTRADICTED if self._contradicted == state.contact_id else None
 
     def reading(self, now: float) -> Reading | None:
         """Return the latest estimate if it may be relied on."""
@@ -286,18 +265,6 @@ class LiveTissue:
             innovation.variance if innovation is not None else 0.0,
             self._uncertainty,
         )
-
-    def predict_force(
-        self, times: ArrayLike, displacements: ArrayLike, now: float
-    ) -> Prediction | None:
-        """Return the force of a planned motion; see :meth:`Predictor.force`."""
-        predictor = self.predictor(now)
-        return None if predictor is None else predictor.force(times, displacements)
-
-    def predict_motion(self, times: ArrayLike, forces: ArrayLike, now: float) -> Prediction | None:
-        """Return the motion that makes a planned force; see :meth:`Predictor.motion`."""
-        predictor = self.predictor(now)
-        return None if predictor is None else predictor.motion(times, forces)
 
     # Inside
 

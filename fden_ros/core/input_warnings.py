@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What is odd about the input, in words."""
 
@@ -21,6 +10,7 @@ from collections.abc import Mapping
 
 from fden_ros.core.contact.detector import ContactDetector
 from fden_ros.core.plausibility import of_stream
+from fden_ros.core.streams.direction import Direction
 from fden_ros.core.streams.samples import Reason
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
@@ -32,6 +22,7 @@ def input_warnings(
     config: SynchronizeConfig,
     synchronizer: Synchronizer,
     detector: ContactDetector,
+    direction: Direction,
     rejected: Mapping[str, int],
     clock_jumps: int,
 ) -> dict[str, int]:
@@ -40,7 +31,7 @@ def input_warnings(
     Parameters
     ----------
     config : SynchronizeConfig
-    synchronizer, detector
+    synchronizer, detector, direction
         What saw the samples.
     rejected : mapping
         Counts of rejected samples, keyed ``"<stream>.<reason>"``.
@@ -51,8 +42,7 @@ def input_warnings(
         of_stream("force", synchronizer.force_guard, config.force_limit): 1,
         of_stream("displacement", synchronizer.displacement_guard, config.displacement_limit): 1,
         "the clock jumped back: everything learned was reset": clock_jumps,
-        "the force fell below its value in the air: does it have the wrong sign (force.axis, "
-        "force.inverted), or did the data begin in contact?": detector.below_baseline,
+        f"the force fell below its value in the air: {direction.hint}": detector.below_baseline,
         "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
         "the force repeated one value: is the sensor dead, or at its end?": rejected.get(
             f"force.{Reason.STUCK}", 0

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The whole chain from samples to classified tissue, the same for live, replay and batch.
 
@@ -47,6 +36,7 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Press
 from fden_ros.core.site import Site, dips, prepare
+from fden_ros.core.streams.direction import Direction
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
@@ -109,6 +99,7 @@ class Pipeline:
         # They come once, and outlive a reset.
         self._statics = StaticLinks()
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
+        self._direction = Direction()
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
         self._labeller = labeller_of(config)
         self._plausibility = Plausibility(
@@ -304,6 +295,7 @@ class Pipeline:
             self.config.synchronize,
             self._synchronizer,
             self._detector,
+            self._direction,
             self.rejected,
             self._clock_jumps,
         )
@@ -319,6 +311,7 @@ class Pipeline:
         if self.config.synchronize.frames is not None and self._tare_offset:
             # Only here the force is along the axis.
             pair = pair._replace(force=pair.force - self._tare_offset)
+        self._direction.add(pair)
         try:
             self._take(pair)
         except Exception as error:

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """One place on the tissue: its strain origin, its memory and its estimator."""
 
@@ -30,6 +19,7 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,
 )
+from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
@@ -313,6 +303,9 @@ class Site:
         stamp_ns = pair.stamp_ns
         step = self.seconds_to(stamp_ns)
         estimator = self._estimator if learns and self.is_usable else None
+        if isinstance(estimator, PosteriorEstimator):
+            estimator.take(step, compression, stress, is_free=is_free)
+            estimator = None
         if not is_free:
             if step > 0.0:
                 self._integral.add(step, stress)
@@ -523,15 +516,11 @@ def _new_estimator(
     rig: RigKnowledge,
 ) -> Estimator:
     geometry = config.geometry
-    if config.estimator.observation is Observation.STRESS:
-        return StressEstimator(
-            config.estimator,
-            geometry,
-            noise_sd,
-            origin_sd,
-            noise.scaled(geometry.length),
-            rig,
-        )
+    if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
+        is_posterior = config.estimator.observation is Observation.POSTERIOR
+        kind = PosteriorEstimator if is_posterior else StressEstimator
+        path_noise = noise.scaled(geometry.length)
+        return kind(config.estimator, geometry, noise_sd, origin_sd, path_noise, rig)
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

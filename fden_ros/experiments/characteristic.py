@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """From fits of phi in logarithms to the parameters with their deviations.
 
@@ -26,7 +15,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi
 from fden_ros.experiments.regression import Solution
-from fden_ros.experiments.result import Parameter, positive
+from fden_ros.experiments.result import Parameter
 
 #: Gn outside of this is no tissue; the fits stay within.
 LOG_NONLINEAR_RANGE = (math.log(0.3), math.log(100.0))
@@ -45,20 +34,15 @@ def start_from_points(strain: Array, phi_values: Array) -> Array:
     return np.array([log_g[best_g], log_g_n[best_n]])
 
 
-def stiffness_parameters(
-    solution: Solution, index: int, log_g_gradient: Array | None = None
-) -> dict[str, Parameter]:
+def stiffness_parameters(solution: Solution, index: int) -> dict[str, Parameter]:
     """Return g, g_n, g_i and x_b of a solution with ln G, ln Gn at `index` and the next place."""
+    before = (0.0,) * index
     log_g, log_g_n = solution.values[index : index + 2]
-    unit = np.eye(solution.values.size)
-    by_g = unit[index] if log_g_gradient is None else log_g_gradient
-    by_g_n = unit[index + 1]
-    dof, spread = solution.dof, solution.deviation_of
     return {
-        "g": positive(log_g, spread(by_g), dof),
-        "g_n": positive(log_g_n, spread(by_g_n), dof),
-        "g_i": positive(log_g - log_g_n - 1.0, spread(by_g - by_g_n), dof),
-        "x_b": positive(-log_g_n, spread(by_g_n), dof),
+        "g": solution.positive(*before, 1.0),
+        "g_n": solution.positive(*before, 0.0, 1.0),
+        "g_i": solution.positive(*before, 1.0, -1.0, log_value=log_g - log_g_n - 1.0),
+        "x_b": solution.positive(*before, 0.0, -1.0),
     }
 
 

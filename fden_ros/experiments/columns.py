@@ -1,27 +1,18 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """CSV files of experiments: named columns in, or one line that says what is wrong."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import TorsionalRheometer
@@ -41,6 +32,9 @@ UNITS = {
     "gain_per_pa": "1/Pa",
     "phase_rad": "rad",
 }
+
+#: A held quantity may vary by this part of its mean.
+CONSTANT = 0.02
 
 
 @dataclass(frozen=True)
@@ -90,9 +84,9 @@ class Table:
             values.append(value)
         return np.array(values)
 
-    def positive(self, name: str, why: str = "its logarithm is taken") -> Array:
+    def positive(self, name: str) -> Array:
         """Return a column whose values must all be positive."""
-        return self.require_positive(name, self.column(name), why)
+        return self.require_positive(name, self.column(name))
 
     def require_positive(
         self, name: str, values: Array, why: str = "its logarithm is taken"
@@ -149,6 +143,28 @@ class Table:
                 "(0.1 for 10 %)"
             )
         return values
+
+    def held(self, name: str, values: Array) -> float:
+        """Return the mean of `values`, or raise if they change."""
+        mean = float(values.mean())
+        if np.ptp(values) > CONSTANT * abs(mean):
+            raise InputError(
+                f"{self.path}: {name} goes from {values.min():g} to {values.max():g}; a creep "
+                "test has one stress: one file each"
+            )
+        return mean
+
+    def since(self, time: Array, start: float | None) -> tuple[NDArray[np.bool_], Table]:
+        """Return which rows are not before `start` [s], and the table of these."""
+        kept = np.ones(time.size, dtype=bool) if start is None else time >= start
+        if not kept.any():
+            raise InputError(
+                f"{self.path} ends at {time.max():g} s, before the first row to use at "
+                f"{start:g} s; give --from S"
+            )
+        rows = tuple(itertools.compress(self.rows, kept))
+        lines = tuple(itertools.compress(self.lines, kept))
+        return kept, replace(self, rows=rows, lines=lines)
 
     def _sample(self, sample: TorsionalRheometer | None, name: str) -> TorsionalRheometer:
         if sample is None:

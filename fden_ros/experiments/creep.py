@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Creep: a constant stress from time 0, the strain over time.
 
@@ -28,12 +17,53 @@ a straight line in the log-log plane. Beyond :math:`1/G_n` the exact creep is
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import digamma, gammaln
 
 from fden_ros.core.arrays import Array
+from fden_ros.errors import InputError
+from fden_ros.experiments.columns import read_table
+from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import line_through_logarithms, require_positive
-from fden_ros.experiments.result import Curve, Fit, Panel, plain, positive, r_squared
+from fden_ros.experiments.result import Fit, Panel, compared, r_squared
+
+#: The paper leaves the first second of a creep test out: the rheometer still vibrates.
+START = 1.0
+
+
+class CreepTest(NamedTuple):
+    """One creep test."""
+
+    time: Array  #: since the stress was applied [s], positive, shape (n,)
+    strain: Array  #: [1], positive, shape (n,)
+    stress: float  #: [Pa], constant, positive
+
+
+def from_file(path: Path, options: Options) -> Fit:
+    """Return the fit of one creep test in a file."""
+    return fit_creep(*read_creep_test(path, options))
+
+
+def read_creep_test(path: Path, options: Options) -> CreepTest:
+    """Read time_s, strain and the stress of a creep test."""
+    table = read_table(path)
+    time, strain = table.times(), table.strain(options.sample)
+    if options.stress is not None:
+        stress = options.stress
+    elif "stress_pa" in table or "torque_n_m" in table:
+        stress = table.held("stress_pa", table.stress(options.sample))
+    else:
+        raise InputError(f"{path} does not say the stress; give --stress PA or a column stress_pa")
+    if not stress > 0.0:
+        raise InputError(f"{path}: the stress is {stress:g} Pa; it must be positive")
+    kept, table = table.since(time, START if options.start is None else options.start)
+    table.require_rows(2, "a creep fit")
+    table.require_positive("time_s", time[kept])
+    table.require_positive("strain", strain[kept])
+    return CreepTest(time[kept], strain[kept], stress)
 
 
 def fit_creep(time: Array, strain: Array, stress: float) -> Fit:
@@ -42,39 +72,24 @@ def fit_creep(time: Array, strain: Array, stress: float) -> Fit:
     :math:`\log x = \alpha \log t + \log x_c`, then
     :math:`G = f_c/(x_c \Gamma(1+\alpha))`, with the covariance of (alpha, log xc) carried through
     :math:`d\ln G = -d\ln x_c - \psi(1+\alpha)\,d\alpha`. G is the secant stiffness phi(x)/x where
-    the strain is beyond 1/Gn.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Time since the stress was applied [s], positive. The paper leaves the first second out.
-    strain : ndarray, shape (n,)
-        Strain [1], positive.
-    stress : float
-        The constant stress fc [Pa].
+    the strain is beyond 1/Gn. Parameters as in :class:`CreepTest`.
     """
     require_positive(time=time, strain=strain, stress=np.array([stress]))
     solution = line_through_logarithms(time, strain)
     alpha, log_xc = solution.values
-    spread, dof = solution.deviation_of, solution.dof
-    parameters = {
-        "alpha": plain(alpha, spread(np.array([1.0, 0.0])), dof),
-        "x_c": positive(log_xc, spread(np.array([0.0, 1.0])), dof),
-        "g": positive(
-            float(np.log(stress) - log_xc - gammaln(1.0 + alpha)),
-            spread(np.array([digamma(1.0 + alpha), 1.0])),
-            dof,
-        ),
-    }
-    logs = np.log(strain)
+    log_g = float(np.log(stress) - log_xc - gammaln(1.0 + alpha))
     warnings = list(solution.warnings())
     if not 0.0 < alpha < 1.0:
         warnings.append(f"alpha is {alpha:.3f}, outside (0, 1): this is no springpot's creep")
-    model = np.exp(log_xc) * time**alpha
-    curves = (Curve(time, strain, "measured", line=False), Curve(time, model, "model", color=1))
+    logs = np.log(strain)
+    curves = compared(time, strain, time, np.exp(log_xc) * time**alpha)
     return Fit(
         "creep",
-        parameters,
+        {
+            "alpha": solution.plain(1.0, 0.0),
+            "x_c": solution.positive(0.0, 1.0),
+            "g": solution.positive(digamma(1.0 + alpha), 1.0, log_value=log_g),
+        },
         r_squared(logs, logs - solution.residuals),
         time.size,
         tuple(warnings),

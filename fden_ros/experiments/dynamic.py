@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Dynamic viscoelastic tests: an oscillation in the linear range, at several frequencies.
 
@@ -22,31 +11,27 @@ complex modulus (paper, eqs. Laplace to GpandGpp)
           G'' = G \sin(\tfrac{\pi}{2}\alpha)\,\omega^\alpha .
 
 So in the log-log plane storage and loss modulus are two straight lines of the same slope alpha,
-and their distance is :math:`\log\tan(\pi\alpha/2)`. Seen from stress to strain, the gain is
-:math:`|1/G^*| = \omega^{-\alpha}/G` and the phase :math:`-\pi\alpha/2` at every frequency (the
-paper's eq. Phase prints arg(G'/G'')).
+and their distance is :math:`\log\tan(\pi\alpha/2)`.
 """
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from fden_ros.errors import InputError
-from fden_ros.experiments.regression import (
-    Solution,
-    line_through,
-    line_through_logarithms,
-    require_positive,
-)
+from fden_ros.core.arrays import Array
+from fden_ros.experiments.columns import read_table
+from fden_ros.experiments.kinds import Options
+from fden_ros.experiments.regression import line_through, require_positive
 from fden_ros.experiments.result import (
-    Array,
     Curve,
     Fit,
     Panel,
     Parameter,
+    compared,
     plain,
     positive,
     r_squared,
@@ -58,6 +43,14 @@ _LEAST_NOISE = 1e-7
 #: A contradiction is reported beyond this many deviations.
 _CONTRADICTION = 3.0
 _NEGLIGIBLE_ORDER = 1e-3
+
+
+def from_file(path: Path, options: Options) -> Fit:
+    """Return the fit of a file of storage and loss moduli."""
+    table = read_table(path)
+    columns = [table.positive(n) for n in ("omega_rad_s", "storage_modulus_pa", "loss_modulus_pa")]
+    table.require_rows(2, "a dynamic fit")
+    return fit_complex_modulus(*columns)
 
 
 def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
@@ -102,105 +95,32 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
         "g": positive(state[1], deviations[1], dof),
     }
     slopes = [line_through(np.log(omega), logs[:, i]) for i in (0, 1)]
+    slope = float(np.mean([s.values[0] for s in slopes]))
+    variance = float(np.sum([s.covariance[0, 0] for s in slopes])) / 4.0
     angles = np.arctan2(moduli[:, 1], moduli[:, 0])
     whole = line_through(np.log(omega), np.log(np.hypot(moduli[:, 0], moduli[:, 1])))
-    by_slope = plain(whole.values[0], whole.deviation_of(np.array([1.0, 0.0])), whole.dof)
     return Fit(
         "dynamic",
         parameters,
         r_squared(logs, _predicted(state, np.log(omega))),
         omega.size,
-        _contradiction(slopes, angles, "G''/G'"),
+        contradiction(slope, variance, angles, "G''/G'"),
         {
             "slopes": {
-                name: plain(s.values[0], s.deviation_of(np.array([1.0, 0.0])), s.dof)
-                for name, s in zip(("storage", "loss"), slopes, strict=True)
+                name: s.plain(1.0) for name, s in zip(("storage", "loss"), slopes, strict=True)
             },
-            "slope": {"alpha": by_slope},
-            "phase": {"alpha": _by_phase(angles)},
+            "slope": {"alpha": whole.plain(1.0)},
+            "phase": {"alpha": alpha_by_phase(angles)},
         },
-        _modulus_panels(omega, moduli, state),
+        _panels(omega, moduli, state),
     )
 
 
-def fit_bode(omega: Array, gain: Array, phase: Array) -> Fit:
-    r"""Return alpha and G from the gain, and check the phase (paper, eqs. Gain to Phase).
-
-    Linear regression of :math:`\log \text{gain} = -\log G - \alpha \log\omega`. The phase is not
-    used but checked: its mean should be :math:`-\pi\alpha/2`. ``phase_alpha`` is the alpha that
-    it says; a contradiction is reported.
-
-    Parameters
-    ----------
-    omega : ndarray, shape (n,)
-        Angular frequency [rad/s].
-    gain : ndarray, shape (n,)
-        Strain per stress [1/Pa].
-    phase : ndarray, shape (n,)
-        Phase of strain after stress [rad], from -pi/2 to 0.
-
-    Raises
-    ------
-    InputError
-        If the phase cannot be in radians, or has the other sign.
-    """
-    require_positive(omega=omega, gain=gain)
-    if np.max(np.abs(phase)) > math.pi:
-        raise InputError(
-            f"phase_rad goes to {phase[np.argmax(np.abs(phase))]:g}; give radians, not degrees"
-        )
-    if np.mean(phase) > 0.0:
-        raise InputError(
-            "phase_rad is positive; strain lags stress, so the phase must be negative: turn its "
-            "sign"
-        )
-    order = np.argsort(omega, kind="stable")
-    omega, gain, phase = omega[order], gain[order], phase[order]
-    solution = line_through_logarithms(omega, gain)
-    alpha, log_g = -solution.values
-    spread = solution.deviation_of
-    parameters = {
-        "alpha": plain(alpha, spread(np.array([1.0, 0.0])), solution.dof),
-        "g": positive(log_g, spread(np.array([0.0, 1.0])), solution.dof),
-    }
-    logs = np.log(gain)
-    fine = _grid(omega)
-    panels = (
-        Panel("Gain", "ω [rad/s]", "gain [1/Pa]", (
-            Curve(omega, gain, "measured", line=False),
-            Curve(fine, fine**-alpha * math.exp(-log_g), "model", color=1),
-        ), x_log=True, y_log=True),
-        Panel("Phase", "ω [rad/s]", "phase [rad]", (
-            Curve(omega, phase, "measured", line=False),
-            Curve(fine, np.full_like(fine, -math.pi / 2 * alpha), "-πα/2 of the gain", color=1),
-        ), x_log=True),
-    )  # fmt: skip
-    return Fit(
-        "bode",
-        parameters,
-        r_squared(logs, logs - solution.residuals),
-        omega.size,
-        (*_contradiction([_negated(solution)], -phase, "the phase"), *solution.warnings()),
-        {"phase": {"alpha": _by_phase(-phase)}},
-        panels,
-    )
-
-
-def _by_phase(angles: Array) -> Parameter:
+def alpha_by_phase(angles: Array) -> Parameter:
     """Return the alpha that the loss angles [rad] say (n,)."""
     orders = 2.0 / math.pi * angles
     sd = orders.std(ddof=1) / math.sqrt(orders.size) if orders.size > 1 else math.nan
     return plain(float(orders.mean()), sd, orders.size - 1.0)
-
-
-def _negated(solution: Solution) -> Solution:
-    return Solution(
-        -solution.values,
-        solution.covariance,
-        solution.dof,
-        -solution.residuals,
-        solution.correlation,
-    )
 
 
 def _predicted(state: Array, log_omega: Array) -> Array:
@@ -237,12 +157,10 @@ def _filter(log_omega: Array, logs: Array, noise: Array) -> tuple[Array, Array]:
     return np.array(ekf.x), np.array(ekf.P)
 
 
-def _contradiction(slopes: list[Solution], angles: Array, what: str) -> tuple[str, ...]:
-    """Return a warning if the mean slope is not the alpha that the loss angles give."""
+def contradiction(slope: float, variance: float, angles: Array, what: str) -> tuple[str, ...]:
+    """Return a warning if a slope of this variance is not the alpha of the loss angles (n,)."""
     if angles.size < 3:
         return ()
-    slope = sum(s.values[0] for s in slopes) / len(slopes)
-    variance = sum(s.covariance[0, 0] for s in slopes) / len(slopes) ** 2
     from_angle = 2.0 / math.pi * angles
     sd = math.sqrt(variance + from_angle.var(ddof=1) / angles.size)
     difference = slope - float(from_angle.mean())
@@ -255,23 +173,25 @@ def _contradiction(slopes: list[Solution], angles: Array, what: str) -> tuple[st
     )
 
 
-def _modulus_panels(omega: Array, moduli: Array, state: Array) -> tuple[Panel, ...]:
-    fine = _grid(omega)
-    model = np.exp(_predicted(state, np.log(fine)))
-    tangent = moduli[:, 1] / moduli[:, 0]
-    return (
-        Panel("Complex modulus", "ω [rad/s]", "G', G'' [Pa]", (
-            Curve(omega, moduli[:, 0], "G' measured", line=False),
-            Curve(fine, model[:, 0], "G' model"),
-            Curve(omega, moduli[:, 1], "G'' measured", line=False, color=1),
-            Curve(fine, model[:, 1], "G'' model", color=1),
-        ), x_log=True, y_log=True),
-        Panel("Loss tangent", "ω [rad/s]", "G''/G'", (
-            Curve(omega, tangent, "measured", line=False),
-            Curve(fine, model[:, 1] / model[:, 0], "tan(πα/2)", color=1),
-        ), x_log=True),
-    )  # fmt: skip
-
-
-def _grid(omega: Array) -> Array:
+def frequencies(omega: Array) -> Array:
+    """Return the frequencies [rad/s] at which a model is drawn."""
     return np.geomspace(omega.min(), omega.max(), 60)
+
+
+def _panels(omega: Array, moduli: Array, state: Array) -> tuple[Panel, ...]:
+    fine = frequencies(omega)
+    model = np.exp(_predicted(state, np.log(fine)))
+    curves = [
+        curve
+        for i, name in enumerate(("G'", "G''"))
+        for curve in (
+            Curve(omega, moduli[:, i], f"{name} measured", line=False, color=i),
+            Curve(fine, model[:, i], f"{name} model", color=i),
+        )
+    ]
+    tangent = moduli[:, 1] / moduli[:, 0]
+    tangents = compared(omega, tangent, fine, model[:, 1] / model[:, 0], "tan(πα/2)")
+    return (
+        Panel("Complex modulus", "ω [rad/s]", "G', G'' [Pa]", curves, x_log=True, y_log=True),
+        Panel("Loss tangent", "ω [rad/s]", "G''/G'", tangents, x_log=True),
+    )

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Indentation: any motion of the probe from rest, its strain and stress over time.
 
@@ -22,14 +11,15 @@ for 8.55.) The integral colours the noise and needs alpha. So the fit here is on
 .. math:: f(t_k) = \frac{1}{\Gamma(1-\alpha)} \int_0^{t_k} (t_k - s)^{-\alpha}\,
                    \frac{d}{ds}\varphi(x(s))\, ds + \text{noise} ,
 
-and the paper's way stands beside it, as ``appendix_f``. phi is taken linear between closely spaced
-times, and the integral over each stretch is exact.
+and the paper's procedure stands beside it, as ``appendix_f``. phi is taken linear between closely
+spaced times, and the integral over each stretch is exact.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -44,9 +34,11 @@ from fden_ros.experiments.characteristic import (
     stiffness_parameters,
     undetermined_nonlinearity,
 )
+from fden_ros.experiments.columns import read_table
+from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.nonlinearity import appendix_d
 from fden_ros.experiments.regression import Solution, minimise
-from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, plain, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, compared, plain, r_squared
 
 #: Change of strain within which phi is taken linear: an error of 2e-8 at Gn 10.
 _STRAIN_STEP = 5e-5
@@ -62,6 +54,15 @@ _START_NONLINEARITIES = ((1.5, 3.0), (5.0, 8.0), (12.0, 20.0))
 #: Appendix F takes 60 samples, at strains from a fifth of the largest on.
 _STATIC_FROM = 0.2
 _STATIC_PAIRS = 60
+
+
+def from_file(path: Path, options: Options) -> Fit:
+    """Return the fit of a file of strain and stress over time."""
+    table = read_table(path)
+    time, strain = table.times(), table.strain(options.sample)
+    stress = table.stress(options.sample)
+    table.require_rows(6, "an indentation fit")
+    return fit_indentation(time, strain, stress, options.alpha, options.alpha_sd)
 
 
 def fit_indentation(
@@ -122,7 +123,7 @@ def fit_indentation(
     solution = min(solutions, key=lambda found: float(found.residuals @ found.residuals))
     values = solution.values
     alpha = given if fixed else float(values[0])
-    alpha_sd = 0.0 if fixed else solution.deviation_of(np.eye(3)[0])
+    alpha_sd = 0.0 if fixed else solution.deviation(np.eye(3)[0])
     predicted = history.stress(alpha, *values[-2:])
     warnings = [*undetermined_nonlinearity(float(strain.max()), float(values[-1]))]
     if fractional_order is None and not alpha_sd <= _WEAK_ORDER_SD:
@@ -277,14 +278,10 @@ def _panels(
     fine = np.linspace(1e-3, 1.0, 200) * history.strains.max()
     model = np.exp(log_phi(fine, *values[-2:]))
     boundary = np.full(2, math.exp(-values[-1]))
+    stresses = compared(history.times, observed, history.times, predicted)
+    shapes = compared(history.strains, static, fine, model, "φ(x)")
+    end = Curve(boundary, np.array([0.0, model[-1]]), "1/Gn", color=2, dashed=True)
     return (
-        Panel("Stress", "time [s]", "stress [Pa]", (
-            Curve(history.times, observed, "measured", line=False),
-            Curve(history.times, predicted, "model", color=1),
-        )),
-        Panel("Characteristic", "strain", "fractional stress f' [Pa s^α]", (
-            Curve(history.strains, static, "measured", line=False),
-            Curve(fine, model, "φ(x)", color=1),
-            Curve(boundary, np.array([0.0, model[-1]]), "1/Gn", color=2, dashed=True),
-        )),
-    )  # fmt: skip
+        Panel("Stress", "time [s]", "stress [Pa]", stresses),
+        Panel("Characteristic", "strain", "fractional stress f' [Pa s^α]", (*shapes, end)),
+    )

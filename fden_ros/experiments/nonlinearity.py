@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Nonlinearity: creep at several stresses, or their coefficients.
 
@@ -26,12 +15,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.special import digamma, gamma, gammaln
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi, log_strain
 from fden_ros.errors import InputError
 from fden_ros.experiments.characteristic import (
@@ -40,24 +31,17 @@ from fden_ros.experiments.characteristic import (
     stiffness_parameters,
     undetermined_nonlinearity,
 )
-from fden_ros.experiments.creep import fit_creep
+from fden_ros.experiments.columns import csv_files, read_table
+from fden_ros.experiments.creep import CreepTest, fit_creep, read_creep_test
+from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import (
     Solution,
-    half_variance,
     line_through,
     minimise,
+    minimise_logarithms,
     require_positive,
 )
-from fden_ros.experiments.result import (
-    Array,
-    Curve,
-    Fit,
-    Panel,
-    Parameter,
-    plain,
-    positive,
-    r_squared,
-)
+from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, compared, plain, r_squared
 
 #: Pairs that Appendix D takes at either end for its start.
 _START_PAIRS = 3
@@ -65,12 +49,29 @@ _LEAST_NOISE = 1e-7
 _PRIOR_SD = 0.2
 
 
-class CreepTest(NamedTuple):
-    """One creep test of a series."""
-
-    time: Array  #: since the stress was applied [s], positive, shape (n,)
-    strain: Array  #: [1], positive, shape (n,)
-    stress: float  #: [Pa], constant
+def from_file(path: Path, options: Options) -> Fit:
+    """Return the fit of a folder of creep tests, or of a file of stresses and coefficients."""
+    if path.is_dir():
+        tests = [read_creep_test(p, replace(options, stress=None)) for p in csv_files(path)]
+        if len({test.stress for test in tests}) < _START_PAIRS:
+            raise InputError(
+                f"{path} holds creep tests at fewer than 3 stresses; nonlinearity needs 3 or more"
+            )
+        return fit_creep_series(tests)
+    table = read_table(path)
+    coefficient = table.positive("strain_coefficient")
+    stress = table.require_positive("stress_pa", table.stress(options.sample))
+    table.checked_strain(coefficient)
+    table.require_rows(_START_PAIRS, "a nonlinearity fit")
+    alpha = None if options.paper_convention else options.alpha
+    fit = fit_nonlinearity(stress, coefficient, alpha, options.alpha_sd)
+    if alpha is not None or options.paper_convention:
+        return fit
+    hint = (
+        "without --alpha the paper's convention f_c = phi(x_c) is used: if x_c are the strains of "
+        "creep tests at 1 s, this G is G Gamma(1+alpha), some 7 % less than G"
+    )
+    return replace(fit, warnings=(*fit.warnings, hint))
 
 
 def fit_nonlinearity(
@@ -117,16 +118,12 @@ def fit_nonlinearity(
     if fractional_order is not None:
         parameters["alpha"] = plain(fractional_order, fractional_order_sd)
     log_g, log_g_n = solution.values
-    model = np.exp(log_phi(coefficient, log_g, log_g_n)) * factor
     return Fit(
         "nonlinearity",
         parameters,
-        r_squared(stress, model),
+        r_squared(stress, np.exp(log_phi(coefficient, log_g, log_g_n)) * factor),
         stress.size,
-        (
-            *undetermined_nonlinearity(float(coefficient.max()), log_g_n),
-            *solution.warnings(),
-        ),
+        (*undetermined_nonlinearity(float(coefficient.max()), log_g_n), *solution.warnings()),
         {"appendix_d": appendix_d(coefficient, static)},
         _panels(stress, coefficient, solution.values, factor),
     )
@@ -137,7 +134,7 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
 
     Exact also where a curve is no power law: least squares of log x over all samples with
     :math:`x = \varphi^{-1}(f_c t^\alpha/\Gamma(1+\alpha))`. Beside it stands what comes of a
-    coefficient for each curve, which is the paper's way: ``coefficients`` with the factor
+    coefficient for each curve, which is the paper's procedure: ``coefficients`` with the factor
     Gamma(1+alpha), ``paper`` without it and by Appendix D.
 
     Parameters
@@ -150,31 +147,22 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
     coefficients = np.array([creep["x_c"].value for creep in creeps])
     alpha, alpha_sd = creeps[int(np.argmin(stresses))]["alpha"][:2]
     pairs = fit_nonlinearity(stresses, coefficients, alpha, alpha_sd if alpha_sd > 0.0 else 0.0)
-    time = np.concatenate([test.time for test in tests])
-    strain = np.concatenate([test.strain for test in tests])
+    time, strain = (np.concatenate([test[i] for test in tests]) for i in (0, 1))
     stress = np.concatenate([np.full(test.time.size, test.stress) for test in tests])
-    logs = np.log(strain)
 
     def predicted(values: Array) -> Array:
-        log_phis = np.log(stress) + values[0] * np.log(time) - gammaln(1.0 + values[0])
-        return log_strain(log_phis, values[1], values[2])
+        return _log_creep(time, np.log(stress), values)
 
     start = np.array([alpha, math.log(pairs["g"].value), math.log(pairs["g_n"].value)])
     low, high = LOG_NONLINEAR_RANGE
-    bounds = (np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high]))
-    start = np.clip(start, bounds[0] + 1e-3, bounds[1] - 1e-3)
-    shift = 0.0
-    for _ in range(2):
-        solution = minimise(lambda v, s=shift: predicted(v) - logs - s, start, bounds)  # type: ignore[misc]
-        start, shift = solution.values, half_variance(solution.residuals, 3)
-    parameters = {
-        "alpha": plain(solution.values[0], solution.deviation_of(np.eye(3)[0]), solution.dof),
-        **stiffness_parameters(solution, 1),
-    }
+    bounds = np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high])
+    logs = np.log(strain)
+    solution = minimise_logarithms(predicted, logs, start, *bounds)
+    factor = float(gamma(1.0 + solution.values[0]))
     paper = fit_nonlinearity(stresses, coefficients)
     return Fit(
         "nonlinearity",
-        parameters,
+        {"alpha": solution.plain(1.0), **stiffness_parameters(solution, 1)},
         r_squared(logs, predicted(solution.values)),
         time.size,
         (
@@ -183,12 +171,7 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
         ),
         {"coefficients": pairs.parameters, "paper": paper.beside["appendix_d"]},
         (
-            *_panels(
-                stresses,
-                coefficients,
-                solution.values[1:],
-                float(gamma(1.0 + solution.values[0])),
-            ),
+            *_panels(stresses, coefficients, solution.values[1:], factor),
             _creep_panel(tests, solution.values),
         ),
     )
@@ -215,29 +198,16 @@ def appendix_d(coefficient: Array, static_stress: Array) -> dict[str, Parameter]
     low, high = slice(None, _START_PAIRS), slice(-_START_PAIRS, None)
     g = float(x[low] @ f[low] / (x[low] @ x[low]))
     g_n = line_through(x[high], np.log(f[high])).values[0]
-    start = np.array([g, max(g_n, 1e-3)])
-    noise = 0.05
+    start, noise = np.array([g, max(g_n, 1e-3)]), 0.05
     for _ in range(3):
         state, covariance = _switching_filter(x, f, start, noise)
         if not (state > 0.0).all():
-            nothing = Parameter(*[math.nan] * 4)
-            return dict.fromkeys(("g", "g_n", "g_i", "x_b"), nothing)
+            return dict.fromkeys(("g", "g_n", "g_i", "x_b"), Parameter(*[math.nan] * 4))
         residuals = np.log(f) - log_phi(x, *np.log(state))
         noise = float(np.sqrt(residuals @ residuals / max(x.size - 2, 1))) + _LEAST_NOISE
     relative = covariance / np.outer(state, state)
-    dof = float(x.size - 2)
-    log_g, log_g_n = np.log(state)
-
-    def sd(by_g: float, by_g_n: float) -> float:
-        gradient = np.array([by_g, by_g_n])
-        return math.sqrt(max(float(gradient @ relative @ gradient), 0.0))
-
-    return {
-        "g": positive(log_g, sd(1.0, 0.0), dof),
-        "g_n": positive(log_g_n, sd(0.0, 1.0), dof),
-        "g_i": positive(log_g - log_g_n - 1.0, sd(1.0, -1.0), dof),
-        "x_b": positive(-log_g_n, sd(0.0, 1.0), dof),
-    }
+    found = Solution(np.log(state), relative, float(x.size - 2), residuals, 0.0)
+    return stiffness_parameters(found, 0)
 
 
 def _switching_filter(x: Array, f: Array, start: Array, noise: float) -> tuple[Array, Array]:
@@ -274,43 +244,34 @@ def _fit_pairs(static: Array, coefficient: Array) -> Solution:
     )
 
 
+def _log_creep(time: Array, log_stress: Array | float, values: Array) -> Array:
+    """Return ln x of the exact creep at times (n,) for (alpha, ln G, ln Gn)."""
+    log_phis = log_stress + values[0] * np.log(time) - gammaln(1.0 + values[0])
+    return log_strain(log_phis, values[1], values[2])
+
+
 def _panels(
     stress: Array, coefficient: Array, values: Array, factor: float
 ) -> tuple[Panel, Panel]:
-    log_g, log_g_n = values
     fine = np.linspace(0.02, 1.05, 200) * coefficient.max()
-    model = factor * np.exp(log_phi(fine, log_g, log_g_n))
-    boundary = np.full(2, math.exp(-log_g_n))
-    curves = (
-        Curve(coefficient, stress, "measured", line=False),
-        Curve(fine, model, "model", color=1),
-        Curve(boundary, np.array([0.0, stress.max()]), "1/Gn", color=2, dashed=True),
+    curves = compared(coefficient, stress, fine, factor * np.exp(log_phi(fine, *values)))
+    boundary = np.full(2, math.exp(-values[1]))
+    linear, logarithmic = (
+        Curve(boundary, np.array([least, stress.max()]), "1/Gn", color=2, dashed=True)
+        for least in (0.0, stress.min())
     )
-    positive_curves = (
-        *curves[:2],
-        Curve(boundary, np.array([stress.min(), stress.max()]), "1/Gn", color=2, dashed=True),
-    )
+    x_label, y_label = "strain coefficient", "stress [Pa]"
     return (
-        Panel("Nonlinearity", "strain coefficient", "stress [Pa]", curves),
-        Panel("Semi-log", "strain coefficient", "stress [Pa]", positive_curves, y_log=True),
+        Panel("Nonlinearity", x_label, y_label, (*curves, linear)),
+        Panel("Semi-log", x_label, y_label, (*curves, logarithmic), y_log=True),
     )
 
 
 def _creep_panel(tests: Sequence[CreepTest], values: Array) -> Panel:
     curves: list[Curve] = []
-    alpha, log_g, log_g_n = values
-    for index, test in enumerate(tests):
-        log_phis = math.log(test.stress) + alpha * np.log(test.time) - gammaln(1.0 + alpha)
-        model = np.exp(log_strain(log_phis, log_g, log_g_n))
-        thinned = np.unique(np.geomspace(1, test.time.size, 30).astype(int)) - 1
-        first = index == 0
-        curves += [
-            Curve(
-                test.time[thinned],
-                test.strain[thinned],
-                "measured" if first else "",
-                line=False,
-            ),
-            Curve(test.time, model, "model" if first else "", color=1),
-        ]
+    for test in tests:
+        model = np.exp(_log_creep(test.time, math.log(test.stress), values))
+        some = np.unique(np.geomspace(1, test.time.size, 30).astype(int)) - 1
+        pair = compared(test.time[some], test.strain[some], test.time, model)
+        curves += [replace(curve, label="") for curve in pair] if curves else pair
     return Panel("Creep curves", "time [s]", "strain", curves, x_log=True, y_log=True)

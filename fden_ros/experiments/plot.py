@@ -1,22 +1,12 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The picture of a fit: measured points, the model, and what the paper would look at."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -40,31 +30,27 @@ _NAMES = {
 
 
 def save_fit_figure(fit: Fit, path: str | Path, title: str) -> None:
-    """Draw a fit and save it as PNG, SVG or PDF, by the ending of `path`.
+    """Draw a fit and save it, see :func:`save_panels`."""
+    numbers = (
+        f"{_NAMES[name]} = {p.value:.4g}" + (f" ± {p.sd:.2g}" if p.sd == p.sd else "")
+        for name, p in fit.parameters.items()
+        if name in _NAMES
+    )
+    save_panels(fit.panels, path, f"{title}\n" + "   ".join(numbers))
+
+
+def save_panels(panels: Sequence[Panel], path: str | Path, title: str = "") -> None:
+    """Draw panels side by side and save them as PNG, SVG or PDF, by the ending of `path`.
 
     Raises
     ------
     InputError
         If the ending names no format, or the file cannot be written.
     """
-    figure = Figure(figsize=(5.2 * len(fit.panels), 4.4), layout="constrained")
-    for axes, panel in zip(
-        figure.subplots(1, len(fit.panels), squeeze=False)[0], fit.panels, strict=True
-    ):
+    figure = Figure(figsize=(5.2 * len(panels), 4.4), layout="constrained")
+    for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         draw_panel(axes, panel)
-    numbers = (
-        f"{_NAMES[name]} = {p.value:.4g} ± {p.sd:.2g}"
-        if p.sd == p.sd
-        else f"{_NAMES[name]} = {p.value:.4g}"
-        for name, p in fit.parameters.items()
-        if name in _NAMES
-    )
-    figure.suptitle(f"{title}\n" + "   ".join(numbers), fontsize="medium")
-    save_figure(figure, path)
-
-
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Save a figure, or raise :class:`InputError` with the reason."""
+    figure.suptitle(title, fontsize="medium")
     try:
         figure.savefig(path, dpi=120)
     except (OSError, ValueError) as error:

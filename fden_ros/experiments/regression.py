@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Least squares with covariances that stay honest when the noise is not what one assumed.
 
@@ -40,6 +29,7 @@ from scipy.optimize import least_squares
 
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
+from fden_ros.experiments.result import Parameter, plain, positive
 
 #: Fewer rows say nothing about correlation.
 _MIN_ROWS_FOR_CORRELATION = 20
@@ -73,10 +63,24 @@ class Solution:
     residuals: Array
     correlation: float
 
-    def deviation_of(self, gradient: Array) -> float:
+    def deviation(self, gradient: Array) -> float:
         """Return the standard deviation of a function with this gradient by the parameters."""
         variance = float(gradient @ self.covariance @ gradient)
         return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.nan
+
+    def plain(self, *gradient: float) -> Parameter:
+        """Return a sum of the parameters, each times its number of `gradient`."""
+        row = self._row(gradient)
+        return plain(float(row @ self.values), self.deviation(row), self.dof)
+
+    def positive(self, *gradient: float, log_value: float | None = None) -> Parameter:
+        """Return what has that sum, or else `log_value` with that gradient, as its logarithm."""
+        row = self._row(gradient)
+        value = float(row @ self.values) if log_value is None else log_value
+        return positive(value, self.deviation(row), self.dof)
+
+    def _row(self, gradient: tuple[float, ...]) -> Array:
+        return np.pad(np.array(gradient, dtype=float), (0, self.values.size - len(gradient)))
 
     def warnings(self) -> tuple[str, ...]:
         """Return a warning if the residuals are correlated."""
@@ -159,6 +163,17 @@ def minimise(
         noise = float(np.sqrt(np.sum(data**2) / max(data.size - values.size, 1)))
         scale = max(noise, 1e-12)
     return _solution(values, -residuals(values)[:-prior_rows], jacobian, scale**2, prior_rows)
+
+
+def minimise_logarithms(
+    predicted: Callable[[Array], Array], logs: Array, start: Array, low: Array, high: Array
+) -> Solution:
+    """Fit `predicted` to logarithms (n,) within bounds, their bias taken off."""
+    start, shift = np.clip(start, low + 1e-3, high - 1e-3), 0.0
+    for _ in range(2):
+        solution = minimise(lambda v, s=shift: predicted(v) - logs - s, start, (low, high))  # type: ignore[misc]
+        start, shift = solution.values, half_variance(solution.residuals, start.size)
+    return solution
 
 
 def half_variance(residuals: Array, parameters: int) -> float:

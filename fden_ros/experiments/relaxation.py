@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Stress relaxation: a strain that is held, the stress over time.
 
@@ -35,7 +24,9 @@ for a step biases alpha.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -50,14 +41,15 @@ from fden_ros.experiments.characteristic import (
     stiffness_parameters,
     undetermined_nonlinearity,
 )
+from fden_ros.experiments.columns import CONSTANT, Table, csv_files, read_table
+from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import (
     Solution,
-    half_variance,
     line_through_logarithms,
-    minimise,
+    minimise_logarithms,
     require_positive,
 )
-from fden_ros.experiments.result import Curve, Fit, Panel, plain, positive, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, compared, r_squared
 
 _NODES = 24
 _LEAST_ORDER, _GREATEST_ORDER = 1e-4, 0.999
@@ -69,6 +61,52 @@ class Hold(NamedTuple):
     time: Array  #: since the strain began to rise [s], positive and after the ramp, shape (n,)
     stress: Array  #: [Pa], positive, shape (n,)
     strain: float  #: [1], held
+
+
+def from_file(path: Path, options: Options) -> Fit:
+    """Return the fit of all holds of a file, or of a folder of files."""
+    paths = csv_files(path) if path.is_dir() else [path]
+    return fit_relaxation([h for p in paths for h in read_holds(p, options)], options.ramp)
+
+
+def read_holds(path: Path, options: Options) -> list[Hold]:
+    """Read time_s, stress_pa and the strains of a file: a hold for each of them."""
+    table = read_table(path)
+    if options.strain is not None:
+        levels = np.full(len(table.rows), options.strain)
+    elif "strain" in table or "angle_rad" in table:
+        levels = _strain_levels(table, options)
+    else:
+        raise InputError(f"{path} does not say the strain; give --strain X or a column strain")
+    time, stress = table.times(restart_where=levels), table.stress(options.sample)
+    start = options.start
+    if options.ramp > 0.0:
+        # The first sample must lie after the ramp, where alone the hold's formula holds.
+        start = max(start or 0.0, float(np.nextafter(options.ramp, math.inf)))
+    kept, table = table.since(time, start)
+    table.require_rows(2, "a relaxation fit")
+    table.require_positive("time_s", time[kept], "its logarithm is taken (see --from)")
+    table.require_positive("stress_pa", stress[kept])
+    holds = []
+    for level in dict.fromkeys(levels[kept].tolist()):
+        some = kept & (levels == level)
+        if np.count_nonzero(some) < 2:
+            raise InputError(f"{path}: strain {level:g} has a single row; each needs at least 2")
+        holds.append(Hold(time[some], stress[some], level))
+    return holds
+
+
+def _strain_levels(table: Table, options: Options) -> Array:
+    strain = table.strain(options.sample)
+    if np.ptp(strain) <= CONSTANT * abs(float(strain.mean())):
+        return np.full(strain.size, float(strain.mean()))
+    if np.unique(strain).size > max(strain.size // 2, 1):
+        raise InputError(
+            f"{table.path}: strain is not held, it goes from {strain.min():g} to "
+            f"{strain.max():g}; cut the hold out and give --strain X, or fit the whole as "
+            "indentation"
+        )
+    return strain
 
 
 def fit_relaxation(holds: Sequence[Hold], ramp: float = 0.0) -> Fit:
@@ -134,47 +172,56 @@ def _integral_of_kernel(time: Array, stop: float, power: float) -> Array:
 
 
 def _fit_one_strain(holds: Sequence[Hold], ramp: float) -> Fit:
-    time = np.concatenate([hold.time for hold in holds])
-    stress = np.concatenate([hold.stress for hold in holds])
+    time, stress = (np.concatenate([hold[i] for hold in holds]) for i in (0, 1))
     strain, logs = holds[0].strain, np.log(stress)
-    line = line_through_logarithms(time, stress)
-    alpha, log_fc = -line.values[0], line.values[1]
-    if ramp == 0.0:
-        solution = line
-        by_alpha, by_fc = np.array([-1.0, 0.0]), np.array([0.0, 1.0])
-    else:
-        start = np.array([alpha, log_fc])
-        solution = _minimise_logs(
-            lambda v: _linear_hold(time, strain, v[0], v[1], ramp), logs, start
-        )
-        (alpha, log_fc), (by_alpha, by_fc) = solution.values, np.eye(2)
-    spread, dof = solution.deviation_of, solution.dof
-    warnings = list(solution.warnings())
-    parameters = {
-        "alpha": plain(alpha, spread(by_alpha), dof),
-        "f_c": positive(log_fc, spread(by_fc), dof),
-    }
+    solution = line_through_logarithms(time, stress)
+    # ln f falls with alpha along a line; of a ramp alpha itself is fitted.
+    sign = -1.0
+    alpha, log_fc = -solution.values[0], solution.values[1]
+    if ramp > 0.0:
+        sign, start = 1.0, np.array([alpha, log_fc])
+        solution = _minimise(lambda v: _linear_hold(time, strain, v[0], v[1], ramp), logs, start)
+        alpha, log_fc = solution.values
+    parameters = {"alpha": solution.plain(sign), "f_c": solution.positive(0.0, 1.0)}
+    warnings = solution.warnings()
+    predicted = logs - solution.residuals
     if 0.0 < alpha < 1.0:
         log_g = log_fc + float(gammaln(1.0 - alpha)) - math.log(strain)
-        by_g = by_fc - float(digamma(1.0 - alpha)) * by_alpha
-        parameters["g"] = positive(log_g, spread(by_g), dof)
+        by_alpha = -sign * float(digamma(1.0 - alpha))
+        parameters["g"] = solution.positive(by_alpha, 1.0, log_value=log_g)
         predicted = _linear_hold(time, strain, alpha, log_fc, ramp)
     else:
-        warnings.append(f"alpha is {alpha:.3f}, outside (0, 1): there is no G; is this a hold?")
-        predicted = logs - solution.residuals
-    curves = (
-        Curve(time, stress, "measured", line=False),
-        Curve(time, np.exp(predicted), "model", color=1),
-    )
+        problem = f"alpha is {alpha:.3f}, outside (0, 1): there is no G; is this a hold?"
+        warnings = (*warnings, problem)
+    curves = compared(time, stress, time, np.exp(predicted))
+    return _fit(parameters, time, logs, predicted, warnings, curves)
+
+
+def _fit(
+    parameters: dict[str, Parameter],
+    time: Array,
+    logs: Array,
+    predicted: Array,
+    warnings: tuple[str, ...],
+    curves: Sequence[Curve],
+) -> Fit:
+    residuals = Curve(time, 100.0 * np.expm1(logs - predicted), "", line=False)
+    zero = Curve(np.array([time.min(), time.max()]), np.zeros(2), "", color=1)
     return Fit(
         "relaxation",
         parameters,
         r_squared(logs, predicted),
         time.size,
-        tuple(warnings),
+        warnings,
         panels=(
             Panel("Relaxation", "time [s]", "stress [Pa]", curves, x_log=True, y_log=True),
-            _residual_panel(time, logs - predicted),
+            Panel(
+                "Residual",
+                "time [s]",
+                "measured over model - 1 [%]",
+                (residuals, zero),
+                x_log=True,
+            ),
         ),
     )
 
@@ -196,49 +243,29 @@ def _fit_strains(holds: Sequence[Hold], ramp: float) -> Fit:
     def predicted(values: Array) -> Array:
         return np.concatenate([_log_relaxation(hold, values, ramp) for hold in holds])
 
-    solution = _minimise_logs(predicted, logs, start)
-    log_g_n = float(solution.values[2])
-    model = predicted(solution.values)
-    time = np.concatenate([hold.time for hold in holds])
+    solution = _minimise(predicted, logs, start)
     curves: list[Curve] = []
-    for index, hold in enumerate(holds):
-        fitted = np.exp(_log_relaxation(hold, solution.values, ramp))
-        curves.append(Curve(hold.time, hold.stress, "" if index else "measured", line=False))
-        curves.append(Curve(hold.time, fitted, "" if index else "model", color=1))
-    parameters = {
-        "alpha": plain(solution.values[0], solution.deviation_of(np.eye(3)[0]), solution.dof),
-        **stiffness_parameters(solution, 1),
-    }
-    return Fit(
-        "relaxation",
-        parameters,
-        r_squared(logs, model),
-        time.size,
+    for hold in holds:
+        model = np.exp(_log_relaxation(hold, solution.values, ramp))
+        pair = compared(hold.time, hold.stress, hold.time, model)
+        curves += [replace(curve, label="") for curve in pair] if curves else pair
+    return _fit(
+        {"alpha": solution.plain(1.0), **stiffness_parameters(solution, 1)},
+        np.concatenate([hold.time for hold in holds]),
+        logs,
+        predicted(solution.values),
         (
-            *undetermined_nonlinearity(float(strains.max()), log_g_n),
+            *undetermined_nonlinearity(float(strains.max()), float(solution.values[2])),
             *solution.warnings(),
         ),
-        panels=(
-            Panel("Relaxation", "time [s]", "stress [Pa]", curves, x_log=True, y_log=True),
-            _residual_panel(time, logs - model),
-        ),
+        curves,
     )
 
 
-def _minimise_logs(predicted, logs: Array, start: Array) -> Solution:  # type: ignore[no-untyped-def]
+def _minimise(predicted: Callable[[Array], Array], logs: Array, start: Array) -> Solution:
     """Fit logarithms with alpha first among the parameters and, of three, ln Gn last."""
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[0], high[0] = _LEAST_ORDER, _GREATEST_ORDER
     if start.size == 3:
         low[2], high[2] = LOG_NONLINEAR_RANGE
-    begin, shift = np.clip(start, low + 1e-3, high - 1e-3), 0.0
-    for _ in range(2):
-        solution = minimise(lambda v, s=shift: predicted(v) - logs - s, begin, (low, high))  # type: ignore[misc]
-        begin, shift = solution.values, half_variance(solution.residuals, start.size)
-    return solution
-
-
-def _residual_panel(time: Array, residuals: Array) -> Panel:
-    curve = Curve(time, 100.0 * np.expm1(residuals), "", line=False)
-    zero = Curve(np.array([time.min(), time.max()]), np.zeros(2), "", color=1)
-    return Panel("Residual", "time [s]", "measured over model - 1 [%]", (curve, zero), x_log=True)
+    return minimise_logarithms(predicted, logs, start, low, high)

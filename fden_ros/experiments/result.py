@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a fit returns: parameters with uncertainty, R², warnings, and the curves of its picture."""
 
@@ -62,6 +51,13 @@ class Panel:
     curves: Sequence[Curve]
     x_log: bool = False
     y_log: bool = False
+
+
+def compared(
+    x: Array, measured: Array, grid: Array, model: Array, label: str = "model"
+) -> tuple[Curve, Curve]:
+    """Return the measured points (n,) and the line of the model over a grid (m,)."""
+    return Curve(x, measured, "measured", line=False), Curve(grid, model, label, color=1)
 
 
 @dataclass(frozen=True)

@@ -1,48 +1,31 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""The report of ``fden reproduce``: Tables I and II, the figures, and the claims."""
+"""The report of ``fden reproduce``: Tables I and II, and the figures."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from fden_ros.core.arrays import Array
-from fden_ros.experiments.dynamic import fit_bode
-from fden_ros.experiments.plot import draw_panel, save_figure
+from fden_ros.experiments.bode import fit_bode
+from fden_ros.experiments.plot import save_panels
 from fden_ros.experiments.result import Curve, Panel
 from fden_ros.experiments.study import (
     OMEGAS,
     PAPER,
     TABLE_1,
     TABLE_2,
-    Claim,
     Noise,
     Statistics,
     Study,
 )
 from fden_ros.simulation.closed_form import FdenModel
-from fden_ros.simulation.ladder import Ladder
-
-_LADDER_TIME_CONSTANT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -53,31 +36,30 @@ class Report:
     ----------
     exact, noisy : Study
         The study without and with noise.
-    claims, numbers : sequence of Claim
-        The paper's claims, and where its numbers or equations cannot be.
     seed : int
     noise : Noise
     """
 
     exact: Study
     noisy: Study
-    claims: Sequence[Claim]
-    numbers: Sequence[Claim]
     seed: int
     noise: Noise
 
     def save(self, folder: Path) -> None:
         """Write report.md, report.json and the figures to `folder`."""
+        storage, loss = (self.noisy.dynamic[0].panels[0].curves[i].y for i in (0, 2))
+        modulus = storage + 1j * loss
         figures = {
-            "figure_3_complex_modulus.png": self._dynamic_panels(),
-            "figure_4_bode.png": self._bode_panels(),
-            "figure_5_creep.png": self._creep_panels(),
-            "figure_6_nonlinearity.png": self._nonlinearity_panels(),
+            "figure_3_complex_modulus.png": self.noisy.dynamic[0].panels,
+            "figure_4_bode.png": fit_bode(
+                OMEGAS, 1.0 / np.abs(modulus), -np.angle(modulus)
+            ).panels,
+            "figure_5_creep.png": self.noisy.creep[0][1].panels,
+            "figure_6_nonlinearity.png": self.noisy.series[0].panels,
             "figure_characteristic.png": _characteristic_panels(),
-            "ladder.png": ladder_panels(),
         }
         for name, panels in figures.items():
-            save_panels(panels, folder / name)
+            save_panels([_simulated(panel) for panel in panels], folder / name)
         (folder / "report.md").write_text(self.text(figures), encoding="utf-8")
         (folder / "report.json").write_text(
             json.dumps(self.as_object(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
@@ -93,11 +75,9 @@ class Report:
                 name: {which: table[name]._asdict() for which, table in tables.items()}
                 for name in PAPER
             },
-            "claims": [claim._asdict() for claim in self.claims],
-            "impossible": [claim._asdict() for claim in self.numbers],
         }
 
-    def text(self, figures: Sequence[str] | dict[str, list[Panel]]) -> str:
+    def text(self, figures: Iterable[str]) -> str:
         """Return the report in Markdown."""
         exact, noisy = self.exact.tables(), self.noisy.tables()
         lines = [
@@ -122,23 +102,15 @@ class Report:
             "",
             "Fitted over true parameter, average (standard deviation) over the samples:",
             "",
-            "| way | G exact | Gn exact | G noisy | Gn noisy |",
+            "| procedure | G exact | Gn exact | G noisy | Gn noisy |",
             "| --- | --- | --- | --- | --- |",
             *(
-                f"| {title} | " + " | ".join(self._ratio_cells(way)) + " |"
-                for way, title in (
+                f"| {title} | " + " | ".join(self._ratio_cells(procedure)) + " |"
+                for procedure, title in (
                     ("appendix_d", "the paper's: coefficients, no Gamma, Appendix D"),
                     ("series", "all curves at once, exact creep"),
                 )
             ),
-            "",
-            "## The paper's claims, on data of its own model",
-            "",
-            *_claims(self.claims, "holds"),
-            "",
-            "## Numbers and equations that cannot be",
-            "",
-            *_claims(self.numbers, "can be"),
             "",
             "## Figures",
             "",
@@ -146,67 +118,13 @@ class Report:
         ]
         return "\n".join(lines)
 
-    def _ratio_cells(self, way: str) -> list[str]:
+    def _ratio_cells(self, procedure: str) -> list[str]:
         cells = []
         for study in (self.exact, self.noisy):
             for name in ("g", "g_n"):
-                ratios = study.ratios(name, way)
+                ratios = study.ratios(name, procedure)
                 cells.append(f"{ratios.mean():.4f} ({ratios.std(ddof=1):.4f})")
         return cells
-
-    def _dynamic_panels(self) -> list[Panel]:
-        return list(self.noisy.dynamic[0].panels)
-
-    def _bode_panels(self) -> list[Panel]:
-        storage, loss = (self.noisy.dynamic[0].panels[0].curves[i].y for i in (0, 2))
-        modulus = storage + 1j * loss
-        return list(fit_bode(OMEGAS, 1.0 / np.abs(modulus), -np.angle(modulus)).panels)
-
-    def _creep_panels(self) -> list[Panel]:
-        return list(self.noisy.creep[0][1].panels)
-
-    def _nonlinearity_panels(self) -> list[Panel]:
-        return list(self.noisy.series[0].panels)
-
-
-def ladder_panels() -> list[Panel]:
-    """Return how ladders of the orders 1/2, 1/4, 1/8 approach the springpot."""
-    omegas, times = np.geomspace(1e-2, 1e6, 60), np.geomspace(1e-4, 100.0, 40)
-    moduli, creeps, errors = [], [], []
-    for color, levels in enumerate((1, 2, 3)):
-        ladder = Ladder.like_springpot(levels, 1.0, _LADDER_TIME_CONSTANT)
-        alpha = ladder.fractional_order
-        label = f"order 1/{2**levels}"
-        springpot = omegas**alpha
-        modulus = np.abs(ladder.modulus(1j * omegas))
-        moduli += [
-            Curve(omegas, springpot, label, color=color),
-            Curve(omegas[::4], modulus[::4], "", line=False, color=color),
-        ]
-        exact = times**alpha / math.gamma(1.0 + alpha)
-        creep = ladder.creep(times)
-        creeps += [
-            Curve(times, exact, label, color=color),
-            Curve(times[::2], creep[::2], "", line=False, color=color),
-        ]
-        errors.append(Curve(omegas, 100.0 * np.abs(modulus / springpot - 1.0), label, color=color))
-    return [
-        Panel("Modulus: springpot (lines), ladder (circles)", "ω [rad/s]", "|G*| / G", moduli,
-              x_log=True, y_log=True),
-        Panel("Creep: springpot (lines), ladder (circles)", "time [s]", "strain G / stress",
-              creeps, x_log=True, y_log=True),
-        Panel(f"Deviation, τ = {_LADDER_TIME_CONSTANT:g} s", "ω [rad/s]", "deviation of |G*| [%]",
-              errors, x_log=True, y_log=True),
-    ]  # fmt: skip
-
-
-def save_panels(panels: Sequence[Panel], path: Path) -> None:
-    """Draw panels side by side."""
-    figure = Figure(figsize=(5.2 * len(panels), 4.2), layout="constrained")
-    for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        curves = [replace(c, label=c.label.replace("measured", "simulated")) for c in panel.curves]
-        draw_panel(axes, replace(panel, curves=curves))
-    save_figure(figure, path)
 
 
 def _characteristic_panels() -> list[Panel]:
@@ -214,25 +132,27 @@ def _characteristic_panels() -> list[Panel]:
     both = np.linspace(-0.3, 0.3, 301)
     model = FdenModel(1000.0, 10.0, 0.125)
     exponential = 1000.0 / (10.0 * math.e) * np.exp(10.0 * both)
-    symmetric = Panel("Symmetry: G = 1000, Gn = 10", "strain", "φ [Pa s^α]", (
-        Curve(both, np.asarray(model.phi(both)), "φ(x)"),
+    ends = np.array([-0.1, 0.1])
+    symmetric = (
+        Curve(both, model.phi(both), "φ(x)"),
         Curve(both, exponential, "first-order equation alone", color=2, dashed=True),
-        Curve(np.array([-0.1, 0.1]), np.asarray(model.phi([-0.1, 0.1])), "±1/Gn", line=False,
-              color=1),
-    ))  # fmt: skip
-    curves = []
+        Curve(ends, model.phi(ends), "±1/Gn", line=False, color=1),
+    )
+    bond = []
     strain = np.linspace(0.0, 0.3, 200)
     for color, g_n in enumerate((5.0, 8.5, 13.0)):
         tissue = FdenModel(1000.0, g_n, 0.125)
-        xb = tissue.boundary_strain
-        values: Array = np.asarray(tissue.phi(strain))
+        values, at = tissue.phi(strain), np.array([tissue.boundary_strain])
         shown = values <= 1000.0
-        curves += [
+        bond += [
             Curve(strain[shown], values[shown], f"Gn = {g_n:g}", color=color),
-            Curve(np.array([xb]), np.asarray(tissue.phi([xb])), "", line=False, color=color),
+            Curve(at, tissue.phi(at), "", line=False, color=color),
         ]
-    constraint = Panel("xb = 1/Gn (circles), G = 1000", "strain", "φ [Pa s^α]", curves)
-    return [symmetric, constraint]
+    labels = ("strain", "φ [Pa s^α]")
+    return [
+        Panel("Symmetry: G = 1000, Gn = 10", *labels, symmetric),
+        Panel("xb = 1/Gn (circles), G = 1000", *labels, bond),
+    ]
 
 
 def _table(
@@ -252,9 +172,6 @@ def _table(
     return lines
 
 
-def _claims(claims: Sequence[Claim], head: str) -> list[str]:
-    lines = [f"| what the paper says | {head} | by how much |", "| --- | --- | --- |"]
-    for claim in claims:
-        cells = (cell.replace("|", "\\|") for cell in (claim.claim, claim.holds, claim.finding))
-        lines.append("| " + " | ".join(cells) + " |")
-    return lines
+def _simulated(panel: Panel) -> Panel:
+    curves = [replace(c, label=c.label.replace("measured", "simulated")) for c in panel.curves]
+    return replace(panel, curves=curves)

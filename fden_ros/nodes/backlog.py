@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What the node does when messages come faster than it computes: batches, and counts.
 
@@ -50,6 +39,7 @@ class Backlog:
 
     def __init__(self) -> None:
         self.inputs: list[Input] = []
+        self.received: Counter[str] = Counter()  #: read so far, by the name of the input
         self.dropped: Counter[str] = Counter()
         self.batches = 0  #: how often messages had to be taken together
         self.most_waiting = 0
@@ -65,7 +55,7 @@ class Backlog:
         """Take a message: read it now, unless others wait."""
         self._since_look += 1
         if not self._waiting and self._since_look < _LOOK_EVERY:
-            source.read(data)
+            self._read(source, data)
             return
         self._waiting.append((source, data))
         self.work()
@@ -77,14 +67,17 @@ class Backlog:
         self._look()
         while waiting and time.monotonic() < end:
             for _ in range(min(_LOOK_EVERY, len(waiting))):
-                source, data = waiting.popleft()
-                source.read(data)
+                self._read(*waiting.popleft())
             self._look()
 
     def clear(self) -> None:
         """Forget what waits, and where it came from."""
         self._waiting.clear()
         self.inputs.clear()
+
+    def _read(self, source: Input, data: bytes) -> None:
+        self.received[source.name] += 1
+        source.read(data)
 
     def _look(self) -> None:
         """Take what waits in the middleware."""

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The node ``bridge``: gains of a controller that runs already, from the live stiffness.
 
@@ -25,12 +14,13 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import Parameter as ParameterMessage
+import numpy as np
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, String
 
 from fden_ros.control.gain_rules import (
@@ -44,6 +34,7 @@ from fden_ros.errors import InputError
 from fden_ros.nodes.descriptors import descriptor_of
 from fden_ros.nodes.running import run_node
 from fden_ros.parameters import Parameter
+from fden_ros.ros.topics import latched
 from fden_ros.tissue_feed import OFFERED_DEADLINE, TissueFeed
 
 PARAMETERS = (
@@ -140,11 +131,6 @@ _REFRESH = 1.0
 _DISCOVERY = 3.0
 #: How long the safe gains are waited for at the end [s].
 _LAST_WORDS = 1.0
-_LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
 _STIFFNESS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 Gains = dict[str, float | list[float]]
@@ -196,14 +182,25 @@ class Target:
         InputError
             If one is missing or of another type, or the rule cannot work with it.
         """
-        if self._kind == "admittance":
-            self._read_admittance(values)
+        if self._kind == "cartesian":
+            (value,) = values
+            # A force controller has no spring.
+            is_set = value.type != ParameterType.PARAMETER_NOT_SET
+            if is_set and value.type != ParameterType.PARAMETER_DOUBLE:
+                raise InputError(
+                    f"{self.names[0]} is no number: is it one of FZI's Cartesian controllers?"
+                )
+            spring = value.double_value if is_set else 0.0
+            self._rule = CartesianRule(self._tuned, spring, self._safe_stiffness)
             return
-        (value,) = values
-        # A force controller has no spring.
-        is_set = value.type != ParameterType.PARAMETER_NOT_SET
-        spring = self._number(self.names[0], value) if is_set else 0.0
-        self._rule = CartesianRule(self._tuned, spring, self._safe_stiffness)
+        for name, value in zip(self.names, values, strict=True):
+            if len(value.double_array_value) != 6:
+                raise InputError(
+                    f"{name} is no list of six numbers: is it an admittance_controller?"
+                )
+        mass, spring, self._ratios = (list(value.double_array_value) for value in values)
+        index = _AXES[self._axis]
+        self._rule = AdmittanceRule(mass[index], spring[index], self._bandwidth)
 
     def gains(self, stiffness: float) -> Gains:
         """Return the parameters for tissue of a stiffness [N/m]."""
@@ -214,27 +211,6 @@ class Target:
         assert self._rule is not None
         p, d = self._rule.for_tissue(stiffness)
         return {f"pd_gains.trans_{self._axis}.p": p, f"pd_gains.trans_{self._axis}.d": d}
-
-    def _read_admittance(self, values: Sequence[ParameterValue]) -> None:
-        lists = []
-        for name, value in zip(self.names, values, strict=True):
-            if (
-                value.type != ParameterType.PARAMETER_DOUBLE_ARRAY
-                or len(value.double_array_value) != 6
-            ):
-                raise InputError(
-                    f"{name} is no list of six numbers: is it an admittance_controller?"
-                )
-            lists.append(list(value.double_array_value))
-        index = _AXES[self._axis]
-        self._rule = AdmittanceRule(lists[0][index], lists[1][index], self._bandwidth)
-        self._ratios = lists[2]
-
-    @staticmethod
-    def _number(name: str, value: ParameterValue) -> float:
-        if value.type != ParameterType.PARAMETER_DOUBLE:
-            raise InputError(f"{name} is no number: is it one of FZI's Cartesian controllers?")
-        return float(value.double_value)
 
 
 class Bridge(Node):
@@ -278,7 +254,7 @@ class Bridge(Node):
             deadline=values["deadline"],
             on_loss=self._on_loss,
         )
-        self._gains_topic = self.create_publisher(String, "~/gains", _LATCHED)
+        self._gains_topic = self.create_publisher(String, "~/gains", latched(1))
         self._stiffness_topic = self.create_publisher(Float64, "~/stiffness", _STIFFNESS_QOS)
         self._timer = self.create_timer(
             1.0 / values["rate"], self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -369,11 +345,11 @@ class Bridge(Node):
 
     def _differs(self, gains: Gains) -> bool:
         """Whether a gain has moved by more than `change`, or is that of a loss."""
-        before, after = _flat(self._sent), _flat(gains)
-        if len(before) != len(after):
+        if self._sent.keys() != gains.keys():
             return True
-        share = 0.0 if not self._in_use.is_live else self._values["change"]
-        return any(abs(a - b) > share * abs(b) for a, b in zip(after, before, strict=True))
+        before, after = (np.hstack(list(values.values())) for values in (self._sent, gains))
+        change = self._values["change"] if self._in_use.is_live else 0.0
+        return bool(np.any(np.abs(after - before) > change * np.abs(before)))
 
     def _has(self, problem: str, words: str) -> None:
         if problem != self._problem:
@@ -394,27 +370,14 @@ class Bridge(Node):
 
 def _request(gains: Gains) -> SetParameters.Request:
     return SetParameters.Request(
-        parameters=[
-            ParameterMessage(
-                name=name,
-                value=ParameterValue(
-                    type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=value
-                )
-                if isinstance(value, list)
-                else ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
-            )
-            for name, value in gains.items()
-        ]
+        parameters=[RosParameter(n, value=value).to_parameter_msg() for n, value in gains.items()]
     )
-
-
-def _flat(gains: Gains) -> list[float]:
-    flat: list[float] = []
-    for value in gains.values():
-        flat += value if isinstance(value, list) else [value]
-    return flat
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the bridge until SIGINT or SIGTERM; leave the controller with the safe gains."""
     return run_node("bridge", Bridge, arguments, finish=Bridge.finish)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

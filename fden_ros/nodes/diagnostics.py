@@ -1,145 +1,158 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What the node says about itself, once a second: on ``/diagnostics``, and once in its log."""
 
 from __future__ import annotations
 
+import math
+import threading
+import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.nodes.backlog import Backlog
-from fden_ros.nodes.input_problems import ListenedTo, clock_problem, pairing_problem
-from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs
-from fden_ros.ros.status import PipelineProblems, diagnostic_status
+from fden_ros.nodes.input_problems import (
+    ListenedTo,
+    clock_problem,
+    lost_problem,
+    pairing_problem,
+)
+from fden_ros.nodes.session import Session
+from fden_ros.ros.inputs import TRANSFORM_TOPICS
+from fden_ros.ros.status import PipelineProblems, diagnostic_status, status_of
 
 _PERIOD = 1.0
-#: The same words come into the log no more often than this [s].
+#: A warning of one kind comes into the log no more often than this [s].
 _THROTTLE = 10.0
 
 
 class Diagnostics:
-    """Rates, rejected samples by reason, and what is wrong with the inputs, in words.
+    """Speak for a node: of its session while it is active, before that of what it refused.
 
     Parameters
     ----------
     node : LifecycleNode
         Owns the publisher and the timer.
+    lock : RLock
+        Held in callbacks and transitions.
+
+    Attributes
+    ----------
+    refusal : str
+        The last request that was refused, and why; empty: none.
+    is_stuck : bool
+        Whether that keeps the node from being configured or activated.
     """
 
-    def __init__(self, node: LifecycleNode) -> None:
-        self._node = node
-        self._publisher = node.create_lifecycle_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._timer: Any = None
-        self._pipeline: Pipeline | None = None
-        self._lost: dict[str, int] = {}
-        self._lost_before = 0
-
-    def start(
-        self,
-        pipeline: Pipeline,
-        inputs: Inputs,
-        listened_to: Sequence[ListenedTo],
-        backlog: Backlog,
-        is_collecting: Callable[[], bool],
-    ) -> None:
-        """Begin to report on `pipeline`, fed by `listened_to`, a list that may still grow.
-
-        While `is_collecting` the samples go to the identification of the tool.
-        """
-        self._backlog = backlog
-        self._is_collecting = is_collecting
-        self._pipeline = pipeline
-        self._inputs = inputs
-        self._listened_to = listened_to
-        self._pipeline_problems = PipelineProblems(pipeline)
-        self._told: set[str] = set()
-        self._seen_before: set[str] = set()
-        self._has_paired = False
-        self._lost.clear()
-        self._lost_before = 0
+    def __init__(self, node: LifecycleNode, lock: threading.RLock) -> None:
+        self._node, self._lock = node, lock
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._report: _Report | None = None
+        self.refusal, self.is_stuck = "", False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self._node.create_timer(_PERIOD, self._publish, clock=steady)
+        node.create_timer(_PERIOD, self.publish, clock=steady)
 
-    def stop(self) -> None:
+    def begin(self, session: Session) -> None:
+        """Report on a session from now on."""
+        self._report = _Report(self._node, session)
+
+    def end(self) -> None:
         """Fall silent."""
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-        self._timer = None
-        self._pipeline = None
+        self._report = None
 
-    def destroy(self) -> None:
-        """Release the publisher."""
-        self.stop()
-        self._node.destroy_publisher(self._publisher)
-
-    def message_lost(self, topic: str, event: Any) -> None:
-        """Take note of messages that came faster than they were read."""
-        self._lost[topic] = int(event.total_count)
-
-    def _lost_by_topic(self) -> Counter[str]:
-        """Return what the middleware and the backlog dropped so far."""
-        return Counter(self._lost) + self._backlog.dropped
-
-    def _publish(self) -> None:
-        pipeline = self._pipeline
-        if pipeline is None:
+    def publish(self) -> None:
+        """Publish what there is to say; nothing while the node waits for a transition."""
+        with self._lock:
+            status = self._status()
+        if status is None:
             return
-        news = self._pipeline_problems.look()
-        for words in news.warnings:
-            self._node.get_logger().warning(words, throttle_duration_sec=_THROTTLE)
-        self._log_rejected(pipeline, news.rejected)
-        problems = [*self._first_problems(pipeline), *news.problems, *self._lost_messages()]
-        if pipeline.is_failed:
-            problems.insert(0, str(pipeline.failures[-1]))
-        status = diagnostic_status(
-            self._node.get_fully_qualified_name(),
-            problems,
-            pipeline,
-            news.pairs,
-            {
-                "waiting": self._backlog.waiting,
-                "most waiting": self._backlog.most_waiting,
-                "batches": self._backlog.batches,
-                **{
-                    f"lost.{topic}": count
-                    for topic, count in sorted(self._lost_by_topic().items())
-                },
-            },
-            hardware_id=str(self._node.get_parameter("hardware_id").value),
-        )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
-    def _first_problems(self, pipeline: Pipeline) -> list[str]:
+    def _status(self) -> DiagnosticStatus | None:
+        name = self._node.get_fully_qualified_name()
+        hardware_id = str(self._node.get_parameter("hardware_id").value)
+        if self._report is not None:
+            return self._report.status(name, hardware_id, self.refusal)
+        if self.is_stuck:
+            return status_of(name, hardware_id, DiagnosticStatus.ERROR, self.refusal)
+        return None
+
+
+class _Report:
+    """Rates, rejected samples by reason, and what is wrong with the inputs, in words."""
+
+    def __init__(self, node: LifecycleNode, session: Session) -> None:
+        self._node, self._session = node, session
+        self._pipeline_problems = PipelineProblems(session.pipeline)
+        self._said: set[str] = set()
+        self._seen_before: set[str] = set()
+        self._warned: dict[str, float] = {}
+        self._has_paired = False
+        self._fastest: Counter[str] = Counter()
+        self._received_before: Counter[str] = Counter()
+        self._lost_before: Counter[str] = Counter()
+        self._dropped_before: Counter[str] = Counter()
+
+    def status(self, name: str, hardware_id: str, refusal: str) -> DiagnosticStatus:
+        """Return the status of the last second; log what is new."""
+        session, pipeline = self._session, self._session.pipeline
+        news = self._pipeline_problems.look()
+        backlog = session.backlog
+        received = backlog.received - self._received_before
+        self._received_before = backlog.received.copy()
+        lost = self._lost_messages(received)
+        if news.rejected:
+            counts = ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items()))
+            self._warn(
+                "rejected",
+                f"{news.rejected} samples rejected in the last second, by reason so far: {counts}",
+            )
+        for words in news.warnings:
+            self._warn(words, words)
+        for number, words in enumerate(lost):
+            self._warn(f"lost {number}", words)
+        problems = [*self._first_problems(), *news.problems, *lost]
+        if pipeline.is_failed:
+            problems.insert(0, str(pipeline.failures[-1]))
+        values = {
+            **{f"topic.{one.what}": one.subscription.topic_name for one in session.listened_to},
+            **{f"received.{one.what}": received[one.what] for one in session.listened_to},
+            "waiting": backlog.waiting,
+            "most waiting": backlog.most_waiting,
+            "batches": backlog.batches,
+            **{f"lost.{k}": n for k, n in sorted((session.lost + backlog.dropped).items())},
+            "last refusal": refusal,
+            # Each alone: a problem may hold the mark that stands between them in the message.
+            **{f"problem {n}": one for n, one in enumerate([*pipeline.problems, *problems], 1)},
+        }
+        return diagnostic_status(name, problems, pipeline, news.pairs, values, hardware_id)
+
+    def _warn(self, what: str, words: str) -> None:
+        """Log a warning, of one kind no more often than every ten seconds."""
+        now = time.monotonic()
+        if now - self._warned.get(what, -math.inf) >= _THROTTLE:
+            self._warned[what] = now
+            self._node.get_logger().warning(words)
+
+    def _first_problems(self) -> list[str]:
         """Return what is wrong with the inputs; log it once while nothing has come of them."""
-        if self._is_collecting():
+        session, pipeline = self._session, self._session.pipeline
+        if session.tool.is_collecting:
             return ["identify_tool is collecting: nothing is estimated until it has answered"]
-        inputs = [problem for one in self._listened_to for problem in self._problems_of(one)]
+        first = [problem for one in session.listened_to for problem in self._problems_of(one)]
+        pairing = pipeline.transform_problem or pairing_problem(pipeline, session.inputs)
+        if pairing:
+            first.append(pairing)
         clock = clock_problem(self._node)
-        pairing = pipeline.transform_problem or pairing_problem(pipeline, self._inputs)
         always = [clock] if clock else []
-        first = [*inputs, pairing] if pairing else inputs
-        self._tell(always if pipeline.pair_count else [*first, *always])
-        if pipeline.pair_count and self._told and not self._has_paired:
+        self._say_once([*([] if pipeline.pair_count else first), *always])
+        if pipeline.pair_count and self._said and not self._has_paired:
             self._node.get_logger().info("force and displacement come now")
         self._has_paired = pipeline.pair_count > 0
         return [*first, *always]
@@ -148,33 +161,32 @@ class Diagnostics:
         if one.what in TRANSFORM_TOPICS:
             # Many publish them, or none: what counts is whether they connect the frames.
             return one.wrong_publishers(self._node)
-        return one.problems(self._node, has_come=self._inputs.has_come(one.what))
+        return one.problems(self._node, has_come=self._session.inputs.has_come(one.what))
 
-    def _tell(self, problems: Sequence[str]) -> None:
+    def _say_once(self, problems: Sequence[str]) -> None:
         """Log, once each, the problems that were seen at the last look too.
 
         A publisher that has just been discovered has sent nothing yet.
         """
         for problem in problems:
-            if problem in self._seen_before and problem not in self._told:
-                self._told.add(problem)
+            if problem in self._seen_before and problem not in self._said:
+                self._said.add(problem)
                 self._node.get_logger().warning(problem)
         self._seen_before = set(problems)
 
-    def _log_rejected(self, pipeline: Pipeline, rejected: int) -> None:
-        if not rejected:
-            return
-        counts = ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items()))
-        self._node.get_logger().warning(
-            f"{rejected} samples rejected in the last second, by reason so far: {counts}",
-            throttle_duration_sec=_THROTTLE,
-        )
-
-    def _lost_messages(self) -> list[str]:
-        lost = sum(self._lost_by_topic().values()) - self._lost_before
-        self._lost_before += lost
-        if not lost:
-            return []
-        words = f"{lost} messages lost in the last second: they come too fast"
-        self._node.get_logger().warning(words, throttle_duration_sec=_THROTTLE)
-        return [words]
+    def _lost_messages(self, received: Counter[str]) -> list[str]:
+        """Return what was lost in the last second, and what mends it, a sentence an input."""
+        lost, dropped = self._session.lost, self._session.backlog.dropped
+        self._fastest |= received
+        words = [
+            lost_problem(
+                one,
+                received[one.what],
+                self._fastest[one.what],
+                lost[one.what] - self._lost_before[one.what],
+                dropped[one.what] - self._dropped_before[one.what],
+            )
+            for one in self._session.listened_to
+        ]
+        self._lost_before, self._dropped_before = lost.copy(), dropped.copy()
+        return [one for one in words if one]

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The node ``force_controller``: the reference force controller on live topics.
 
@@ -28,7 +17,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
@@ -36,6 +25,7 @@ from fden_ros.control.force_control import ForceControlConfig, ForceController
 from fden_ros.control.live_tissue import Refusal
 from fden_ros.errors import InputError
 from fden_ros.nodes.running import run_node
+from fden_ros.ros.topics import latched
 from fden_ros.tissue_feed import TissueFeed
 
 #: Name, default and meaning, with its unit, of every parameter.
@@ -65,11 +55,6 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("program.y", [0.0], "second coordinate of the places [m]"),
 )
 _QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-_LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
 #: After 0.1 s without a force the probe is stopped [s].
 _INPUT_TIMEOUT = 0.1
 
@@ -115,7 +100,7 @@ class ForceControllerNode(Node):
         self._began = 0.0
         self._gains = ""
         self._command = self.create_publisher(JointState, "command", _QOS)
-        self._gains_topic = self.create_publisher(String, "~/gains", _LATCHED)
+        self._gains_topic = self.create_publisher(String, "~/gains", latched(1))
         self._stiffness_topic = self.create_publisher(Float64, "~/stiffness", _QOS)
         self.create_subscription(WrenchStamped, "force", self._on_force, _QOS)
         self.create_subscription(PoseStamped, "displacement", self._on_displacement, _QOS)
@@ -198,3 +183,7 @@ def _places(x: Any, y: Any) -> list[tuple[float, float]]:
 def main(arguments: list[str] | None = None) -> int:
     """Run the controller until SIGINT or SIGTERM."""
     return run_node("force_controller", ForceControllerNode, arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Listening to a robot of which nothing is known, saying what to do next, and waiting for it."""
 
@@ -18,24 +7,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from fden_ros.configure.reading import Column, Reading, reading_of
 from fden_ros.configure.robots import Robot, robot_selection
-from fden_ros.configure.steps import steps_for
-from fden_ros.configure.survey import Survey
+from fden_ros.configure.survey import Survey, steps_for
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.reader import Topic
 from fden_ros.recording.source import Selection
 from fden_ros.recording.topics import USABLE_TYPES, sensible_topics
+from fden_ros.ros.plain_node import plain_node, spin_for
 
 #: Best effort hears every publisher; the queue holds what comes while a survey is made.
 _QOS = QoSProfile(depth=20000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -75,34 +63,20 @@ def listen(
     InputError
         If there are no topics, or nothing usable comes.
     """
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("fden_configure", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
+    with plain_node("fden_configure") as (node, executor):
         return _Guide(node, executor, selection, robot, look, say, patience).run()
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
 
 
+@dataclass
 class _Guide:
-    def __init__(
-        self,
-        node: Node,
-        executor: SingleThreadedExecutor,
-        selection: Selection,
-        robot: Robot | None,
-        look: Look,
-        say: Callable[[str], object],
-        patience: float,
-    ) -> None:
-        self._node, self._executor = node, executor
-        self._selection, self._robot = selection, robot
-        self._look, self._say, self._patience = look, say, patience
-        self._columns: dict[str, Column] = {}
+    _node: Node
+    _executor: SingleThreadedExecutor
+    _selection: Selection
+    _robot: Robot | None
+    _look: Look
+    _say: Callable[[str], object]
+    _patience: float
+    _columns: dict[str, Column] = field(default_factory=dict)
 
     def run(self) -> tuple[Reading, Survey]:
         topics = self._find_topics()
@@ -141,7 +115,7 @@ class _Guide:
                 reading = self._reading()
                 found = self._look(reading)
                 took = time.monotonic() - began
-                self._spin(max(_LOOK_EVERY, took * (1.0 / _BUSY_SHARE - 1.0)))
+                spin_for(self._executor, max(_LOOK_EVERY, took * (1.0 / _BUSY_SHARE - 1.0)))
             answer = "done" if step.is_done(found) else "given up"
             self._say(f"{answer}: {step.name}")
         reading = self._reading()
@@ -150,7 +124,7 @@ class _Guide:
     def _first_look(self) -> tuple[Reading, Survey]:
         end = time.monotonic() + self._patience
         while True:
-            self._spin(_LOOK_EVERY)
+            spin_for(self._executor, _LOOK_EVERY)
             try:
                 reading = self._reading()
                 return reading, self._look(reading)
@@ -163,18 +137,13 @@ class _Guide:
         force, displacement = self._columns["force"], self._columns["displacement"]
         return reading_of(Path("live"), force, displacement, self._selection, inputs)
 
-    def _spin(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-
     # Topics
 
     def _find_topics(self) -> dict[str, Topic]:
         self._say("waiting for topics")
         end = time.monotonic() + _TOPICS_WITHIN
         while True:
-            self._spin(0.2)
+            spin_for(self._executor, 0.2)
             try:
                 return self._chosen(self._present())
             except InputError:

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What keeps the inputs from the node: the topic, what was found there, and what mends it."""
 
@@ -149,6 +138,41 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
     return (
         "force and displacement come, but no pair of them: do their header stamps overlap, and "
         "are they of one clock?"
+    )
+
+
+def lost_problem(
+    one: ListenedTo, received: int, fastest: int, lost: int, dropped: int
+) -> str:
+    """Return how many messages of an input were lost in the last second, and what mends it.
+
+    Parameters
+    ----------
+    one : ListenedTo
+    received, fastest : int
+        Messages that were read in the last second, and in the fastest second so far.
+    lost, dropped : int
+        Lost in the middleware, and dropped by the node, which computes too slowly.
+
+    Returns
+    -------
+    str
+        Empty if none was lost.
+    """
+    topic, qos = one.subscription.topic_name, one.subscription.qos_profile
+    if not lost and not dropped:
+        return ""
+    words = f"{lost + dropped} of {received + lost + dropped} messages a second on {topic} lost"
+    slower = f"publish it at no more than {max(fastest, 1)} Hz"
+    if dropped:
+        return f"{words}: the node cannot keep pace; {slower}, or give it a core of its own"
+    override = f"qos_overrides.{topic}.subscription"
+    reliable = ""
+    if qos.reliability != ReliabilityPolicy.RELIABLE:
+        reliable = f", and {override}.reliability to reliable where its publisher offers that"
+    return (
+        f"{words} before the node could read them: set {override}.depth to {10 * qos.depth} "
+        f"(it is {qos.depth}){reliable}, or {slower}"
     )
 
 

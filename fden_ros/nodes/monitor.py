@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What one identifier says, gathered for a view of it."""
 
@@ -18,32 +7,25 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from types import TracebackType
+from contextlib import ExitStack
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fden_msgs.msg import PalpationSummary, TissueClassification
 from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from std_msgs.msg import String
 
-from fden_ros.core.outputs import ContactSummary, TissueState
+from fden_ros.core.outputs import ContactSummary, Status, TissueState
 from fden_ros.errors import InputError
 from fden_ros.parameters import PARAMETERS, check, geometry_of
 from fden_ros.report.monitor import MonitorView, Trace, trace_row
 from fden_ros.ros.messages import summary_of
+from fden_ros.ros.plain_node import plain_node, spin_for
+from fden_ros.ros.topics import latched
 from fden_ros.tissue_feed import TissueFeed
 
-_LATCHED = QoSProfile(
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
 _DEADLINE = 0.5
 _RATE_WINDOW = 2.0
 #: Curves show this much [s].
@@ -60,15 +42,28 @@ class Monitor:
     ----------
     identifier : str
         Fully qualified name of the node.
+    keeps_states : bool
+        Keep every estimate, but those that say there is none.
+
+    Attributes
+    ----------
+    states : list of TissueState
+        Empty where they are not kept.
+    summaries : list of ContactSummary
+        The newest of each contact.
     """
 
-    def __init__(self, identifier: str) -> None:
+    def __init__(self, identifier: str, *, keeps_states: bool = False) -> None:
         self._identifier = identifier
+        self._opened = ExitStack()
+        self._keeps_states = keeps_states
+        self.states: list[TissueState] = []
+        self.summaries: list[ContactSummary] = []
+        self._last_news = time.monotonic()
         self._arrivals: deque[float] = deque()
         self._state: TissueState | None = None
         self._heard: float | None = None
         self._classification: TissueClassification | None = None
-        self._summaries: list[ContactSummary] = []
         self._diagnostics: dict[str, str] = {}
         self._gains = ""
         self._rows: deque[tuple[float, ...]] = deque()
@@ -77,9 +72,7 @@ class Monitor:
         self._asked_restarts = -1
 
     def __enter__(self) -> Monitor:
-        self._context = Context()
-        rclpy.init(context=self._context)
-        node = self._node = rclpy.create_node("fden_monitor", context=self._context)
+        node, self._executor = self._opened.enter_context(plain_node("fden_monitor"))
         self._feed = TissueFeed(
             node, self._identifier, deadline=_DEADLINE, on_state=self._on_state
         )
@@ -87,37 +80,31 @@ class Monitor:
             TissueClassification,
             f"{self._identifier}/classification",
             self._on_classification,
-            _LATCHED,
+            latched(100),
         )
         node.create_subscription(
-            PalpationSummary, f"{self._identifier}/palpation", self._on_summary, _LATCHED
+            PalpationSummary, f"{self._identifier}/palpation", self._on_summary, latched(100)
         )
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         namespace = self._identifier.rsplit("/", 1)[0]
         node.create_subscription(
-            String, f"{namespace}/force_controller/gains", self._on_gains, _LATCHED
+            String, f"{namespace}/force_controller/gains", self._on_gains, latched(100)
         )
         self._parameters = node.create_client(GetParameters, f"{self._identifier}/get_parameters")
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(node)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
 
     def spin(self, seconds: float) -> None:
         """Receive for `seconds`."""
         self._ask_geometry()
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+        spin_for(self._executor, seconds)
+
+    @property
+    def quiet_for(self) -> float:
+        """Seconds since the last estimate that is kept, or summary."""
+        return time.monotonic() - self._last_news
 
     def view(self) -> MonitorView:
         """Return what is known now."""
@@ -137,7 +124,7 @@ class Monitor:
             )
             if classification is not None
             else {},
-            summaries=tuple(self._summaries),
+            summaries=tuple(self.summaries),
             diagnostics=dict(self._diagnostics),
             gains=self._gains,
             trace=self._trace(now),
@@ -147,6 +134,9 @@ class Monitor:
         self._state, self._heard = state, time.monotonic()
         self._arrivals.append(self._heard)
         self._rows.append((self._heard, *trace_row(state)))
+        if self._keeps_states and state.status is not Status.STALE:
+            self.states.append(state)
+            self._last_news = self._heard
 
     def _trace(self, now: float) -> Trace | None:
         rows = self._rows
@@ -187,12 +177,13 @@ class Monitor:
     def _on_summary(self, message: PalpationSummary) -> None:
         summary = summary_of(message)
         # The air after it may contradict a contact.
-        self._summaries = [s for s in self._summaries if s.contact_id != summary.contact_id]
-        self._summaries.append(summary)
+        self.summaries = [s for s in self.summaries if s.contact_id != summary.contact_id]
+        self.summaries.append(summary)
+        self._last_news = time.monotonic()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.split(":")[0].strip("/") == self._identifier.strip("/"):
+            if is_of(status, self._identifier):
                 self._diagnostics = {
                     "message": status.message,
                     **{value.key: value.value for value in status.values},
@@ -200,3 +191,8 @@ class Monitor:
 
     def _on_gains(self, message: String) -> None:
         self._gains = message.data
+
+
+def is_of(status: DiagnosticStatus, identifier: str) -> bool:
+    """Return whether a status of ``/diagnostics`` is that of a node."""
+    return bool(status.name.split(":")[0].strip("/") == identifier.strip("/"))

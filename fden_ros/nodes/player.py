@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Playing a bag on live topics, as ``ros2 bag play`` does where that exists."""
 
@@ -20,32 +9,29 @@ import math
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
+
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock
 
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import RELIABLE, Qos
 from fden_ros.recording.reader import BagReader, Topic
+from fden_ros.ros.inputs import INPUT_MESSAGES
+from fden_ros.ros.messages import to_stamp
+from fden_ros.ros.plain_node import plain_node
+from fden_ros.ros.status import type_name
 
+#: Types that carry force or displacement.
 INPUT_TYPES = frozenset(
-    {
-        "geometry_msgs/msg/WrenchStamped",
-        "geometry_msgs/msg/PoseStamped",
-        "geometry_msgs/msg/TransformStamped",
-        "geometry_msgs/msg/PointStamped",
-        "sensor_msgs/msg/JointState",
-    }
+    type_name(kind)
+    for name in ("force", "displacement")
+    for kind in INPUT_MESSAGES[name].values()
 )
-"""Types that carry force or displacement."""
-
-DEFAULT_CLOCK_HZ = 100.0
-# A subscriber is matched here a little before it has matched us, and what a best-effort topic
-# carries in between is lost: nothing in ROS reports the other side's match.
-DEFAULT_DELAY_S = 0.5
-
 _POLL_S = 0.02
 # What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:
 # faster than this (messages per second) a subscriber in Python receives less, not more.
@@ -117,6 +103,7 @@ class Player:
         self._publishers: dict[tuple[str, str], Any] = {}
         self._clock: Any = None
         self._stop = threading.Event()
+        self._opened = ExitStack()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -152,36 +139,17 @@ class Player:
 
     def __enter__(self) -> Player:
         """Start the node and its publishers."""
-        import rclpy
-        from rclpy.context import Context
-        from rclpy.signals import SignalHandlerOptions
-
-        self._context = Context()
-        # Interrupts stay with Python, so that they end a wait at once.
-        rclpy.init(
-            args=[],
-            context=self._context,
-            domain_id=self._domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        self._node, _ = self._opened.enter_context(plain_node("fden_player", self._domain_id))
         try:
             self._advertise()
         except BaseException:
-            rclpy.shutdown(context=self._context)
+            self._opened.close()
             raise
         return self
 
-    def __exit__(
-        self,
-        exception_type: type[BaseException] | None,
-        exception: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Destroy the node; latched messages vanish with it."""
-        import rclpy
-
-        self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        self._opened.close()
 
     def stop(self) -> None:
         """End waiting and playing, from any thread."""
@@ -263,8 +231,6 @@ class Player:
 
     def wait_until_acknowledged(self, timeout_s: float = _ACKNOWLEDGE_TIMEOUT_S) -> bool:
         """Wait until reliable subscribers have received all messages; return whether they have."""
-        from rclpy.duration import Duration
-
         deadline = time.monotonic() + timeout_s
         late = [
             publisher.topic_name
@@ -278,14 +244,6 @@ class Player:
         return not late
 
     def _advertise(self) -> None:
-        import rclpy
-
-        self._node = rclpy.create_node(
-            "fden_player",
-            context=self._context,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
         for topic in self._topics:
             self._publishers[topic.name, topic.type_name] = self._node.create_publisher(
                 message_class(topic.type_name),
@@ -293,8 +251,6 @@ class Player:
                 _offer(topic.offered_qos).to_profile(),
             )
         if self._clock_hz is not None:
-            from rosgraph_msgs.msg import Clock
-
             self._clock = self._node.create_publisher(Clock, "/clock", RELIABLE.to_profile())
 
     def _lacking(self, count: int) -> list[str]:
@@ -333,11 +289,7 @@ class Player:
         return max(1, round(_NS_PER_S * rate / self._clock_hz))
 
     def _publish_clock(self, stamp_ns: int) -> None:
-        from builtin_interfaces.msg import Time
-        from rosgraph_msgs.msg import Clock
-
-        sec, nanosec = divmod(stamp_ns, _NS_PER_S)
-        self._clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+        self._clock.publish(Clock(clock=to_stamp(stamp_ns)))
 
     def _select(self, names: Collection[str] | None) -> tuple[Topic, ...]:
         for name in names or ():

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The nodes as programs: signals are noted before what a node needs is imported.
 
@@ -20,36 +9,38 @@ second; a terminal and a launch file both send Ctrl-C to a process, at any time.
 
 from __future__ import annotations
 
+import functools
 import importlib
+import signal
 import sys
 
-from fden_ros.nodes.signals import note_signals
+_NUMBERS = (signal.SIGINT, signal.SIGTERM)
+_noted: list[int] = []
 
 
-def identifier() -> int:
-    """Run the node ``identifier``."""
-    return _run("identifier")
+def note_signals() -> list[int]:
+    """Note SIGINT and SIGTERM from now on; return the list of those that have come."""
+    for number in _NUMBERS:
+        signal.signal(number, lambda caught, _: _noted.append(caught))
+    return _noted
 
 
-def tissue_simulator() -> int:
-    """Run the node ``tissue_simulator``."""
-    return _run("tissue_simulator")
-
-
-def force_controller() -> int:
-    """Run the node ``force_controller``."""
-    return _run("force_controller")
-
-
-def bridge() -> int:
-    """Run the node ``bridge``."""
-    return _run("bridge")
+def ignore_signals() -> None:
+    """Let no signal disturb the end of the process: Python would give them their default again."""
+    for number in _NUMBERS:
+        signal.signal(number, signal.SIG_IGN)
+    _noted.clear()
 
 
 def _run(name: str) -> int:
     note_signals()
     return int(importlib.import_module(f"fden_ros.nodes.{name}").main())
 
+
+identifier = functools.partial(_run, "identifier")
+tissue_simulator = functools.partial(_run, "tissue_simulator")
+force_controller = functools.partial(_run, "force_controller")
+bridge = functools.partial(_run, "bridge")
 
 if __name__ == "__main__":
     sys.exit(_run(sys.argv.pop(1)))

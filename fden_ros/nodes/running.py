@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Run a node until SIGINT or SIGTERM; what is wrong at its start comes in one line."""
 
@@ -30,14 +19,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fden_ros.errors import InputError
-from fden_ros.nodes.signals import ignore_signals, note_signals
-from fden_ros.parameters.files import (
-    Section,
-    check_types,
-    parse_yaml,
-    read_sections,
-    values_for,
-)
+from fden_ros.nodes.programs import ignore_signals, note_signals
+from fden_ros.parameters.files import Section, check_types, parse_yaml, read_sections, values_for
 
 _Node = TypeVar("_Node", bound=Node)
 
@@ -73,43 +56,44 @@ def run_node(
     """
     noted = note_signals()
     try:
-        return _run(
-            name,
-            make,
-            list(sys.argv if arguments is None else arguments),
-            start,
-            finish,
-            needs_section=needs_section,
-            is_over=lambda: bool(noted),
-        )
+        node = _made(make, list(sys.argv if arguments is None else arguments), needs_section)
+        return _run(node, start, finish, lambda: bool(noted))
+    except _RefusedError as refused:
+        # rcl writes several lines, and adds the places in its sources.
+        text = " ".join(str(refused).split()).removeprefix("failed to initialize rcl: ")
+        print(f"{name}: {re.sub(r', at [^ ,]+:[0-9]+', '', text)}", file=sys.stderr)
+        return 1
     finally:
+        rclpy.try_shutdown()
         ignore_signals()
 
 
-def _run(
-    name: str,
-    make: Callable[[], _Node],
-    arguments: Sequence[str],
-    start: Callable[[_Node], bool],
-    finish: Callable[[_Node], object],
-    *,
-    needs_section: bool,
-    is_over: Callable[[], bool],
-) -> int:
+class _RefusedError(Exception):
+    """What was given at the start cannot be used."""
+
+
+def _made(make: Callable[[], _Node], arguments: Sequence[str], needs_section: bool) -> _Node:
     try:
         files = check_arguments(arguments)
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except (InputError, RuntimeError, ValueError) as error:
         # rclpy raises RCLError, a RuntimeError, for arguments that rcl cannot read.
-        return _refuse(name, error)
+        raise _RefusedError(str(error)) from error
     try:
         node = make()
-        if needs_section:
-            for sections in files:
-                values_for(sections, node.get_fully_qualified_name())
+        for sections in files if needs_section else ():
+            values_for(sections, node.get_fully_qualified_name())
     except (InputError, InvalidParameterTypeException, ParameterException) as error:
-        rclpy.try_shutdown()
-        return _refuse(name, error)
+        raise _RefusedError(str(error)) from error
+    return node
+
+
+def _run(
+    node: _Node,
+    start: Callable[[_Node], bool],
+    finish: Callable[[_Node], object],
+    is_over: Callable[[], bool],
+) -> int:
     executor = make_executor()
     executor.add_node(node)
     try:
@@ -124,7 +108,6 @@ def _run(
         executor.remove_node(node)
         executor.shutdown()
         node.destroy_node()
-        rclpy.try_shutdown()
 
 
 def make_executor(context: Context | None = None) -> Executor:
@@ -148,7 +131,7 @@ def spin(executor: Executor, stop: Callable[[], bool]) -> None:
 
 
 def check_arguments(arguments: Sequence[str]) -> list[list[Section]]:
-    """Check what of a command line is ROS's, before rcl reads it: parameters and log levels.
+    """Check what of a command line is ROS's, before rcl reads it.
 
     Returns
     -------
@@ -177,11 +160,8 @@ def _ros_options(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield every argument between --ros-args and -- with the one that follows it."""
     is_ros = False
     for option, value in zip(arguments, [*arguments[1:], ""], strict=True):
-        if option == "--ros-args":
-            is_ros = True
-        elif option == "--":
-            is_ros = False
-        elif is_ros:
+        is_ros = (is_ros or option == "--ros-args") and option != "--"
+        if is_ros:
             yield option, value
 
 
@@ -193,10 +173,3 @@ def _check_override(text: str) -> None:
         check_types(name, parse_yaml(value))
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"-p {text}: not valid YAML: {' '.join(str(error).split())}") from None
-
-
-def _refuse(name: str, error: Exception) -> int:
-    text = " ".join(str(error).split()).removeprefix("failed to initialize rcl: ")
-    # rcl adds the places in its sources.
-    print(f"{name}: {re.sub(r', at [^ ,]+:[0-9]+', '', text)}", file=sys.stderr)
-    return 1

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The service ``~/identify_tool``: inputs go to a collection of turns, not to the pipeline."""
 
@@ -22,8 +11,7 @@ from collections.abc import Callable
 from fden_msgs.srv import IdentifyTool
 
 from fden_ros.configure.finding import Finding
-from fden_ros.configure.tool import ToolAnswer, ToolCollection
-from fden_ros.configure.weight import MOTION
+from fden_ros.configure.weight import MOTION, ToolAnswer, ToolCollection
 from fden_ros.errors import InputError
 
 #: A collection holds every sample: it is given up after this time [s].

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """An archive of recordings, identified on Dask: a table with a row a contact.
 
@@ -26,6 +15,7 @@ import hashlib
 import itertools
 import json
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -36,6 +26,7 @@ from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, LISTS, contact_row
+from fden_ros.offline.session import Innovations
 from fden_ros.parameters import Parameters
 from fden_ros.recording.source import Selection
 from fden_ros.tissues.library import load_library
@@ -165,8 +156,7 @@ def identify(bag: str, work: Work, configuration: str, known: str | None) -> Rec
         The bag's columns and ``contacts``, a list of rows; with an ``error`` where it is broken.
         With ``unchanged`` set, nothing more.
     """
-    record: Record = {"bag": bag, "content": "", "configuration": configuration, "contacts": []}
-    record |= {"error": None, "warnings": "", "seconds": None, "pairs": 0}
+    record = _empty_record(bag, configuration)
     try:
         record["content"] = content_digest(Path(bag))
         if record["content"] == known:
@@ -180,26 +170,36 @@ def identify(bag: str, work: Work, configuration: str, known: str | None) -> Rec
     return record
 
 
+def _empty_record(bag: str, configuration: str) -> Record:
+    return {
+        "bag": bag,
+        "content": "",
+        "configuration": configuration,
+        "error": None,
+        "warnings": "",
+        "seconds": None,
+        "pairs": 0,
+        "contacts": [],
+    }
+
+
 def _identify(bag: str, work: Work) -> Record:
-    squares: dict[int, list[float]] = {}
+    innovations: defaultdict[int, Innovations] = defaultdict(Innovations)
     times: list[int] = []
 
     def see(output: Output, frame: str) -> None:
         if isinstance(output, TissueState) and output.innovation is not None:
-            sums = squares.setdefault(output.contact_id, [0.0, 0.0])
-            sums[0] += 1.0
-            sums[1] += output.innovation.normalized_squared
+            innovations[output.contact_id].add(output.innovation)
 
     def tick(log_time_ns: int, *_: object) -> None:
         times[1:] = [log_time_ns]
 
     result = replay(bag, work.parameters, work.selection, on_output=see, on_input=tick)
-    contacts = []
-    for summary in result.summaries:
-        count, total = squares.get(summary.contact_id, (0.0, 0.0))
-        contacts.append(contact_row(summary, total / count if count else None))
     return {
-        "contacts": contacts,
+        "contacts": [
+            contact_row(summary, innovations[summary.contact_id].mean_square)
+            for summary in result.summaries
+        ],
         "warnings": "; ".join(result.warnings),
         "seconds": (times[-1] - times[0]) * 1e-9 if times else 0.0,
         "pairs": result.samples,
@@ -350,16 +350,7 @@ def _record_of(future: Any, bag: str, configuration: str) -> Record:
         return record
     error = future.exception()
     reason = f"{type(error).__name__}: {' '.join(str(error).split())}" if error else future.status
-    return {
-        "bag": bag,
-        "content": "",
-        "configuration": configuration,
-        "error": f"{_LOST}{reason}",
-        "warnings": "",
-        "seconds": None,
-        "pairs": 0,
-        "contacts": [],
-    }
+    return _empty_record(bag, configuration) | {"error": f"{_LOST}{reason}"}
 
 
 def _rows(record: Record) -> Iterator[dict[str, Any]]:

@@ -1,32 +1,22 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """A bag through the pipeline, straight from the file."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from fden_ros.core.estimation.estimate import KEYS
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import Position, Sink
+from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection, open_source
@@ -107,7 +97,7 @@ def replay(
             on_input(log_time_ns, message, pipeline)
 
     pipeline = Pipeline(pipeline_config(parameters), keep)
-    sink: Sink = pipeline if listener is None else _Both(listener, pipeline)
+    sink = pipeline if listener is None else cast(Sink, _Both(listener, pipeline))
     with _progress_bar(progress, source.total) as show:
         for done in source.feed(sink, before):
             if done % _PROGRESS_STEP == 0:
@@ -126,72 +116,35 @@ def replay(
 
 
 class _Both:
-    """Gives samples to two, one after the other."""
+    """Gives every sample to two sinks, one after the other."""
 
     def __init__(self, first: Sink, second: Sink) -> None:
         self._sinks = first, second
 
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        for sink in self._sinks:
-            sink.add_force(stamp_ns, force)
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        calls = [getattr(sink, name) for sink in self._sinks]
 
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
-        for sink in self._sinks:
-            sink.add_displacement(stamp_ns, displacement, position, load, turn)
+        def give(*arguments: Any, **named: Any) -> None:
+            for call in calls:
+                call(*arguments, **named)
 
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
-        for sink in self._sinks:
-            sink.add_force_vector(stamp_ns, frame, force)
-
-    def add_transform(
-        self,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        translation: Position,
-        rotation: Quaternion,
-        *,
-        is_static: bool,
-    ) -> None:
-        for sink in self._sinks:
-            sink.add_transform(stamp_ns, parent, child, translation, rotation, is_static=is_static)
-
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        for sink in self._sinks:
-            sink.add_surface(stamp_ns, surface)
-
-    def reject(self, stream: str, reason: str) -> None:
-        for sink in self._sinks:
-            sink.reject(stream, reason)
+        # Looked up once: there are millions of samples.
+        setattr(self, name, give)
+        return give
 
 
-class _progress_bar:  # noqa: N801 - used as a function
-    """Progress on standard error, or none; gives the function to call with the steps done."""
+@contextmanager
+def _progress_bar(visible: bool, total: int) -> Iterator[Callable[[int], object]]:
+    """Show progress on standard error, or none; give the function to call with the steps done."""
+    if not visible:
+        yield lambda done: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
 
-    def __init__(self, visible: bool, total: int) -> None:
-        self._visible, self._total = visible, total
-
-    def __enter__(self) -> Callable[[int], object]:
-        if not self._visible:
-            return lambda done: None
-        from rich.console import Console
-        from rich.progress import Progress
-
-        self._bar = Progress(console=Console(stderr=True), transient=True)
-        self._bar.start()
-        task = self._bar.add_task("replaying", total=self._total or None)
-        return lambda done: self._bar.update(task, completed=done)
-
-    def __exit__(self, *_: object) -> None:
-        if self._visible:
-            self._bar.stop()
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("replaying", total=total or None)
+        yield lambda done: bar.update(task, completed=done)
 
 
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
@@ -210,8 +163,8 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
         )
     elif not summaries:
         warnings.append(
-            "no contact was found: check force.axis (the force must grow when the probe presses) "
-            "and force.threshold"
+            "no contact was found: check force.axis and displacement.axis (both grow as the probe "
+            "presses) and force.threshold"
         )
     return warnings
 
@@ -229,69 +182,47 @@ def result_object(result: Replay) -> dict[str, Any]:
 
 def contact_object(summary: ContactSummary) -> dict[str, Any]:
     """Return one contact as a JSON-ready object; what was not estimated is null."""
-    contact: dict[str, Any] = {
+    estimate, stiffness = summary.estimate, summary.apparent_stiffness
+    numbers = estimate.numbers if estimate is not None else {}
+    decided, compared, classes = summary.decided, summary.comparison, summary.classes
+    low, high = compared.interval() if compared is not None else (None, None)
+    return {
         "contact_id": summary.contact_id,
         "site": summary.site_id,
         "start_ns": summary.start_ns,
         "end_ns": summary.end_ns,
         "position": summary.position,
         "frame": summary.position_frame,
-        **dict.fromkeys(KEYS),
-        "apparent_stiffness": None,
-        "apparent_stiffness_sd": None,
-        "apparent_stiffness_time_scale": None,
+        **{key: numbers.get(name) for key, name in KEYS.items()},
+        "apparent_stiffness": stiffness.value if stiffness is not None else None,
+        "apparent_stiffness_sd": stiffness.sd if stiffness is not None else None,
+        "apparent_stiffness_time_scale": stiffness.time_scale if stiffness is not None else None,
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
-        "valid_parameters": [],
-        "converged_parameters": [],
-        "edge_parameters": [],
+        "valid_parameters": list(estimate.valid.names) if estimate is not None else [],
+        "converged_parameters": list(estimate.known.names) if estimate is not None else [],
+        "edge_parameters": list(estimate.at_edge.names) if estimate is not None else [],
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
         "max_stress": summary.max_stress,
         "max_force": summary.max_force,
         "samples": summary.sample_count,
-        "label": "",
-        "probabilities": {},
-        "typicality": None,
-        "decision_time": None,
-        "decision_strain": None,
-        "ratio": None,
-        "ratio_low": None,
-        "ratio_high": None,
-        "rig": None,
+        "label": classes.label if classes is not None else "",
+        "probabilities": (
+            dict(zip(classes.names, classes.probabilities, strict=True)) if classes else {}
+        ),
+        "typicality": classes.typicality if classes is not None else None,
+        "decision_time": decided.time if decided is not None else None,
+        "decision_strain": decided.strain if decided is not None else None,
+        "ratio": compared.ratio if compared is not None else None,
+        "ratio_low": low,
+        "ratio_high": high,
+        "rig": _rig_object(summary.rig),
     }
-    estimate = summary.estimate
-    if estimate is not None:
-        numbers = estimate.numbers
-        contact |= {
-            **{key: numbers.get(name) for key, name in KEYS.items()},
-            "valid_parameters": list(estimate.valid.names),
-            "converged_parameters": list(estimate.known.names),
-            "edge_parameters": list(estimate.at_edge.names),
-        }
-    stiffness = summary.apparent_stiffness
-    if stiffness is not None:
-        contact |= {
-            "apparent_stiffness": stiffness.value,
-            "apparent_stiffness_sd": stiffness.sd,
-            "apparent_stiffness_time_scale": stiffness.time_scale,
-        }
-    if summary.classes is not None:
-        contact["label"] = summary.classes.label
-        contact["probabilities"] = dict(
-            zip(summary.classes.names, summary.classes.probabilities, strict=True)
-        )
-        contact["typicality"] = summary.classes.typicality
-    if summary.decided is not None:
-        contact["decision_time"] = summary.decided.time
-        contact["decision_strain"] = summary.decided.strain
-    if summary.comparison is not None:
-        contact["ratio"] = summary.comparison.ratio
-        contact["ratio_low"], contact["ratio_high"] = summary.comparison.interval()
-    if summary.rig is not None:
-        contact["rig"] = {
-            name: {"value": value.mean, "sd": value.sd}
-            for name, value in summary.rig.values.items()
-        }
-    return contact
+
+
+def _rig_object(rig: RigKnowledge | None) -> dict[str, Any] | None:
+    if rig is None:
+        return None
+    return {name: {"value": value.mean, "sd": value.sd} for name, value in rig.values.items()}

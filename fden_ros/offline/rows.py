@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Contacts as flat rows, for tables: one row a contact, SI units."""
 
@@ -73,8 +62,7 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
 
 def session_rows(session: Session) -> Iterator[dict[str, Any]]:
     """Yield one row a contact of a session, headed by the recording's path."""
-    tests = {contact.contact_id: contact.test for contact in session.contacts}
+    means = {c.contact_id: c.innovations.mean_square for c in session.contacts}
     for summary in session.replay.summaries:
-        test = tests.get(summary.contact_id)
-        mean_nis = test.mean_square if test is not None else None
-        yield {"recording": str(session.path), **contact_row(summary, mean_nis)}
+        row = contact_row(summary, means.get(summary.contact_id))
+        yield {"recording": str(session.path), **row}

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a report shows of a recording: gathered while it is replayed, in bounded memory."""
 
@@ -35,7 +24,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.offline.signals import Envelope, signals_of
+from fden_ros.offline.signals import Envelope, Signals, before
 from fden_ros.parameters import Parameters, geometry_of
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, is_table
@@ -99,29 +88,19 @@ class InnovationTest:
 
 
 @dataclass
-class Contact:
-    """One contact: its summary and, in detail, what led to it."""
+class Innovations:
+    """Sums over the innovations of a contact, each divided by its standard deviation."""
 
-    contact_id: int
-    states: Thinned = field(default_factory=lambda: Thinned(_STATES_A_CONTACT))
-    summary: ContactSummary | None = None
-    observes_stress: bool = False
-    _count: int = 0
+    count: int = 0
     _sum: float = 0.0
     _square: float = 0.0
     _product: float = 0.0
     _previous: float | None = None
 
-    def add(self, state: TissueState) -> None:
-        """Take a state of this contact."""
-        self.states.add(state)
-        if state.innovation is not None:
-            self._test(state.innovation)
-
-    def _test(self, innovation: Innovation) -> None:
-        self.observes_stress = innovation.predicted_stress is not None
+    def add(self, innovation: Innovation) -> None:
+        """Take the next innovation."""
         normalized = normalized_innovation(innovation)
-        self._count += 1
+        self.count += 1
         self._sum += normalized
         self._square += normalized**2
         if self._previous is not None:
@@ -129,9 +108,14 @@ class Contact:
         self._previous = normalized
 
     @property
+    def mean_square(self) -> float | None:
+        """Mean of the normalised innovation squared [1]; None without any."""
+        return self._square / self.count if self.count else None
+
+    @property
     def test(self) -> InnovationTest | None:
-        """The test of this contact's innovations; None without any."""
-        n = self._count
+        """Their test; None with fewer than two."""
+        n = self.count
         if n < 2:
             return None
         tail = 0.5 * (1.0 - _CONFIDENCE)
@@ -145,6 +129,24 @@ class Contact:
             correlation=(self._product / (n - 1) - mean**2) / variance,
             correlation_limit=2.576 / math.sqrt(n),
         )
+
+
+@dataclass
+class Contact:
+    """One contact: its summary and, in detail, what led to it."""
+
+    contact_id: int
+    states: Thinned = field(default_factory=lambda: Thinned(_STATES_A_CONTACT))
+    summary: ContactSummary | None = None
+    observes_stress: bool = False
+    innovations: Innovations = field(default_factory=Innovations)
+
+    def add(self, state: TissueState) -> None:
+        """Take a state of this contact."""
+        self.states.add(state)
+        if state.innovation is not None:
+            self.observes_stress = state.innovation.predicted_stress is not None
+            self.innovations.add(state.innovation)
 
 
 @dataclass(frozen=True)
@@ -187,14 +189,14 @@ def gather(
     InputError
         As :func:`fden_ros.offline.replay.replay`.
     """
-    gatherer, signals = _Gatherer(), signals_of(parameters)
+    gatherer, signals = _Gatherer(), Signals()
     result = replay(
         bag,
         parameters,
         selection,
         progress=progress,
         on_output=gatherer.take,
-        listener=signals,
+        listener=before(signals, parameters),
     )
     return Session(
         path=Path(bag),

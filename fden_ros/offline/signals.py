@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Force and displacement over a whole recording, in bounded memory."""
 
@@ -18,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import Any, cast
 
 import numpy as np
 
@@ -101,31 +91,15 @@ class Signals(Sink):
         self.end_ns = max(self.end_ns, stamp_ns)
 
 
-class _TurnedSignals(Signals):
-    """The same where frames move: along the axes only once they are paired."""
+class _Paired:
+    """Stands before signals where frames move: only pairs are along the axes."""
 
-    def __init__(self, config: SynchronizeConfig) -> None:
-        super().__init__()
-        self._synchronizer = Synchronizer(config, self._take, Counter())
+    def __init__(self, config: SynchronizeConfig, signals: Signals) -> None:
+        self._signals = signals
+        self._streams = Synchronizer(config, self._take, Counter())
 
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        self._see(stamp_ns)
-        self._synchronizer.add_force(stamp_ns, force)
-
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
-        self._see(stamp_ns)
-        self._synchronizer.add_displacement(stamp_ns, displacement, position, load, turn)
-
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Position) -> None:
-        self._see(stamp_ns)
-        self._synchronizer.add_force_vector(stamp_ns, frame, force)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._streams, name)
 
     def add_transform(
         self,
@@ -138,18 +112,18 @@ class _TurnedSignals(Signals):
         is_static: bool,
     ) -> None:
         place = Transform(translation, rotation)
-        self._synchronizer.add_transform(stamp_ns, parent, child, place, is_static=is_static)
+        self._streams.add_transform(stamp_ns, parent, child, place, is_static=is_static)
 
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        self._synchronizer.add_surface(stamp_ns, surface)
+    def reject(self, stream: str, reason: str) -> None:
+        return
 
     def _take(self, pair: Pair) -> None:
-        self.force.add(pair.stamp_ns, pair.force)
-        self.displacement.add(pair.stamp_ns, pair.displacement)
+        self._signals.add_force(pair.stamp_ns, pair.force)
+        self._signals.add_displacement(pair.stamp_ns, pair.displacement)
 
 
-def signals_of(parameters: Parameters) -> Signals:
-    """Return what takes the samples of a recording with these parameters."""
+def before(signals: Signals, parameters: Parameters) -> Sink:
+    """Return what takes the samples of a recording and gives them to `signals`."""
     config = pipeline_config(parameters).synchronize
     is_turned = config.frames is not None or config.tool_path is not None
-    return _TurnedSignals(config) if is_turned else Signals()
+    return cast(Sink, _Paired(config, signals)) if is_turned else signals

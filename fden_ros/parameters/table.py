@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The one table of parameters, as dataclasses: a field is a parameter, its group a class.
 
@@ -48,12 +37,11 @@ class ForceParameters:
         (0.0, 0.0, 1.0),
         "1",
         "Direction in the wrench's frame in which the measured force grows when the probe "
-        "presses; normalised.",
+        "presses.",
     )
     message: str = text(
         "wrench",
-        "Type of the live force topic: geometry_msgs/WrenchStamped or sensor_msgs/JointState. A "
-        "bag says its own.",
+        "Type of the live force topic; a bag says its own.",
         choices=("wrench", "joint_state"),
     )
     inverted: bool = flag(
@@ -62,8 +50,7 @@ class ForceParameters:
     )
     name: str = text(
         "",
-        "Joint whose effort is the force, where the force topic carries joint states; empty: the "
-        "first.",
+        "Joint whose effort is the force; empty: the first.",
     )
     threshold: float = number(
         0.0,
@@ -90,8 +77,7 @@ class ForceParameters:
     )
     measure_bias: bool = flag(
         True,
-        "Take the force's bias from each approach through the air; false: trust the force after "
-        "any tare.",
+        "Measure the force's bias in the air before each contact; false: it is 0 after any tare.",
     )
     drift_sd: float = number(
         0.005,
@@ -102,8 +88,8 @@ class ForceParameters:
     )
     learn_drift: bool = flag(
         True,
-        "Where the air after contact after contact is as before it, the next site begins with "
-        "less drift: a quarter of `force.drift_sd` at least; where it is not, with more.",
+        "Learn from site to site how far the zero drifts: from a quarter of force.drift_sd to "
+        "four times.",
     )
     friction: float = number(
         0.0,
@@ -135,25 +121,22 @@ class DisplacementParameters:
     axis: tuple[float, float, float] = vector(
         (0.0, 0.0, 1.0),
         "1",
-        "Direction into the tissue, in the frame of the position messages, or, along the tool, in "
-        "the probe's own; normalised.",
+        "Direction into the tissue, in the frame of the positions or, with along_tool, in the "
+        "probe's own.",
     )
     along_tool: bool = flag(
         False,
-        "The probe advances along its own axis: displacement.axis and force.axis are fixed in the "
-        "tool and turn with it, by the orientation of its poses, transforms or of frames.probe.",
+        "displacement.axis and force.axis are fixed in the tool and turn with it.",
     )
     message: str = text(
         "joint_state",
-        "Type of the live displacement topic: sensor_msgs/JointState, or "
-        "geometry_msgs/PoseStamped, TransformStamped or PointStamped. A bag says its own. tf: "
-        "there is none, the displacement is the way of frames.probe in frames.base.",
+        "Type of the live displacement topic; a bag says its own. tf: the motion of frames.probe "
+        "in frames.base.",
         choices=("joint_state", "pose", "transform", "point", "tf"),
     )
     name: str = text(
         "",
-        "Joint whose position is the displacement, where its topic carries joint states; empty: "
-        "the first.",
+        "Joint whose position is the displacement; empty: the first.",
     )
     inverted: bool = flag(
         False,
@@ -176,8 +159,7 @@ class DisplacementParameters:
     compliance: float = number(
         0.0,
         "m/N",
-        "Compliance of tool and robot in series with the tissue; its share is taken off the "
-        "displacement.",
+        "Compliance of tool and robot in series with the tissue; taken off the displacement.",
         0.0,
         1.0,
     )
@@ -203,15 +185,14 @@ class SurfaceParameters:
 
     message: str = text(
         "none",
-        "Type of the topic surface, where the surface's place is measured and taken off the "
-        "displacement: sensor_msgs/JointState, or geometry_msgs/PoseStamped, TransformStamped or "
-        "PointStamped. A bag says its own; none: it is not measured.",
+        "Type of the topic surface, whose place is taken off the displacement; a bag says its "
+        "own. none: it is not measured.",
         choices=("none", "joint_state", "pose", "transform", "point"),
     )
     axis: tuple[float, float, float] = vector(
         (0.0, 0.0, 0.0),
         "1",
-        "Direction into the tissue, in the frame of the surface's positions; normalised; zeros: "
+        "Direction into the tissue, in the frame of the surface's positions; zeros: "
         "displacement.axis.",
         may_be_zero=True,
     )
@@ -219,20 +200,17 @@ class SurfaceParameters:
         (0.0, 0.0, 0.0),
         "1",
         "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
-        "frames.base; counts along the tool: depth is its part of the tool's way; normalised; "
-        "zeros: not known, the probe stands upright.",
+        "frames.base; zeros: the probe stands upright.",
         may_be_zero=True,
     )
     name: str = text(
         "",
-        "Joint whose position is the surface's place, where its topic carries joint states; "
-        "empty: the first.",
+        "Joint whose position is the surface's place; empty: the first.",
     )
     scale: float = number(
         1.0,
         "1",
-        "Motion of the surface into the tissue in m per unit of its reading; negative where the "
-        "reading falls as the surface recedes from the probe.",
+        "Motion of the surface into the tissue in m per unit of its reading.",
         -1000.0,
         1000.0,
     )
@@ -247,15 +225,14 @@ class SurfaceParameters:
     motion_sd: float = number(
         0.00012,
         "m",
-        "Standard deviation of its motion in one second, by breathing and heartbeat, that is not "
-        "measured; 0: it rests.",
+        "Standard deviation of its motion in one second that is not measured, as by breathing; "
+        "0: it rests.",
         0.0,
         0.1,
     )
     learn_motion: bool = flag(
         True,
-        "Where contact after contact shows less motion, the next site begins with less: a quarter "
-        "of `surface.motion_sd` at least.",
+        "Learn from site to site how little it moves: down to a quarter of surface.motion_sd.",
     )
 
 
@@ -265,13 +242,13 @@ class FramesParameters:
 
     base: str = text(
         "",
-        "Frame in which force.axis is given: forces are turned into it from the frame of their "
-        "messages, by the transforms at their stamps. Empty: no transform is used.",
+        "Frame of force.axis, into which forces are turned by the transforms at their stamps; "
+        "empty: no transform is used.",
     )
     probe: str = text(
         "",
-        "Frame of the probe's tip, whose way in frames.base is the displacement where "
-        "displacement.message is tf; also of forces whose messages name no frame.",
+        "Frame of the probe's tip, whose motion is the displacement where displacement.message "
+        "is tf; also of forces without a frame.",
     )
 
 
@@ -281,8 +258,8 @@ class RigParameters:
 
     learn: bool = flag(
         False,
-        "What a contact tells of delay and friction, the next site knows; false: each begins "
-        "with what is stated here.",
+        "Learn delay and friction from contact to contact; false: each begins with what is "
+        "stated.",
     )
 
 
@@ -294,8 +271,7 @@ class ModelErrorParameters:
         0.2,
         "1",
         "Relative standard deviation of the stress-strain curve from the law over a factor e of "
-        "stress; the relaxation's is a quarter of it. Whether the tissue has this error or none, "
-        "the data decide; 0: the law is exact.",
+        "stress; the relaxation's is a quarter of it. 0: the law is exact.",
         0.0,
         1.0,
     )
@@ -308,9 +284,8 @@ class ToolParameters:
     mass: float = number(
         0.0,
         "kg",
-        "Mass of all that the force sensor carries, where the tool turns: its weight is taken "
-        "off the force, by the orientation in the displacement's pose or transform, which must "
-        "be the sensor's; 0: not.",
+        "Mass that the force sensor carries, where the tool turns: its weight is taken off the "
+        "force, by the orientation of the displacement's pose or transform.",
         0.0,
         1000.0,
     )
@@ -324,7 +299,7 @@ class ToolParameters:
         (0.0, 0.0, -9.80665),
         "m/s^2",
         "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
-        "the other way round for one that measures what the tool does.",
+        "else the other way round.",
     )
 
 
@@ -336,7 +311,7 @@ class SynchronizeParameters:
         0.25,
         "s",
         "Displacement samples further apart, and than 2 usual steps of the force, are not "
-        "interpolated between; a contact with a longer gap is given up.",
+        "interpolated between; a longer gap ends a contact.",
         0.0001,
         10.0,
     )
@@ -370,7 +345,7 @@ class GeometryParameters:
         0.0,
         "m",
         "flat_punch: thickness of the tissue; torsional_rheometer: height of the sample; 0: not "
-        "stated, so nothing is converged.",
+        "stated.",
         1e-06,
         1.0,
         may_be_zero=True,
@@ -378,8 +353,7 @@ class GeometryParameters:
     radius: float = number(
         0.0,
         "m",
-        "sphere: radius of the tip; torsional_rheometer: radius of the sample; 0: not stated, so "
-        "nothing is converged.",
+        "sphere: radius of the tip; torsional_rheometer: radius of the sample; 0: not stated.",
         1e-06,
         1.0,
         may_be_zero=True,
@@ -418,8 +392,8 @@ class PlausibleParameters:
     strain_rate: float = number(
         0.001,
         "1/s",
-        "A press that is strained slower than this and sampled slower than 2 Hz is implausible, "
-        "and never converged; 0: any is plausible.",
+        "A press strained slower than this and sampled slower than 2 Hz is implausible; 0: any "
+        "is plausible.",
         0.0,
         1.0,
     )
@@ -450,9 +424,8 @@ class ContactParameters:
 
     mode: str = text(
         "touch",
-        "touch: contacts are told from the air, and G and Gn found from the first touch on; "
-        "continuous: the probe stays on the tissue and palpates, at 0.4 to 5 Hz or that of "
-        "dither.frequencies, and the stiffness dF/dd along its path is found.",
+        "touch: contacts begin in the air, with G and Gn; continuous: the probe stays on the "
+        "tissue and palpates, and dF/dd along its path is found.",
         choices=("touch", "continuous"),
     )
     lookback: float = number(
@@ -472,16 +445,16 @@ class SiteParameters:
     distance: float = number(
         0.0,
         "m",
-        "A touch further to the side than this is a new site, where positions are known; 0: a "
-        "fifth of the probe's radius, 0.5 to 2 mm.",
+        "A touch further to the side is a new site, where positions are known; 0: a fifth of the "
+        "probe's radius, 0.5 to 2 mm.",
         0.0,
         1.0,
     )
     timeout: float = number(
         2.0,
         "s",
-        "A touch after a longer time in the air is a new site, where no positions are known, "
-        "unless it meets just what the last contact left.",
+        "Without positions, a touch after a longer time in the air is a new site, unless it "
+        "meets what the last contact left.",
         0.0,
         100000.0,
     )
@@ -493,8 +466,8 @@ class AlphaParameters:
 
     learn: bool = flag(
         True,
-        "Learn the order alpha together with G and Gn, from prior.alpha and prior.alpha_sd on; "
-        "false: alpha is given by them, and counts with that standard deviation.",
+        "Learn alpha together with G and Gn; false: it is prior.alpha, and counts with "
+        "prior.alpha_sd.",
     )
 
 
@@ -504,9 +477,10 @@ class EstimatorParameters:
 
     observation: str = text(
         "stress",
-        "What the filter looks at: the stress, which learns alpha as well, or the fractional "
-        "stress, the paper's way.",
-        choices=("stress", "fractional_stress"),
+        "What is observed: the stress; the fractional stress, the paper's way, which does not "
+        "learn alpha; or posterior: the stress, one posterior of a press for all unknowns, on "
+        "trial.",
+        choices=("stress", "fractional_stress", "posterior"),
     )
 
 
@@ -640,7 +614,7 @@ class ClassifierParameters:
 
     library: str = text(
         "",
-        "Path of a tissue library (YAML); empty: the one that comes along.",
+        "Path of a tissue library (YAML); empty: the built-in one.",
     )
 
 
@@ -650,8 +624,8 @@ class ClassificationParameters:
 
     mode: str = text(
         "library",
-        "Tell the tissues of the library apart, or how much stiffer each site is than those "
-        "around it that were touched before.",
+        "Tell the tissues of the library apart, or how much stiffer each site is than earlier "
+        "ones around it.",
         choices=("library", "relative"),
     )
     probability: float = number(
@@ -678,8 +652,8 @@ class ClassificationParameters:
     significance: float = number(
         0.06,
         "1",
-        "library: a contact is unknown where less than this share of the contacts with the best "
-        "fitting tissue lies as far from it.",
+        "library: unknown where less than this part of the contacts with the best fitting tissue "
+        "lies as far from it.",
         0.0,
         0.5,
     )

@@ -1,22 +1,12 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Messages to CDR bytes, the same bytes every time.
 
 ``rclpy.serialization.serialize_message`` leaves its padding uninitialised and, where sequences are
 empty, appends more of the same: bags would differ from run to run, and strict readers refuse
-such messages. This is the plain little-endian encoding of ROS 2 (CDR version 1), from the field
+such messages. The encoder of ``mcap_ros2`` takes neither numpy arrays nor bytes, which message
+classes hold. This is the plain little-endian encoding of ROS 2 (CDR version 1), from the field
 types that every generated message class carries.
 """
 
@@ -28,35 +18,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from rosidl_parser.definition import (
-    AbstractNestedType,
-    Array,
-    BasicType,
-    BoundedString,
-    NamespacedType,
-    UnboundedString,
-)
+from rosidl_parser import definition
 
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _LENGTH = struct.Struct("<I")
-_FORMATS = {
-    "boolean": "?",
-    "octet": "c",
-    "char": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float": "f",
-    "double": "d",
-}
+_FORMATS = dict(
+    boolean="?", octet="c", char="B", int8="b", uint8="B", int16="h", uint16="H", int32="i",
+    uint32="I", int64="q", uint64="Q", float="f", double="d",
+)  # fmt: skip
 _Encoder = Callable[[bytearray, Any], None]
 
 
@@ -73,7 +45,7 @@ def serialize(message: Any) -> bytes:
     try:
         _encoder_of_class(cls)(buffer, message)
     except (struct.error, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{type(message).__name__} cannot be serialised: {error}") from error
+        raise InputError(f"{cls.__name__} cannot be serialised: {error}") from error
     return _HEADER + buffer
 
 
@@ -94,16 +66,20 @@ def _encoder_of_class(cls: Any) -> _Encoder:
 
 
 def _encoder(slot: Any) -> _Encoder:
-    if isinstance(slot, BasicType):
+    if isinstance(slot, definition.BasicType):
         return _basic(slot.typename)
-    if isinstance(slot, (UnboundedString, BoundedString)):
+    if isinstance(slot, definition.UnboundedString | definition.BoundedString):
         return _encode_string
-    if isinstance(slot, NamespacedType):
+    if isinstance(slot, definition.NamespacedType):
         return _encoder_of_class(message_class("/".join((*slot.namespaces, slot.name))))
-    if isinstance(slot, AbstractNestedType):
+    if isinstance(slot, definition.AbstractNestedType):
         elements = _elements(slot.value_type)
-        return elements if isinstance(slot, Array) else _sequence(elements)
+        return elements if isinstance(slot, definition.Array) else _sequence(elements)
     raise InputError(f"a field of type {type(slot).__name__} cannot be serialised: use another")
+
+
+def _align(buffer: bytearray, size: int) -> None:
+    buffer += bytes(-len(buffer) % size)
 
 
 def _basic(typename: str) -> _Encoder:
@@ -117,18 +93,21 @@ def _basic(typename: str) -> _Encoder:
     return encode
 
 
+def _encode_length(buffer: bytearray, length: int) -> None:
+    _align(buffer, _LENGTH.size)
+    buffer += _LENGTH.pack(length)
+
+
 def _encode_string(buffer: bytearray, value: str) -> None:
     data = value.encode()
-    buffer += bytes(-len(buffer) % _LENGTH.size)
-    buffer += _LENGTH.pack(len(data) + 1)
+    _encode_length(buffer, len(data) + 1)
     buffer += data
     buffer.append(0)
 
 
 def _sequence(elements: _Encoder) -> _Encoder:
     def encode(buffer: bytearray, values: Any) -> None:
-        buffer += bytes(-len(buffer) % _LENGTH.size)
-        buffer += _LENGTH.pack(len(values))
+        _encode_length(buffer, len(values))
         if len(values):
             elements(buffer, values)
 
@@ -136,11 +115,11 @@ def _sequence(elements: _Encoder) -> _Encoder:
 
 
 def _elements(slot: Any) -> _Encoder:
-    if isinstance(slot, BasicType) and slot.typename != "octet":
+    if isinstance(slot, definition.BasicType) and slot.typename != "octet":
         dtype = np.dtype(_FORMATS[slot.typename]).newbyteorder("<")
 
         def encode_numbers(buffer: bytearray, values: Any) -> None:
-            buffer += bytes(-len(buffer) % dtype.itemsize)
+            _align(buffer, dtype.itemsize)
             buffer += np.asarray(values, dtype).tobytes()
 
         return encode_numbers

@@ -1,28 +1,18 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a bag holds: topics, rates, gaps and jitter, and what a replay would use of them."""
 
 from __future__ import annotations
 
-import math
-import statistics
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from array import array
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters
@@ -33,100 +23,53 @@ _STAMPED = 4 + 8  # CDR's header, then the stamp
 # The rule for gaps is the pipeline's own: ten usual steps, and at least 20 ms.
 _GAP_STEPS = 10.0
 _GAP_NS = 20_000_000
-_FIRST_STEPS = 1001
 _NS_PER_S = 1_000_000_000
+_HEADERS = ("std_msgs/Header", "std_msgs/msg/Header", "Header")
 
 
 @dataclass(frozen=True)
 class TopicContents:
-    """What one topic holds.
+    """What one topic holds, by the names of ``fden info --json``.
 
     Stamps are those of the headers where there are any, else the times of recording.
-
-    Attributes
-    ----------
-    name, type_name, message_count
-        As in :class:`~fden_ros.recording.reader.Topic`.
-    frame : str or None
-        frame_id of the first message; None without a header.
-    stamped : bool
-        Whether its messages have headers.
-    start_ns, end_ns : int
-        First and last stamp.
-    rate : float
-        Messages per second, gaps left out [Hz]; 0 with fewer than two.
-    jitter : float
-        Standard deviation of the step, gaps left out [s].
-    gap_count, longest_gap : int, float
-        Steps of over 20 ms and ten usual ones, and the longest of them [s].
-    backward_count : int
-        Stamps that do not exceed the one before.
-    zero_count : int
-        Stamps of 0.
-    delay : float
-        Mean time from stamp to recording [s]; 0 without headers.
     """
 
     name: str
-    type_name: str
-    message_count: int
-    frame: str | None = None
-    stamped: bool = False
-    start_ns: int = 0
-    end_ns: int = 0
-    rate: float = 0.0
-    jitter: float = 0.0
-    gap_count: int = 0
-    longest_gap: float = 0.0
-    backward_count: int = 0
-    zero_count: int = 0
-    delay: float = 0.0
-
-    @property
-    def duration(self) -> float:
-        """Time from the first to the last stamp [s]."""
-        return (self.end_ns - self.start_ns) / _NS_PER_S
+    type: str
+    messages: int
+    frame: str | None  #: frame_id of the first message; None without a header
+    stamped: bool  #: whether its messages have headers
+    start_ns: int  #: first stamp
+    end_ns: int  #: last stamp
+    rate_hz: float  #: gaps left out; 0 with fewer than two messages
+    jitter_s: float  #: standard deviation of the step, gaps left out
+    gaps: int  #: steps of over 20 ms and ten usual ones
+    longest_gap_s: float
+    backward_stamps: int  #: that do not exceed the one before
+    zero_stamps: int
+    delay_s: float  #: mean time from stamp to recording; 0 without headers
 
 
 @dataclass(frozen=True)
 class BagContents:
-    """What a bag holds.
+    """What a bag holds."""
 
-    Attributes
-    ----------
-    topics
-        By name.
-    used : mapping
-        ``force``, ``displacement`` and ``surface`` to the topic that a replay would use.
-    problems
-        Why a replay could not begin, a line each.
-    warnings
-        What is wrong with the bag, a line each.
-    """
+    topics: tuple[TopicContents, ...]  #: by name
+    used: Mapping[str, str]  #: input, such as ``force``, to the topic that a replay would use
+    problems: tuple[str, ...]  #: why a replay could not begin, a line each
+    warnings: tuple[str, ...]  #: what is wrong with the bag, a line each
 
-    topics: tuple[TopicContents, ...]
-    used: Mapping[str, str]
-    problems: tuple[str, ...]
-    warnings: tuple[str, ...]
+    def as_object(self) -> dict[str, Any]:
+        """Return it as what ``fden info --json`` prints."""
+        return {**asdict(self), "used": dict(self.used)}
 
 
 def inspect(
     path: str | Path,
     parameters: Parameters,
     selection: Selection | None = None,
-    progress: Callable[[int], object] = lambda done: None,
 ) -> BagContents:
-    """Read a bag through and return what it holds.
-
-    Parameters
-    ----------
-    path : path
-    parameters : mapping
-        Checked parameter values.
-    selection : Selection, optional
-        As a replay would be given.
-    progress : callable
-        Called now and then with the number of messages read.
+    """Read a bag through and return what it holds, with the selection of a replay.
 
     Raises
     ------
@@ -134,47 +77,17 @@ def inspect(
         If the bag cannot be read.
     """
     reader = BagReader(path)
-    tallies = {topic.name: _Tally(topic) for topic in reader.topics}
-    for done, message in enumerate(reader.messages(), start=1):
-        tallies[message.topic].add(message.data, message.log_time_ns)
-        if done % 1000 == 0:
-            progress(done)
+    stamps = {topic.name: _Stamps(topic) for topic in reader.topics}
+    for message in reader.messages():
+        stamps[message.topic].add(message.data, message.log_time_ns)
     used, problems = _used(path, parameters, selection or Selection())
-    topics = tuple(tally.contents() for tally in tallies.values())
+    topics = tuple(one.contents() for one in stamps.values())
     return BagContents(
         topics=topics,
         used=used,
         problems=tuple(problems),
         warnings=(*reader.warnings, *_warnings(topics, used)),
     )
-
-
-def contents_object(contents: BagContents) -> dict[str, Any]:
-    """Return the contents as what ``fden info --json`` prints."""
-    return {
-        "topics": [
-            {
-                "name": t.name,
-                "type": t.type_name,
-                "messages": t.message_count,
-                "frame": t.frame,
-                "stamped": t.stamped,
-                "start_ns": t.start_ns,
-                "end_ns": t.end_ns,
-                "rate_hz": t.rate,
-                "jitter_s": t.jitter,
-                "gaps": t.gap_count,
-                "longest_gap_s": t.longest_gap,
-                "backward_stamps": t.backward_count,
-                "zero_stamps": t.zero_count,
-                "delay_s": t.delay,
-            }
-            for t in contents.topics
-        ],
-        "used": dict(contents.used),
-        "problems": list(contents.problems),
-        "warnings": list(contents.warnings),
-    }
 
 
 def _used(
@@ -186,128 +99,80 @@ def _used(
         return {}, [str(error)]
 
 
-def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> list[str]:
+def _warnings(topics: tuple[TopicContents, ...], used: Mapping[str, str]) -> Iterator[str]:
     names = {name.partition(" ")[0] for name in used.values()}
     # Transforms of several frames share a topic, and static ones come once.
-    chosen = [t for t in topics if t.name in names and t.type_name != TRANSFORMS]
-    warnings = []
+    chosen = [topic for topic in topics if topic.name in names and topic.type != TRANSFORMS]
     for topic in chosen:
-        if topic.zero_count:
-            warnings.append(
-                f"{topic.name}: {topic.zero_count} messages are stamped 0: they are not used"
-            )
-        if topic.backward_count:
-            warnings.append(
-                f"{topic.name}: {topic.backward_count} stamps do not exceed the one before: such "
+        if topic.zero_stamps:
+            yield f"{topic.name}: {topic.zero_stamps} messages are stamped 0: they are not used"
+        if topic.backward_stamps:
+            yield (
+                f"{topic.name}: {topic.backward_stamps} stamps do not exceed the one before: such "
                 "messages are dropped"
             )
-        if topic.gap_count:
-            warnings.append(
-                f"{topic.name}: {topic.gap_count} gaps, the longest of {topic.longest_gap:.3g} s"
-            )
+        if topic.gaps:
+            yield f"{topic.name}: {topic.gaps} gaps, the longest of {topic.longest_gap_s:.3g} s"
     if len(chosen) >= 2:
         start = max(topic.start_ns for topic in chosen)
         end = min(topic.end_ns for topic in chosen)
         if start >= end:
             listed = " and ".join(topic.name for topic in chosen)
-            warnings.append(f"the stamps of {listed} do not overlap: are they of one clock?")
-    return warnings
+            yield f"the stamps of {listed} do not overlap: are they of one clock?"
 
 
-@dataclass
-class _Tally:
-    """Running figures of one topic, in constant memory."""
+class _Stamps:
+    """Stamps of one topic, and when they were recorded."""
 
-    topic: Topic
-    count: int = 0
-    frame: str | None = None
-    stamped: bool = False
-    first_ns: int = 0
-    last_ns: int = 0
-    usual_ns: float = 0.0
-    first_steps: list[int] = field(default_factory=list)
-    steps: int = 0
-    mean: float = 0.0
-    squares: float = 0.0
-    gaps: int = 0
-    longest_ns: int = 0
-    backward: int = 0
-    zeros: int = 0
-    delay_ns: int = 0
+    def __init__(self, topic: Topic) -> None:
+        self._topic = topic
+        self._stamped = _has_header(topic)
+        self._frame: str | None = None
+        self._stamps, self._recorded = array("q"), array("q")
 
     def add(self, data: bytes, log_time_ns: int) -> None:
-        if self.count == 0:
-            self.stamped = _has_header(self.topic)
-            self.frame = _frame(data) if self.stamped else None
-        self.count += 1
-        stamp = _stamp(data) if self.stamped else log_time_ns
-        if stamp is None or (self.stamped and stamp == 0):
-            self.zeros += 1
-            return
-        if self.stamped:
-            self.delay_ns += log_time_ns - stamp
-        if self.first_ns == 0:
-            self.first_ns = self.last_ns = stamp
-            return
-        step = stamp - self.last_ns
-        if step <= 0:
-            self.backward += 1
-            return
-        self.last_ns = stamp
-        if len(self.first_steps) < _FIRST_STEPS:
-            self.first_steps.append(step)
-            if len(self.first_steps) == _FIRST_STEPS:
-                self._settle()
-            return
-        self._step(step)
+        if self._stamped and not self._stamps:
+            self._frame = _frame(data)
+        self._stamps.append(_stamp(data) if self._stamped else log_time_ns)
+        self._recorded.append(log_time_ns)
 
     def contents(self) -> TopicContents:
-        if not self.usual_ns:
-            self._settle()
-        stamped_count = self.count - self.zeros
+        every, recorded = (np.array(a, np.int64) for a in (self._stamps, self._recorded))
+        is_there = every != 0 if self._stamped else np.ones(every.size, bool)
+        stamps = every[is_there]
+        delay = float(np.mean(recorded[is_there] - stamps)) if stamps.size else 0.0
+        is_ahead = np.ones(stamps.size, bool)
+        is_ahead[1:] = stamps[1:] > np.maximum.accumulate(stamps)[:-1]
+        kept = stamps[is_ahead]
+        steps = np.diff(kept)
+        is_gap = (steps > _GAP_STEPS * np.median(steps)) & (steps > _GAP_NS) if steps.size else []
+        gaps, steady = steps[is_gap], np.delete(steps, np.flatnonzero(is_gap))
         return TopicContents(
-            name=self.topic.name,
-            type_name=self.topic.type_name,
-            message_count=self.topic.message_count,
-            frame=self.frame,
-            stamped=self.stamped,
-            start_ns=self.first_ns,
-            end_ns=self.last_ns,
-            rate=_NS_PER_S / self.mean if self.mean else 0.0,
-            jitter=math.sqrt(self.squares / self.steps) / _NS_PER_S if self.steps else 0.0,
-            gap_count=self.gaps,
-            longest_gap=self.longest_ns / _NS_PER_S,
-            backward_count=self.backward,
-            zero_count=self.zeros,
-            delay=self.delay_ns / _NS_PER_S / stamped_count if stamped_count else 0.0,
+            name=self._topic.name,
+            type=self._topic.type_name,
+            messages=self._topic.message_count,
+            frame=self._frame,
+            stamped=self._stamped,
+            start_ns=int(kept[0]) if kept.size else 0,
+            end_ns=int(kept[-1]) if kept.size else 0,
+            rate_hz=_NS_PER_S / float(steady.mean()) if steady.size else 0.0,
+            jitter_s=float(steady.std()) / _NS_PER_S if steady.size else 0.0,
+            gaps=gaps.size,
+            longest_gap_s=float(gaps.max(initial=0)) / _NS_PER_S,
+            backward_stamps=stamps.size - kept.size,
+            zero_stamps=every.size - stamps.size,
+            delay_s=delay / _NS_PER_S,
         )
-
-    def _settle(self) -> None:
-        if self.first_steps:
-            self.usual_ns = statistics.median(self.first_steps)
-        for step in self.first_steps:
-            self._step(step)
-
-    def _step(self, step: int) -> None:
-        if step > _GAP_STEPS * self.usual_ns and step > _GAP_NS:
-            self.gaps += 1
-            self.longest_ns = max(self.longest_ns, step)
-            return
-        # Welford's recursion.
-        self.steps += 1
-        change = step - self.mean
-        self.mean += change / self.steps
-        self.squares += change * (step - self.mean)
 
 
 def _has_header(topic: Topic) -> bool:
     """Return whether a type begins with a header, by the definition in the bag."""
     for line in topic.schema.splitlines():
-        code = line.partition("#")[0].split()
-        if code and code[0].startswith("==="):
+        code = line.partition("#")[0]
+        if code.startswith("==="):
             return False
-        if code and "=" not in line.partition("#")[0]:
-            return code[0] in ("std_msgs/Header", "std_msgs/msg/Header", "Header")
+        if code.strip() and "=" not in code:
+            return code.split()[0] in _HEADERS
     return False
 
 
@@ -315,9 +180,10 @@ def _order(data: bytes) -> str:
     return "<" if data[1] & 1 else ">"
 
 
-def _stamp(data: bytes) -> int | None:
+def _stamp(data: bytes) -> int:
+    """Return the stamp of a header [ns]; 0 where the bytes are too few."""
     if len(data) < _STAMPED:
-        return None
+        return 0
     seconds, nanoseconds = struct.unpack_from(_order(data) + "iI", data, 4)
     return int(seconds) * _NS_PER_S + int(nanoseconds)
 

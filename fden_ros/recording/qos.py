@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Quality of service as bags store it, in the number form of Humble and the word form of Jazzy."""
 
@@ -26,43 +15,29 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
 # rmw/types.h: the numbers that bags up to ROS 2 Iron hold, in their order.
-_HISTORIES = ("system_default", "keep_last", "keep_all", "unknown")
-_RELIABILITIES = ("system_default", "reliable", "best_effort", "unknown", "best_available")
-_DURABILITIES = ("system_default", "transient_local", "volatile", "unknown", "best_available")
+_WORDS = {
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+}
 # RMW_DURATION_INFINITE.
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 @dataclass(frozen=True)
 class Qos:
-    """What a publisher offers.
+    """What a publisher offers; bags may say ``unknown`` and ``system_default`` of each."""
 
-    Parameters
-    ----------
-    reliability
-        ``reliable`` or ``best_effort``; also what bags may say: ``unknown``, ``system_default``.
-    durability
-        ``volatile`` or ``transient_local`` (latched).
-    depth
-        Length of the queue; 0 when a bag does not know it.
-    history
-        ``keep_last`` or ``keep_all``; ``unknown`` in most recorded bags.
-    """
-
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    depth: int = 10
-    history: str = "keep_last"
+    reliability: str = "reliable"  #: or ``best_effort``
+    durability: str = "volatile"  #: or ``transient_local`` (latched)
+    depth: int = 10  #: of the queue; 0 when a bag does not know it
+    history: str = "keep_last"  #: or ``keep_all``
 
     @staticmethod
     def from_profile(profile: QoSProfile) -> Qos:
         """Return what a bag says of a topic that is published with a ``rclpy`` profile."""
-        return Qos(
-            reliability=profile.reliability.name.lower(),
-            durability=profile.durability.name.lower(),
-            depth=profile.depth,
-            history=profile.history.name.lower(),
-        )
+        words = {name: getattr(profile, name).name.lower() for name in _WORDS}
+        return Qos(depth=profile.depth, **words)
 
     @property
     def reliable(self) -> bool:
@@ -92,21 +67,12 @@ class Qos:
         """Return the ``rclpy`` profile, with a queue of at least `minimum_depth` messages."""
         from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-        reliability = ReliabilityPolicy.RELIABLE
-        if not self.reliable:
-            reliability = ReliabilityPolicy.BEST_EFFORT
-        durability = DurabilityPolicy.VOLATILE
-        if self.latched:
-            durability = DurabilityPolicy.TRANSIENT_LOCAL
-        if self.history == "keep_all":
-            return QoSProfile(
-                history=HistoryPolicy.KEEP_ALL, reliability=reliability, durability=durability
-            )
+        is_all = self.history == "keep_all"
         return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=max(self.depth, minimum_depth),
-            reliability=reliability,
-            durability=durability,
+            history=HistoryPolicy.KEEP_ALL if is_all else HistoryPolicy.KEEP_LAST,
+            depth=0 if is_all else max(self.depth, minimum_depth),
+            reliability=ReliabilityPolicy[("BEST_EFFORT", "RELIABLE")[self.reliable]],
+            durability=DurabilityPolicy[("VOLATILE", "TRANSIENT_LOCAL")[self.latched]],
         )
 
 
@@ -134,12 +100,8 @@ def parse_profiles(profiles: str | Sequence[Any] | None) -> tuple[Qos, ...]:
 
 def _parse(profile: dict[str, Any]) -> Qos:
     depth = profile.get("depth", 0)
-    return Qos(
-        reliability=_word(profile.get("reliability"), _RELIABILITIES),
-        durability=_word(profile.get("durability"), _DURABILITIES),
-        depth=depth if isinstance(depth, int) and depth >= 0 else 0,
-        history=_word(profile.get("history"), _HISTORIES),
-    )
+    words = {name: _word(profile.get(name), known) for name, known in _WORDS.items()}
+    return Qos(depth=depth if isinstance(depth, int) and depth >= 0 else 0, **words)
 
 
 def _word(value: Any, words: tuple[str, ...]) -> str:

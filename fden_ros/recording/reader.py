@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Reading bags: rosbag2 folders and bare MCAP files, split, compressed or cut off."""
 
@@ -56,26 +45,14 @@ _FOREIGN = ("*.db3", "*.db3.zstd", "*.bag")
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a bag.
+    """One topic of a bag."""
 
-    Attributes
-    ----------
-    name, type_name
-        Such as ``/force`` and ``geometry_msgs/msg/WrenchStamped``.
-    message_count
-        Number of messages.
-    offered_qos
-        What its publishers offered; empty when the bag does not say.
-    schema, schema_encoding
-        Definition of the type as the bag carries it, and its format (``ros2msg``, ``ros2idl``).
-    """
-
-    name: str
-    type_name: str
+    name: str  #: such as ``/force``
+    type_name: str  #: such as ``geometry_msgs/msg/WrenchStamped``
     message_count: int
-    offered_qos: tuple[Qos, ...] = ()
-    schema: str = ""
-    schema_encoding: str = ""
+    offered_qos: tuple[Qos, ...] = ()  #: by its publishers; empty when the bag does not say
+    schema: str = ""  #: definition of the type as the bag carries it
+    schema_encoding: str = ""  #: its format: ``ros2msg``, ``ros2idl``
 
 
 class RawMessage(NamedTuple):
@@ -103,12 +80,6 @@ class BagReader:
     ------
     InputError
         When the path is missing, empty, or another format (the line says how to convert it).
-
-    Examples
-    --------
-    >>> bag = BagReader("ramp")                                             # doctest: +SKIP
-    >>> for message in bag.messages(["/force"]):
-    ...     wrench = decode(message)
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -119,8 +90,8 @@ class BagReader:
         self._files = [self._open(file) for file in self._find_files()]
         self._routes = [self._route(file) for file in self._files]
         self._topics = self._collect_topics()
-        if self._files and not self._topics:
-            self._refuse_foreign_messages()
+        if not self._topics:
+            self._refuse_without_topics()
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -148,7 +119,7 @@ class BagReader:
         return max((f.end_ns for f in self._files if f.end_ns is not None), default=None)
 
     def topic(self, name: str) -> Topic:
-        """Return the topic called `name`.
+        """Return the topic called `name`, with or without the leading slash.
 
         Raises
         ------
@@ -156,7 +127,7 @@ class BagReader:
             When the bag has no such topic.
         """
         for topic in self._topics:
-            if topic.name == name:
+            if topic.name in (name, f"/{name}"):
                 return topic
         names = ", ".join(topic.name for topic in self._topics) or "none"
         raise InputError(f"{self.path} has no topic {name}: it has {names}")
@@ -302,6 +273,8 @@ class BagReader:
             raise InputError(f"{path} is empty: give a bag folder or an .mcap file")
         if head.startswith((_ZSTD, _LZ4)):
             return self._check_format(self._decompress(path, head))
+        if MAGIC.startswith(head):
+            raise _cut_short(path)
         if head == _SQLITE3:
             raise InputError(
                 f"{path} is a sqlite3 bag: convert it with: {_convert_command(self.path)}"
@@ -374,11 +347,14 @@ class BagReader:
             for name, type_name in sorted(counts)
         )
 
-    def _refuse_foreign_messages(self) -> None:
+    def _refuse_without_topics(self) -> None:
         if any(file.channels for file in self._files):
             raise InputError(
                 f"{self.path} holds no ROS 2 messages: expected topics encoded in CDR"
             )
+        for file in self._files:
+            if file.cut_off_at is not None:
+                raise _cut_short(file.path)
 
 
 def decode(message: RawMessage) -> Any:
@@ -400,6 +376,12 @@ def decode(message: RawMessage) -> Any:
             f"a message on {message.topic} is no valid {message.type_name}: the bag is damaged "
             "or was made with another version of the type"
         ) from error
+
+
+def _cut_short(path: Path) -> InputError:
+    return InputError(
+        f"{path} is cut off before its first topic, at {path.stat().st_size} bytes: copy it anew"
+    )
 
 
 def _listed_profiles(metadata: dict[str, Any]) -> dict[str, tuple[Qos, ...]]:

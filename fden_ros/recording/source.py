@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a replay reads: a bag or a table, message by message or row by row, into the pipeline."""
 
@@ -20,15 +9,16 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 from fden_ros.core.streams.samples import Sink
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
+from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
-from fden_ros.recording.topics import find_topic, named_topic
+from fden_ros.recording.topics import find_topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, NumberOrVector, stream_of
 from fden_ros.ros.messages import stamp_ns
@@ -37,62 +27,26 @@ _ALWAYS = ("force", "displacement")
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
+#: Line of a parameter file that says what in a recording is force and displacement, as options.
+SELECTION_LINE = "# Recording: "
+
+
 @dataclass(frozen=True)
 class Selection:
     """Where in a recording force, displacement and surface are; what is None is found.
 
-    Parameters
-    ----------
-    force_topic, displacement_topic, surface_topic : str, optional
-        Topics of a bag.
-    force_field, displacement_field, surface_field : str, optional
-        Field in that topic's messages, of whatever type they are: a number, or a vector that is
-        projected on the configured axis.
-    columns : Columns, optional
-        Columns of a table.
-    where : (str, str), optional
-        Column and text: the rows of a table that are used.
+    A field is one of that topic's messages, of whatever type they are: a number, or a vector that
+    is projected on the configured axis.
     """
 
     force_topic: str | None = None
     displacement_topic: str | None = None
     force_field: str | None = None
     displacement_field: str | None = None
-    columns: Columns | None = None
-    where: tuple[str, str] | None = None
+    columns: Columns | None = None  #: of a table
+    where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
     surface_topic: str | None = None
     surface_field: str | None = None
-
-
-class Source(Protocol):
-    """A recording that can be fed into a pipeline, once."""
-
-    @property
-    def total(self) -> int:
-        """Steps of `feed`, for a progress bar."""
-
-    @property
-    def inputs(self) -> dict[str, str]:
-        """Topic or column of each quantity."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What was wrong with the recording, a line each."""
-
-    @property
-    def frame(self) -> str:
-        """frame_id of the force so far."""
-
-    @property
-    def displacement_frame(self) -> str:
-        """frame_id of the positions so far."""
-
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
-        """Feed `sink` and yield the steps done.
-
-        `before` is called with the time of recording (ns) and the message, if there is one,
-        before its sample goes in.
-        """
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -119,6 +73,8 @@ def open_source(
 
 class BagSource:
     """A bag whose topics of force, displacement and, where it is measured, surface are known.
+
+    It can be fed into a pipeline, once.
 
     Raises
     ------
@@ -158,7 +114,7 @@ class BagSource:
 
     def _find(self, what: str, topic: str | None) -> Topic:
         if self._fields[what] is not None and topic is not None:
-            return named_topic(self.reader, topic)
+            return self.reader.topic(topic)
         return find_topic(self.reader, topic, what, self.topics.values())
 
     @property
@@ -202,7 +158,11 @@ class BagSource:
         return self._inputs.displacement_frame if self._inputs is not None else ""
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
-        """Feed the messages in the order of their recording."""
+        """Feed `sink` the messages in the order of their recording, and yield the steps done.
+
+        `before` is called with the time of recording (ns) and the message before its sample goes
+        in.
+        """
         self._inputs = Inputs(self._parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for what, topic in self.topics.items():
@@ -214,15 +174,17 @@ class BagSource:
             yield done
 
     def _handler(self, what: str, topic: Topic) -> Callable[[RawMessage], None]:
+        from rclpy.serialization import deserialize_message
+
         field, inputs = self._fields[what], self._inputs
         assert inputs is not None
         if field is not None:
             return _FieldHandler(what, topic, FieldPath(field), inputs, self.note)
-        decode = decoder_of_class(topic)
+        kind = message_class(topic.type_name)
 
         def handle(message: RawMessage) -> None:
             try:
-                sample = decode(message.data)
+                sample = deserialize_message(message.data, kind)
             except Exception:
                 # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
                 inputs.reject(stream_of(what), DAMAGED)
@@ -245,16 +207,6 @@ class BagSource:
         """Add a warning, once."""
         if text not in self._notes:
             self._notes.append(text)
-
-
-def decoder_of_class(topic: Topic) -> Callable[[bytes], Any]:
-    """Return the decoder of a topic whose type is installed."""
-    from rclpy.serialization import deserialize_message
-
-    from fden_ros.recording.definitions import message_class
-
-    kind = message_class(topic.type_name)
-    return lambda data: deserialize_message(data, kind)
 
 
 class _FieldHandler:
@@ -380,3 +332,6 @@ class TableSource:
             inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
             inputs.add_force_value("", row.stamp_ns, row.force)
             yield done
+
+
+Source: TypeAlias = BagSource | TableSource

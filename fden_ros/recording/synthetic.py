@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Simulated recordings as bags, with the truth inside and the identifier's parameters beside."""
 
@@ -23,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 
 from fden_ros.errors import InputError
+from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import LATCHED, RELIABLE
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.writer import BagWriter
@@ -39,6 +27,17 @@ PARAMETER_FILE = "identifier.yaml"
 _STRING = "std_msgs/msg/String"
 _JOINT = "probe"
 _NS_PER_S = 1_000_000_000
+# By the message of a stream: its type, and the field that the sample goes to.
+_FORCE = {
+    "wrench": ("geometry_msgs/msg/WrenchStamped", "wrench.force"),
+    "joint_state": ("sensor_msgs/msg/JointState", "effort"),
+}
+_DISPLACEMENT = {
+    "joint_state": ("sensor_msgs/msg/JointState", "position"),
+    "pose": ("geometry_msgs/msg/PoseStamped", "pose.position"),
+    "transform": ("geometry_msgs/msg/TransformStamped", "transform.translation"),
+    "point": ("geometry_msgs/msg/PointStamped", "point"),
+}
 
 
 def write_recording(
@@ -75,17 +74,16 @@ def write_recording(
             raise InputError(f"the recording has no sample for {stream.topic}: make it longer")
     with BagWriter(folder, overwrite=overwrite) as bag:
         bag.add_topic(TRUTH_TOPIC, _STRING, LATCHED)
-        makers = [
-            _maker(stream, _FORCE if stream is recording.force else _DISPLACEMENT)
-            for stream in streams
-        ]
-        for stream, (type_name, _) in zip(streams, makers, strict=True):
+        makers = []
+        for stream in streams:
+            type_name, field = _message_of(stream, is_force=stream is recording.force)
             bag.add_topic(stream.topic, type_name, RELIABLE)
+            makers.append(_maker(stream, type_name, field))
         start_ns = min(int(stream.stamp_ns[0]) for stream in streams)
         bag.write(TRUTH_TOPIC, String(data=json.dumps(recording.truth)), start_ns)
         for number, index in _by_stamp(streams):
             stream = streams[number]
-            bag.write(stream.topic, makers[number][1](index), int(stream.stamp_ns[index]))
+            bag.write(stream.topic, makers[number](index), int(stream.stamp_ns[index]))
         parameters = _parameter_file(recording)
         (bag.folder / PARAMETER_FILE).write_text(parameters, encoding="utf-8")
     return BagReader(folder)
@@ -138,101 +136,52 @@ def _parameter_file(recording: Recording) -> str:
     )
 
 
-# From a sample to a message. Every maker fills one message again and again: it is serialised
-# before the next sample is asked for.
+def _message_of(stream: Stream, *, is_force: bool) -> tuple[str, str]:
+    known = _FORCE if is_force else _DISPLACEMENT
+    if stream.message not in known:
+        raise InputError(
+            f"{stream.topic} cannot be a {stream.message}: expected one of {', '.join(known)}"
+        )
+    return known[stream.message]
 
 
-def _force_wrench(stream: Stream) -> Callable[[int], WrenchStamped]:
-    message = WrenchStamped(header=Header(frame_id=stream.frame_id))
-    vectors = np.outer(stream.value, stream.axis).tolist()
+def _maker(stream: Stream, type_name: str, field: str) -> Callable[[int], Any]:
+    """Return what makes the message of a sample.
 
-    def make(index: int) -> WrenchStamped:
-        _stamp(message, stream, index)
-        force = message.wrench.force
-        force.x, force.y, force.z = vectors[index]
+    It fills one message again and again: that is serialised before the next is asked for.
+    """
+    message = message_class(type_name)()
+    message.header.frame_id = stream.frame_id
+    if stream.message == "transform":
+        message.child_frame_id = _JOINT
+    *above, last = field.split(".")
+    holder = message
+    for name in above:
+        holder = getattr(holder, name)
+    if stream.message == "joint_state":
+        message.name = [_JOINT]
+        values = stream.value.tolist()
+    else:
+        values = _vectors(stream)
+        vector = getattr(holder, last)
+
+    def make(index: int) -> Any:
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(int(stream.stamp_ns[index]), _NS_PER_S)
+        if stream.message == "joint_state":
+            setattr(message, field, [values[index]])
+        else:
+            vector.x, vector.y, vector.z = values[index]
         return message
 
     return make
 
 
-def _joint(stream: Stream, field: str) -> Callable[[int], JointState]:
-    message = JointState(header=Header(frame_id=stream.frame_id), name=[_JOINT])
-    values = stream.value.tolist()
-
-    def make(index: int) -> JointState:
-        _stamp(message, stream, index)
-        setattr(message, field, [values[index]])
-        return message
-
-    return make
-
-
-def _force_joint(stream: Stream) -> Callable[[int], JointState]:
-    return _joint(stream, "effort")
-
-
-def _displacement_joint(stream: Stream) -> Callable[[int], JointState]:
-    return _joint(stream, "position")
-
-
-def _positions(stream: Stream) -> list[list[float]]:
+def _vectors(stream: Stream) -> list[list[float]]:
+    if stream.message == "wrench":
+        return np.outer(stream.value, stream.axis).tolist()
     if stream.position is None:
         raise InputError(
             f"{stream.topic} has no positions, which a {stream.message} needs: use joint_state"
         )
-    positions: list[list[float]] = stream.position.tolist()
-    return positions
-
-
-def _point_like(stream: Stream, message: Any, part: Callable[[Any], Any]) -> Callable[[int], Any]:
-    positions = _positions(stream)
-
-    def make(index: int) -> Any:
-        _stamp(message, stream, index)
-        point = part(message)
-        point.x, point.y, point.z = positions[index]
-        return message
-
-    return make
-
-
-def _displacement_pose(stream: Stream) -> Callable[[int], PoseStamped]:
-    message = PoseStamped(header=Header(frame_id=stream.frame_id))
-    return _point_like(stream, message, lambda pose: pose.pose.position)
-
-
-def _displacement_transform(stream: Stream) -> Callable[[int], TransformStamped]:
-    message = TransformStamped(header=Header(frame_id=stream.frame_id), child_frame_id=_JOINT)
-    return _point_like(stream, message, lambda transform: transform.transform.translation)
-
-
-def _displacement_point(stream: Stream) -> Callable[[int], PointStamped]:
-    message = PointStamped(header=Header(frame_id=stream.frame_id))
-    return _point_like(stream, message, lambda point: point.point)
-
-
-_Maker = tuple[str, Callable[[Stream], Callable[[int], Any]]]
-_FORCE: dict[str, _Maker] = {
-    "wrench": ("geometry_msgs/msg/WrenchStamped", _force_wrench),
-    "joint_state": ("sensor_msgs/msg/JointState", _force_joint),
-}
-_DISPLACEMENT: dict[str, _Maker] = {
-    "joint_state": ("sensor_msgs/msg/JointState", _displacement_joint),
-    "pose": ("geometry_msgs/msg/PoseStamped", _displacement_pose),
-    "transform": ("geometry_msgs/msg/TransformStamped", _displacement_transform),
-    "point": ("geometry_msgs/msg/PointStamped", _displacement_point),
-}
-
-
-def _maker(stream: Stream, makers: dict[str, _Maker]) -> tuple[str, Callable[[int], Any]]:
-    if stream.message not in makers:
-        raise InputError(
-            f"{stream.topic} cannot be a {stream.message}: expected one of {', '.join(makers)}"
-        )
-    type_name, prepare = makers[stream.message]
-    return type_name, prepare(stream)
-
-
-def _stamp(message: Any, stream: Stream, index: int) -> None:
-    stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(int(stream.stamp_ns[index]), _NS_PER_S)
+    return stream.position.tolist()

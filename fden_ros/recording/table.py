@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Recordings as text tables: columns of time, force, displacement and perhaps surface."""
 
@@ -31,6 +20,7 @@ TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 
 _NS = Decimal(1_000_000_000)
 _DELIMITERS = ",;\t "
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
 
 #: Words of headings, and units with their factors to s, N and m.
@@ -56,6 +46,13 @@ _UNITS = {
     "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "gf": 9.80665e-3},
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2},
 }
+
+
+#: Headings of recorders that are known by name: time, force, displacement.
+_RECORDERS = (
+    # Universal Robots' real-time interface, in the robot's base: the tool presses downwards.
+    ("timestamp", "actual_TCP_force_2", "actual_TCP_pose_2*-1"),
+)
 
 
 class Row(NamedTuple):
@@ -108,6 +105,9 @@ class Columns:
 
 def guessed_columns(headings: list[str]) -> str | None:
     """Return what headings such as ``time_s,force_N,depth_mm`` make of `--columns`, or None."""
+    for columns in _RECORDERS:
+        if {column.partition("*")[0] for column in columns} <= set(headings):
+            return ",".join(columns)
     found: dict[str, str] = {}
     for heading in headings:
         parts = [part for part in re.split(r"[^a-z0-9]+", heading.lower()) if part]
@@ -147,7 +147,8 @@ class TableReader:
     Parameters
     ----------
     path : path
-        Comma, semicolon, tab or blanks between the columns; lines that begin with # are skipped.
+        Comma, semicolon, tab or blanks between the columns; decimal commas where it is none of
+        these. Lines that begin with # are skipped.
     columns : Columns
     where : (str, str), optional
         Use only rows that hold this text in this column.
@@ -165,9 +166,8 @@ class TableReader:
         self.skipped = 0
         first = _first_line(self.path)
         self._delimiter = _delimiter(first)
-        cells = next(_reader([first], self._delimiter), [])
-        self.has_heading = not any(_is_number(cell) for cell in cells)
-        self.headings = [cell.strip() for cell in cells]
+        self.headings = headings_of(self.path)
+        self.has_heading = not any(map(_is_number, self.headings))
         self._columns = columns
         self._rate = self._rate_of(columns.time)
         self._time = self._index(columns.time.name) if self._rate is None else -1
@@ -194,7 +194,10 @@ class TableReader:
         force_factor = float(self._columns.force.factor)
         displacement_factor = float(self._columns.displacement.factor)
         surface_factor = float(self._columns.surface.factor) if self._columns.surface else 0.0
+        has_points = self._delimiter == ","
         for number, cells in enumerate(self._cells()):
+            if not has_points:
+                cells = [cell.replace(",", ".") for cell in cells]
             try:
                 stamp_ns = self._stamp(number, cells)
                 force = force_factor * float(cells[self._force])
@@ -303,11 +306,17 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 
 
 def _delimiter(line: str) -> str:
+    if ";" in line or "\t" in line:
+        line = _DECIMAL_COMMA.sub(".", line)
+    for delimiter in ";\t":
+        # Headings may hold blanks and commas.
+        if line.count(delimiter) > 1:
+            return delimiter
     return max(_DELIMITERS, key=lambda delimiter: line.strip().count(delimiter))
 
 
 def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(float(cell))
+        return math.isfinite(float(cell.replace(",", ".")))
     except ValueError:
         return False

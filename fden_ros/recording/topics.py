@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Which topics of a bag are the force, the displacement and the surface."""
 
@@ -71,7 +60,7 @@ def find_topic(
     """
     usable = USABLE_TYPES[what]
     if name is not None:
-        topic = named_topic(reader, name)
+        topic = reader.topic(name)
         if topic.type_name not in usable:
             raise InputError(
                 f"{name} carries {topic.type_name}, which holds no {what} by itself: name the "
@@ -87,18 +76,6 @@ def find_topic(
     listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or reader.topics) or "none"
     problem = "several topics could carry" if chosen else "no topic can carry"
     raise InputError(f"{reader.path}: {problem} the {what}: {listed}; name it with --{what}-topic")
-
-
-def named_topic(reader: BagReader, name: str) -> Topic:
-    """Return the topic called `name`, with or without the leading slash.
-
-    Raises
-    ------
-    InputError
-        If the bag has none.
-    """
-    topics = {topic.name: topic for topic in reader.topics}
-    return topics.get(name) or topics.get(f"/{name}") or reader.topic(name)
 
 
 def sensible_topics(candidates: list[Topic], what: str) -> list[Topic]:

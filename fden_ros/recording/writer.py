@@ -1,24 +1,15 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Writing rosbag2 folders: an MCAP file and ``metadata.yaml``, as ``ros2 bag record`` does."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -57,12 +48,6 @@ class BagWriter:
     ------
     InputError
         When the target exists (and is not to be, or must not be, replaced) or cannot be written.
-
-    Examples
-    --------
-    >>> with BagWriter(folder) as bag:                                      # doctest: +SKIP
-    ...     bag.add_topic("/force", "geometry_msgs/msg/WrenchStamped", SENSOR_DATA)
-    ...     bag.write("/force", message, stamp_ns=1_700_000_000_000_000_000)
     """
 
     def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
@@ -88,26 +73,17 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         """Make the hidden folder and start the file."""
         self._check_target()
-        try:
+        with self._one_line(), contextlib.ExitStack() as on_failure:
             self.target.parent.mkdir(parents=True, exist_ok=True)
             self._folder = self._hidden_folder()
-        except OSError as error:
-            raise self._unwritable(error) from error
-        try:
-            self._start()
-        except BaseException as error:
             # Not entered, so never left: an interruption here would leave the folder behind.
-            shutil.rmtree(self._folder, ignore_errors=True)
-            if isinstance(error, OSError):
-                raise self._unwritable(error) from error
-            raise
+            on_failure.callback(shutil.rmtree, self._folder, ignore_errors=True)
+            self._file: BinaryIO = (self._folder / self._file_name).open("wb")
+            self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+            # A library name without a version: the bytes are the same on every machine.
+            self._writer.start(profile=Profile.ROS2, library="fden_ros")
+            on_failure.pop_all()
         return self
-
-    def _start(self) -> None:
-        self._file: BinaryIO = (self._folder / self._file_name).open("wb")
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        # A library name without a version: the bytes are the same on every machine.
-        self._writer.start(profile=Profile.ROS2, library="fden_ros")
 
     def __exit__(
         self,
@@ -118,9 +94,8 @@ class BagWriter:
         """Finish the bag and give it its name, or remove it after an exception."""
         try:
             if exception_type is None:
-                self._finish()
-        except OSError as error:
-            raise self._unwritable(error) from error
+                with self._one_line():
+                    self._finish()
         finally:
             self._file.close()
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -261,12 +236,13 @@ class BagWriter:
     def _metadata(self) -> dict[str, Any]:
         start = {"nanoseconds_since_epoch": self._first_ns}
         duration = {"nanoseconds": max(0, self._last_ns - self._first_ns)}
+        count = self.message_count
         return {
             "version": _METADATA_VERSION,
             "storage_identifier": "mcap",
             "duration": duration,
             "starting_time": start,
-            "message_count": self.message_count,
+            "message_count": count,
             "topics_with_message_count": [
                 {
                     "topic_metadata": {
@@ -288,12 +264,19 @@ class BagWriter:
                     "path": self._file_name,
                     "starting_time": start,
                     "duration": duration,
-                    "message_count": self.message_count,
+                    "message_count": count,
                 }
             ],
             "custom_data": None,
             "ros_distro": "jazzy",
         }
+
+    @contextlib.contextmanager
+    def _one_line(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def _unwritable(self, error: OSError) -> InputError:
         return InputError(

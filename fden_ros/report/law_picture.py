@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The relaxation and the stress-strain curve that the data want, beside those of the law."""
 
@@ -33,7 +22,7 @@ from fden_ros.core.outputs import ContactSummary
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.session import Contact, Session
 from fden_ros.parameters import pipeline_config
-from fden_ros.report.plots import ESTIMATE, MEASURED, draw
+from fden_ros.report.style import ESTIMATE, MEASURED, band, draw
 
 _SIZE = (10.8, 2.9)
 
@@ -109,6 +98,6 @@ def _draw(axes: Axes, points: Array, law: Array, deviation: Deviation) -> None:
     low, wanted, high = (
         law * np.exp(deviation.value + k * deviation.sd) for k in (-2.0, 0.0, 2.0)
     )
-    axes.fill_between(points, low, high, color=MEASURED, alpha=0.25, linewidth=0, label="±2 sd")
+    band(axes, points, low, high, MEASURED)
     axes.plot(points, wanted, color=MEASURED, label="what the data want")
     axes.plot(points, law, color=ESTIMATE, linestyle="--", label="FDEN")

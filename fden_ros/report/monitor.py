@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """A running identifier as a view for the terminal."""
 
@@ -33,7 +22,8 @@ from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.report.chart import Chart
 from fden_ros.report.limits import interval_limits
-from fden_ros.report.table import DASH, contact_table
+from fden_ros.report.numbers import DASH, stiffness
+from fden_ros.report.table import contact_table
 
 _COLOURS = {
     Status.NO_CONTACT: "cyan",
@@ -197,12 +187,9 @@ def _contact(state: TissueState) -> str:
     parts = [f"{state.contact_id} at site {state.site_id}", state.phase.name.lower()]
     if state.signals is not None:
         parts += [f"strain {state.signals.strain:.3f}", f"stress {state.signals.stress:.0f} Pa"]
-    if state.apparent_stiffness is not None:
-        stiffness = state.apparent_stiffness
-        parts.append(
-            f"{stiffness.value:.3g} ± {_DEVIATIONS * stiffness.sd:.2g} N/m "
-            f"at {stiffness.time_scale:g} s"
-        )
+    found = state.apparent_stiffness
+    if found is not None:
+        parts.append(f"{stiffness(found, 3)} N/m at {found.time_scale:g} s")
     return ", ".join(parts)
 
 

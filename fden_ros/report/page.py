@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The report as one page of HTML that needs nothing else: no network, no other file."""
 
@@ -27,18 +16,20 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
+from fden_ros.configure.plane import LEAST_TOUCHES, NoPlaneError, fit_plane
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.input_warnings import unusual
-from fden_ros.core.law.characteristic import exponential_scale
-from fden_ros.core.outputs import ContactSummary, OrderSource
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
-from fden_ros.offline.surface_plane import LEAST_TOUCHES, NoPlaneError, fit_plane
 from fden_ros.report import plots
 from fden_ros.report.law_picture import law_picture
+from fden_ros.report.numbers import DASH, order, parameter, result, stiffness
 from fden_ros.report.path_picture import draw_path
-from fden_ros.report.table import DASH, label_words, plus_minus, status_words
+from fden_ros.report.sentence import sentence
+from fden_ros.report.style import draw
+from fden_ros.report.table import label_words, status_words
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -99,6 +90,7 @@ def page(session: Session) -> str:
         name=session.path.name,
         version=__version__,
         facts=list(_facts(session)),
+        sentence=sentence(session),
         headline=_headline(session),
         warnings=list(_warnings(session)),
         overview=plots.overview(session) if session.end_ns else None,
@@ -119,7 +111,7 @@ def page(session: Session) -> str:
 def _comparison(session: Session, *, is_path: bool) -> str | None:
     summaries = session.replay.summaries
     if is_path:
-        return plots.draw(functools.partial(draw_path, summaries=summaries), _PATH_SIZE)
+        return draw(functools.partial(draw_path, summaries=summaries), _PATH_SIZE)
     return plots.comparison(session) if any(s.estimate for s in summaries) else None
 
 
@@ -167,15 +159,8 @@ def _surface(session: Session) -> str:
 
 def _headline(session: Session) -> str:
     summaries = session.replay.summaries
-    if session.parameters.contact.mode == "continuous" and not any(
-        s.is_of_path for s in summaries
-    ):
-        return "No stiffness is known on the path: it takes a probe that palpates as it slides."
-    if not summaries:
-        return "No contact was found."
-    places = sum(summary.is_of_path for summary in summaries)
-    if places:
-        return f"{_count(places, 'place')} on the path whose stiffness is known."
+    if session.parameters.contact.mode == "continuous" or not summaries:
+        return ""
     sites = len({summary.site_id for summary in summaries})
     converged = sum(summary.converged for summary in summaries)
     words = (
@@ -216,7 +201,7 @@ def _warnings(session: Session) -> Iterator[str]:
     unsure = [str(s.contact_id) for s in summaries if not s.converged and not _knows_g_alone(s)]
     if unsure:
         yield (f"Contact {', '.join(unsure)}: the data do not allow a conclusion; see there why.")
-    tests = [(c.contact_id, c.test) for c in session.contacts]
+    tests = [(c.contact_id, c.innovations.test) for c in session.contacts]
     poor = [str(n) for n, test in tests if test and test.count >= 10 and test.mean_square > 2.0]
     if poor:
         yield (
@@ -230,23 +215,23 @@ def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
     row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha", "apparent"), DASH)
     estimate = summary.estimate
     if estimate is not None and summary.is_of_path:
-        row["alpha"] = plus_minus(estimate.fractional_order, estimate.fractional_order_sd)
-        if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
-            row["gn"] = plus_minus(estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd)
+        row["alpha"] = order(estimate)
+        if estimate.determines(1):
+            row["gn"] = parameter(estimate, 1)
     elif estimate is not None:
-        g, gn = estimate.linear_stiffness, estimate.nonlinear_stiffness
-        deviations = estimate.deviations.tolist()
+        is_known = estimate.determines(1)
+        boundary = estimate.boundary_strain
+        sd = boundary * float(estimate.deviations[1])
+        scale = f"{estimate.exponential_scale:.3g}"
         row |= {
-            "g": plus_minus(g, estimate.linear_stiffness_sd),
-            "gn": plus_minus(gn, estimate.nonlinear_stiffness_sd),
-            "boundary": plus_minus(1 / gn, deviations[1] / gn),
-            "gi": f"{exponential_scale(g, gn):.3g}",
-            "alpha": f"{plus_minus(estimate.fractional_order, deviations[2])} "
-            f"({_SOURCES[summary.order_source]})",
+            "g": parameter(estimate, 0),
+            "gn": parameter(estimate, 1),
+            "boundary": result(boundary, sd, is_of_data=is_known),
+            "gi": scale if is_known and estimate.determines(0) else f"({scale})",
+            "alpha": f"{order(estimate)} {_SOURCES[summary.order_source]}".strip(),
         }
-    stiffness = summary.apparent_stiffness
-    if stiffness is not None:
-        row["apparent"] = plus_minus(stiffness.value, stiffness.sd)
+    if not summary.flags & Flag.IMPLAUSIBLE:
+        row["apparent"] = stiffness(summary.apparent_stiffness)
     return {
         **row,
         "id": summary.contact_id,
@@ -285,7 +270,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
         "law": law_picture(session, contact, summary),
-        "test": contact.test,
+        "test": contact.innovations.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (
             list(zip(summary.classes.names, summary.classes.probabilities, strict=True))

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The path of a probe in continuous contact: stiffness and alpha along it, and where it was."""
 
@@ -24,8 +13,7 @@ from matplotlib.figure import Figure
 
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.core.streams.samples import NANOSECONDS
-
-_COLOUR = "#0b5fa5"
+from fden_ros.report import style
 
 
 def draw_path(figure: Figure, summaries: Sequence[ContactSummary]) -> None:
@@ -38,16 +26,11 @@ def draw_path(figure: Figure, summaries: Sequence[ContactSummary]) -> None:
     way, label = _way(places) if is_located else _time(places)
     stiffness, order = figure.subplots(2, 1, sharex=True)
     found = [one.apparent_stiffness for one in places if one.apparent_stiffness is not None]
-    _band(stiffness, way, [one.value for one in found], [one.sd for one in found])
+    _draw(stiffness, way, [(one.value, one.sd) for one in found])
     scale = f"{found[0].time_scale:g}" if found else ""
     stiffness.set_title(f"dF/dd for a motion of {scale} s [N/m], ±2 sd")
     estimates = [one.estimate for one in places if one.estimate is not None]
-    _band(
-        order,
-        way,
-        [one.fractional_order for one in estimates],
-        [one.fractional_order_sd for one in estimates],
-    )
+    _draw(order, way, [(one.fractional_order, one.fractional_order_sd) for one in estimates])
     order.set_title("α, ±2 sd")
     order.set_xlabel(label)
 
@@ -64,9 +47,6 @@ def _time(places: Sequence[ContactSummary]) -> tuple[Sequence[float], str]:
     return [(one.end_ns - first) / NANOSECONDS for one in places], "time [s]"
 
 
-def _band(
-    axes: Axes, way: Sequence[float], values: Sequence[float], deviations: Sequence[float]
-) -> None:
-    axes.errorbar(
-        way, values, 2.0 * np.array(deviations), fmt="o-", markersize=3, capsize=2, color=_COLOUR
-    )
+def _draw(axes: Axes, way: Sequence[float], found: Sequence[tuple[float, float]]) -> None:
+    value, sd = np.array(found, dtype=float).reshape(-1, 2).T
+    style.intervals(axes, way, value, value - 2.0 * sd, value + 2.0 * sd, joined=True)

@@ -1,23 +1,11 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-"""Contacts as a table for the terminal."""
+"""Tables for the terminal; that of contacts."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -26,14 +14,34 @@ from rich.text import Text
 
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.report.numbers import DASH, order, parameter, stiffness
 
-DASH = "–"
-#: Values within these have decimal places, others significant digits.
-_SMALL, _LARGE = 1e-2, 1e7
 #: Significant digits of a value.
 _DIGITS = 4
-#: A stiffness whose deviation is larger by this factor is not shown.
-_UNKNOWN = 10.0
+
+
+def table_of(
+    columns: Mapping[str, int], rows: Iterable[Sequence[str]], title: str | None = None
+) -> Table:
+    """Return a table.
+
+    Parameters
+    ----------
+    columns : mapping
+        Heading to the least width of a column of words; 0: it is one of numbers.
+    rows : iterable of sequence of str
+        Cells, in rich's markup.
+    title : str, optional
+    """
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
+    for heading, width in columns.items():
+        if width:
+            table.add_column(Text(heading), min_width=width)
+        else:
+            table.add_column(Text(heading), justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def contact_table(
@@ -50,33 +58,17 @@ def contact_table(
     """
     shown = list(summaries)
     on_path = any(summary.is_of_path for summary in shown)
-    table = Table(title="Places" if on_path else "Contacts", box=box.SIMPLE_HEAD, padding=0)
-    for name in ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m"):
-        table.add_column(Text(name), justify="right", no_wrap=True)
-    table.add_column("status", min_width=10)
-    table.add_column("tissue", min_width=12)
-    for summary in shown:
-        table.add_row(*_cells(summary, truth, on_path=on_path))
-        if summary.is_of_path:
-            table.caption = "contact.mode continuous: dF/dd and α at places on the path"
-        elif summary.estimate is not None and summary.estimate.valid != ParameterSet.ALL:
-            table.caption = "in brackets: prior knowledge, which the data did not determine"
+    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m")
+    table = table_of(
+        {**dict.fromkeys(numbers, 0), "status": 10, "tissue": 12},
+        (_cells(summary, truth or {}, on_path=on_path) for summary in shown),
+        "Places" if on_path else "Contacts",
+    )
+    if on_path:
+        table.caption = "contact.mode continuous: dF/dd and α at places on the path"
+    elif any(s.estimate is not None and s.estimate.valid != ParameterSet.ALL for s in shown):
+        table.caption = "in brackets: prior knowledge, which the data did not determine"
     return table
-
-
-def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
-    """Return value ± deviation, with two digits of the deviation.
-
-    The value has at most `most_digits` significant digits.
-    """
-    if not deviation > 0.0 or not math.isfinite(deviation):
-        return f"{value:.4g}"
-    if not _SMALL <= abs(value) < _LARGE or deviation >= _LARGE:
-        return f"{value:.3g} ± {deviation:.2g}"
-    places = 1 - math.floor(math.log10(deviation))
-    places = max(0, min(places, most_digits - 1 - math.floor(math.log10(abs(value)))))
-    shown = f"{deviation:.{places}f}"
-    return f"{value:.{places}f} ± {shown if float(shown) else f'{deviation:.1g}'}"
 
 
 def status_words(summary: ContactSummary, *, on_path: bool = False) -> str:
@@ -102,40 +94,34 @@ def status_words(summary: ContactSummary, *, on_path: bool = False) -> str:
     return ", ".join(parts)
 
 
-def _cells(
-    summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]] | None, *, on_path: bool
-) -> list[str]:
-    estimate, stiffness = summary.estimate, summary.apparent_stiffness
-    g = g_n = alpha = DASH
-    if estimate is not None:
-        g, g_n, alpha = (
-            text if estimate.determines(index) else f"({text})"
-            for index, text in enumerate(
-                (
-                    plus_minus(estimate.linear_stiffness, estimate.linear_stiffness_sd, _DIGITS),
-                    plus_minus(
-                        estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd, _DIGITS
-                    ),
-                    f"{estimate.fractional_order:.3f}",
-                )
-            )
-        )
-    if summary.is_of_path:
-        g = DASH
-        g_n = g_n if estimate is not None and estimate.determines(1) else DASH
-    site = (truth or {}).get(summary.site_id)
-    if site is not None and not summary.is_of_path:
-        g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
-        g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
-    apparent = DASH
-    is_plausible = Flag.IMPLAUSIBLE not in summary.flags
-    if stiffness is not None and is_plausible and stiffness.sd < _UNKNOWN * stiffness.value:
-        apparent = plus_minus(stiffness.value, stiffness.sd, _DIGITS)
-    numbers = (str(summary.contact_id), str(summary.site_id), g, g_n, alpha, apparent)
-    label = DASH if on_path else label_words(summary)
-    return [*numbers, status_words(summary, on_path=on_path), label]
-
-
 def label_words(summary: ContactSummary) -> str:
     """Return which tissue it is, as far as that is said."""
     return summary.classes.words if summary.classes is not None else "undetermined"
+
+
+def _cells(
+    summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]], *, on_path: bool
+) -> list[str]:
+    estimate = summary.estimate
+    g = g_n = alpha = DASH
+    if estimate is not None:
+        g, g_n = (parameter(estimate, index, _DIGITS) for index in (0, 1))
+        alpha = order(estimate, with_deviation=False)
+    if summary.is_of_path:
+        g = DASH
+        g_n = g_n if estimate is not None and estimate.determines(1) else DASH
+    site = truth.get(summary.site_id)
+    if site is not None and not summary.is_of_path:
+        g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
+        g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
+    is_plausible = Flag.IMPLAUSIBLE not in summary.flags
+    return [
+        str(summary.contact_id),
+        str(summary.site_id),
+        g,
+        g_n,
+        alpha,
+        stiffness(summary.apparent_stiffness, _DIGITS) if is_plausible else DASH,
+        status_words(summary, on_path=on_path),
+        DASH if on_path else label_words(summary),
+    ]

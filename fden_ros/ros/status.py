@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What there is to say of a pipeline's work: the status of ``/diagnostics``, live and offline."""
 
@@ -35,21 +24,28 @@ def diagnostic_status(
     problems: Sequence[str],
     pipeline: Pipeline,
     pairs: int,
-    more: Mapping[str, int] | None = None,
+    more: Mapping[str, object] | None = None,
     hardware_id: str = DEFAULT_HARDWARE_ID,
 ) -> DiagnosticStatus:
     """Return the status of a node called `node_name`, with `pairs` in the last second."""
-    status = DiagnosticStatus()
-    status.name = f"{node_name.lstrip('/')}: tissue identification"
-    status.hardware_id = hardware_id
     problems = [*pipeline.problems, *problems]
-    status.level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
+    level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
     if pipeline.is_failed:
-        status.level = DiagnosticStatus.ERROR
-    status.message = "; ".join(problems) or "identifying"
+        level = DiagnosticStatus.ERROR
+    status = status_of(node_name, hardware_id, level, "; ".join(problems) or "identifying")
     for key, value in {**_values(pipeline, pairs), **(more or {})}.items():
         status.values.append(KeyValue(key=key, value=str(value)))
     return status
+
+
+def status_of(node_name: str, hardware_id: str, level: bytes, words: str) -> DiagnosticStatus:
+    """Return the status of a node, without values."""
+    return DiagnosticStatus(
+        name=f"{node_name.lstrip('/')}: tissue identification",
+        hardware_id=hardware_id,
+        level=level,
+        message=words,
+    )
 
 
 class PipelineProblems:

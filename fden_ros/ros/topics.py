@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """The one table of what comes out: topic, type, QoS, and the message made of an output.
 
@@ -80,7 +69,8 @@ _LEASE = QoSProfile(
 _DEADLINE_PERIODS, _LEAST_DEADLINE = 5.0, 0.05
 
 
-def _latched(depth: int) -> QoSProfile:
+def latched(depth: int) -> QoSProfile:
+    """Return a profile whose last messages reach those who come late, too."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -130,14 +120,14 @@ OUTPUT_TOPICS = (
     OutputTopic(
         "classification",
         TissueClassification,
-        _latched(1),
+        latched(1),
         Classification,
         lambda output, frame, sites: classification_message(output, frame),
     ),
     OutputTopic(
         "palpation",
         PalpationSummary,
-        _latched(100),
+        latched(100),
         ContactSummary,
         lambda summary, frame, sites: summary_message(summary, frame),
     ),
@@ -151,7 +141,7 @@ OUTPUT_TOPICS = (
     OutputTopic(
         "markers",
         MarkerArray,
-        _latched(1),
+        latched(1),
         ContactSummary,
         lambda summary, frame, sites: (
             sites.markers() if summary in sites and not summary.is_of_path else None
@@ -160,7 +150,7 @@ OUTPUT_TOPICS = (
     OutputTopic(
         "stiffness_map",
         PointCloud2,
-        _latched(1),
+        latched(1),
         ContactSummary,
         lambda summary, frame, sites: sites.cloud() if summary in sites else None,
     ),

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Exact stress of FDEN tissue under a prescribed motion: the truth of tests and synthetic bags.
 
@@ -40,7 +29,6 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -132,33 +120,6 @@ class FdenModel:
         return self.linear_stiffness * np.exp(exponent)
 
 
-class Move(Protocol):
-    """Strain over one stretch of time, given by one analytic formula."""
-
-    @property
-    def start(self) -> float:
-        """Time at which the move begins, in s."""
-
-    @property
-    def stop(self) -> float:
-        """Time at which the move ends, in s."""
-
-    def strain_at(self, times: ArrayLike) -> FloatArray:
-        """Return the strain at `times`, continued by the same formula beyond the move."""
-
-    def strain_rate_at(self, times: ArrayLike) -> FloatArray:
-        """Return the rate of strain at `times` in 1/s."""
-
-    def crossings(self, strain: float) -> list[float]:
-        """Return the times at which the move passes `strain`."""
-
-    def turning_points(self) -> list[float]:
-        """Return further times at which the move is to be cut, for quadrature to be exact."""
-
-    def between(self, start: float, stop: float) -> Move:
-        """Return the same motion on another stretch of time."""
-
-
 @dataclass(frozen=True)
 class LinearMove:
     """Strain that changes at a constant rate, between given strains at given times."""
@@ -242,6 +203,10 @@ class SineMove:
         turns = np.concatenate([cycles + phase / (2.0 * np.pi) for phase in phases])
         inside = turns[(turns > first) & (turns < last)]
         return [float(self.origin + turn / self.frequency) for turn in inside]
+
+
+#: Strain over one stretch of time, given by one analytic formula.
+Move = LinearMove | SineMove
 
 
 @dataclass(frozen=True)
@@ -337,46 +302,6 @@ def stress_of_piecewise_linear_strain(
             f"the first knot has strain {moves[0].start_strain:g}; it must be 0, from rest"
         )
     return stress_of_moves(moves, times, model)
-
-
-def stress_of_sinusoidal_strain(
-    offset: float, amplitude: float, frequency: float, times: ArrayLike, model: FdenModel
-) -> FloatArray:
-    """Return the exact stress under ``offset + amplitude * sin(2 pi frequency t)``, from rest.
-
-    An offset is a step of strain at time 0, whose stress is ``phi(offset) t^-alpha / Gamma(1 -
-    alpha)`` (the relaxation of the paper's Appendix E, with the erratum); it is infinite at time
-    0.
-
-    Parameters
-    ----------
-    offset, amplitude
-        Strains.
-    frequency
-        In Hz, positive.
-    times
-        Times in s at which the stress is wanted, any shape.
-    model
-        The tissue.
-
-    Returns
-    -------
-    ndarray
-        Stress in Pa, shape of `times`; 0 up to time 0.
-    """
-    if not frequency > 0.0:
-        raise InputError(f"the frequency is {frequency:g} Hz; it must be positive")
-    instants = np.asarray(times, dtype=float)
-    stop = float(np.max(instants, initial=0.0))
-    if stop <= 0.0:
-        return np.zeros_like(instants)
-    alpha = model.fractional_order
-    later = np.where(instants > 0.0, instants, np.inf)
-    step = model.phi(offset) * later**-alpha / gamma(1.0 - alpha)
-    if amplitude == 0.0:
-        return step
-    sine = SineMove(0.0, stop, offset, amplitude, frequency, 0.0)
-    return step + stress_of_moves([sine], instants, model)
 
 
 def moves_of_knots(knot_times: ArrayLike, knot_strains: ArrayLike) -> list[LinearMove]:

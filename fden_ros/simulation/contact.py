@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Contact that can push but not pull: when the probe leaves the tissue and meets it again.
 
@@ -142,7 +131,7 @@ class Contact:
     memory
         The stress of the contacts before this one.
     stiffening
-        What is met on the way, if anything.
+        What is met below the surface, if anything.
     """
 
     start: float
@@ -255,8 +244,8 @@ def _contact_from(
 
 def _scan(piece: Piece) -> FloatArray:
     """Return times over a piece, without its start but denser near it: contact may return soon."""
-    share = np.arange(1, _SCAN_POINTS + 1) / _SCAN_POINTS
-    return piece.start + (piece.stop - piece.start) * share**2
+    part = np.arange(1, _SCAN_POINTS + 1) / _SCAN_POINTS
+    return piece.start + (piece.stop - piece.start) * part**2
 
 
 def _root(

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What a real rig adds to a recording: motion of the surface, friction, creep, hum and the like.
 
@@ -187,19 +176,23 @@ class Disturbances:
             instants, phases.breathing, phases.breathing_rate
         ) + self.heartbeat.height(instants, phases.heartbeat, phases.heartbeat_rate)
 
-    def force_error(
+    def force_reading(
         self,
         times: FloatArray,
+        force: FloatArray,
+        sensor_error: FloatArray,
         velocity: FloatArray,
         contacts: Sequence[tuple[float, float]],
         phases: Phases,
     ) -> FloatArray:
-        """Return what is added to the force before it is filtered, in N, shape (n,).
+        """Return the disturbed, filtered and quantised reading of a force, in N, shape (n,).
 
         Parameters
         ----------
         times
             In s, shape (n,).
+        force, sensor_error
+            The true force, and the sensor's own noise, bias and drift, in N, shape (n,).
         velocity
             Of the axis into the tissue in m/s, shape (n,).
         contacts
@@ -216,7 +209,7 @@ class Disturbances:
                 times - release, self.creep_s
             )
         shaken = np.ones_like(moving) if self.vibration_at_rest else moving
-        error: FloatArray = (
+        error = sensor_error + (
             self.friction_n * np.sign(velocity) * (moving & touching)
             + self.creep_n * creep
             + self.thermal_n * np.exp(-times / self.thermal_s)
@@ -225,7 +218,7 @@ class Disturbances:
             * np.sin(2.0 * np.pi * self.vibration_hz * times + phases.vibration)
             * shaken
         )
-        return error
+        return quantised(low_pass(times, force + error, self.filter_hz), self.force_step_n)
 
 
 def _settled(elapsed: FloatArray, time_constant: float) -> FloatArray:

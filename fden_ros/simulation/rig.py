@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """A probe on a driven axis over simulated tissue: commands in, measured force and position out.
 
@@ -168,8 +157,8 @@ class Rig:
         while self._queue and self._queue[0][0] <= self.time + 1e-9:
             self._taken, self._kind, self._value = self._queue.popleft()
         wanted = min(max(self._wanted_velocity(), -config.max_speed), config.max_speed)
-        share = -math.expm1(-config.step / config.servo_lag) if config.servo_lag > 0.0 else 1.0
-        self.velocity += share * (wanted - self.velocity)
+        part = -math.expm1(-config.step / config.servo_lag) if config.servo_lag > 0.0 else 1.0
+        self.velocity += part * (wanted - self.velocity)
         self.depth += self.velocity * config.step
         self._move_sideways()
         stress = self.tissue.press(self.depth / config.thickness, self.column)
@@ -199,5 +188,5 @@ class Rig:
         (x, y), (to_x, to_y) = self._lateral, self._lateral_target
         left = math.hypot(to_x - x, to_y - y)
         reach = self.config.max_lateral_speed * self.config.step
-        share = min(reach / left, 1.0) if left > 0.0 else 0.0
-        self._lateral = [x + share * (to_x - x), y + share * (to_y - y)]
+        part = min(reach / left, 1.0) if left > 0.0 else 0.0
+        self._lateral = [x + part * (to_x - x), y + part * (to_y - y)]

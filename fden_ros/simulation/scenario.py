@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Scenarios: what is pressed, how, and what the sensors make of it; YAML to frozen dataclasses.
 
@@ -42,16 +31,15 @@ from fden_ros.simulation.disturbance import Disturbances
 from fden_ros.simulation.trajectory import (
     TRAJECTORIES,
     Approach,
-    Palpation,
     Ramp,
     RampHold,
     Sinusoid,
-    Staircase,
+    Trajectory,
     require_not_negative,
     require_positive,
 )
 
-Press = Ramp | RampHold | Staircase | Palpation | Sinusoid
+Press = Trajectory
 Axis = tuple[float, float, float]
 
 FORCE_MESSAGES = ("wrench", "joint_state")
@@ -198,8 +186,8 @@ class Geometry:
 
     def strain_of_depth(self, depth: float) -> float:
         """Return the strain at a displacement into the tissue in m, the inverse of the above."""
-        share = depth / self.length_m
-        return math.sqrt(share**3) if self.kind == "sphere" and share > 0.0 else share
+        relative = depth / self.length_m
+        return math.sqrt(relative**3) if self.kind == "sphere" and relative > 0.0 else relative
 
 
 @dataclass(frozen=True)
@@ -264,8 +252,8 @@ class ForceSensor:
 
 
 @dataclass(frozen=True)
-class DisplacementSensor:
-    """What the displacement stream looks like.
+class PlaceSensor:
+    """What a stream of places looks like.
 
     Attributes
     ----------
@@ -275,59 +263,44 @@ class DisplacementSensor:
         Standard deviation of white noise per sample and coordinate.
     delay_s
         How much later than the truth the samples are stamped.
-    surface_m
-        Reading at the undisturbed surface, where the strain is 0.
     topic, message, axis, frame_id
         Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform`` or
-        ``point`` (tip of the probe; `axis` points into the tissue).
+        ``point`` (`axis` points into the tissue).
     """
 
     rate_hz: float = 1000.0
     noise_m: float = 0.0
     jitter_s: float = 0.0
     delay_s: float = 0.0
-    surface_m: float = 0.0
     topic: str = "/displacement"
     message: str = "joint_state"
     axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "tissue"
 
     def __post_init__(self) -> None:
+        stream = type(self).__name__.removesuffix("Sensor").lower()
         require_positive(self, "rate_hz")
         require_not_negative(self, "noise_m", "jitter_s")
-        require_choice("displacement: message", self.message, DISPLACEMENT_MESSAGES)
-        _require_unit_axis("displacement", self.axis)
+        require_choice(f"{stream}: message", self.message, DISPLACEMENT_MESSAGES)
+        _require_unit_axis(stream, self.axis)
 
 
 @dataclass(frozen=True)
-class SurfaceSensor:
-    """What a sensor of the surface's place sees: a tracked marker, a range finder.
+class DisplacementSensor(PlaceSensor):
+    """The tip of the probe; it reads `surface_m` at the undisturbed surface."""
 
-    Attributes
-    ----------
-    rate_hz, jitter_s, noise_m, delay_s
-        As for the displacement.
-    offset_m
-        Reading where the surface is undisturbed.
-    topic, message, axis, frame_id
-        Where and as what it is published, as for the displacement; `axis` points into the tissue.
-    """
+    surface_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class SurfaceSensor(PlaceSensor):
+    """The surface's place, by a tracked marker or a range finder; undisturbed it is `offset_m`."""
 
     rate_hz: float = 100.0
-    noise_m: float = 0.0
-    jitter_s: float = 0.0
-    delay_s: float = 0.0
-    offset_m: float = 0.0
     topic: str = "/surface"
     message: str = "point"
-    axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "tracker"
-
-    def __post_init__(self) -> None:
-        require_positive(self, "rate_hz")
-        require_not_negative(self, "noise_m", "jitter_s")
-        require_choice("surface: message", self.message, DISPLACEMENT_MESSAGES)
-        _require_unit_axis("surface", self.axis)
+    offset_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -356,14 +329,14 @@ class Dropout:
 
 @dataclass(frozen=True)
 class Slide:
-    """A way sideways in contact, during the sine of a press; the recording ends with it.
+    """A path sideways in contact, during the sine of a press; the recording ends with it.
 
     Attributes
     ----------
     to_m
         Where it ends, across the approach axis; it begins at the site's position.
     ratio
-        How many times stiffer the tissue is over the middle of the way; each place is taken to
+        How many times stiffer the tissue is over the middle of the path; each place is taken to
         have the same past.
     edge_m
         Length over which the stiffness passes from one to the other.
@@ -376,10 +349,10 @@ class Slide:
     def __post_init__(self) -> None:
         require_positive(self, "ratio", "edge_m")
 
-    def stiffness_ratio(self, share: FloatArray, start_m: tuple[float, float]) -> FloatArray:
-        """Return how many times stiffer it is at shares of the way from `start_m`, (n,)."""
+    def stiffness_ratio(self, gone: FloatArray, start_m: tuple[float, float]) -> FloatArray:
+        """Return how many times stiffer it is where so much of the path from `start_m` is gone."""
         edge = self.edge_m / max(math.dist(start_m, self.to_m), self.edge_m)
-        inner = np.clip((1.0 / 6.0 - np.abs(share - 0.5)) / edge + 0.5, 0.0, 1.0)
+        inner = np.clip((1.0 / 6.0 - np.abs(gone - 0.5)) / edge + 0.5, 0.0, 1.0)
         ratio: FloatArray = 1.0 + (self.ratio - 1.0) * inner
         return ratio
 
@@ -397,9 +370,9 @@ class Site:
     position_m
         Where it lies, across the approach axis.
     stiffening
-        A stiffer tissue that the probe meets on its way, if any; for a single press.
+        A stiffer tissue that the probe meets below the surface, if any; for a single press.
     slide
-        The way sideways in contact, if any; for a single sinusoid at the last site.
+        The path sideways in contact, if any; for a single sinusoid at the last site.
     """
 
     tissue: Tissue
@@ -611,7 +584,7 @@ def _mapping(data: object, where: str) -> dict[str, Any]:
 
 def _convert(value: object, hint: Any, where: str) -> Any:
     """Return `value` as the type that a field asks for."""
-    if hint == Press:
+    if hint is Trajectory:
         return _press(value, where)
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         (hint,) = (option for option in typing.get_args(hint) if option is not type(None))
@@ -619,19 +592,15 @@ def _convert(value: object, hint: Any, where: str) -> Any:
         return _convert_list(value, typing.get_args(hint), where)
     if hint is float:
         return _number(value, where)
-    if hint is bool:
-        if isinstance(value, bool):
+    if hint in _PLAIN:
+        # A bool is an int, too, and not meant by one.
+        if type(value) is hint:
             return value
-        raise InputError(f"{where} is {_short(value)}; it must be true or false")
-    if hint is int:
-        if isinstance(value, int) and not isinstance(value, bool):
-            return value
-        raise InputError(f"{where} is {_short(value)}; it must be a whole number")
-    if hint is str:
-        if isinstance(value, str):
-            return value
-        raise InputError(f"{where} is {_short(value)}; it must be text")
+        raise InputError(f"{where} is {_short(value)}; it must be {_PLAIN[hint]}")
     return _build(hint, value, where.rpartition(": ")[2])
+
+
+_PLAIN: dict[type, str] = {bool: "true or false", int: "a whole number", str: "text"}
 
 
 def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:

@@ -1,22 +1,11 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """From a scenario to what the sensors would have recorded, with the truth beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -25,18 +14,20 @@ from numpy.typing import NDArray
 
 from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move, SineMove
 from fden_ros.simulation.contact import ContactHistory, contacts_of_moves
-from fden_ros.simulation.disturbance import Disturbances, Phases, low_pass, quantised
+from fden_ros.simulation.disturbance import Disturbances, Phases, quantised
 from fden_ros.simulation.scenario import (
-    DisplacementSensor,
     Dropout,
     ForceSensor,
     Geometry,
+    PlaceSensor,
     Preload,
     Scenario,
     Site,
-    SurfaceSensor,
 )
-from fden_ros.simulation.stepped_contact import SteppedHistory, stepped_contacts
+from fden_ros.simulation.stepped_contact import (
+    SteppedHistory,
+    stepped_contacts_of_moves,
+)
 from fden_ros.simulation.trajectory import Approach, Path
 
 StampArray = NDArray[np.int64]
@@ -217,14 +208,11 @@ def _contacts(
     phases: Phases,
 ) -> ContactHistory | SteppedHistory:
     """Return the contacts of planned moves whose times count from `start`."""
-    disturbances = scenario.disturbances
-    if not disturbances.moves_tissue:
+    if not scenario.disturbances.moves_tissue:
         return contacts_of_moves(moves, model, site.stiffening)
-
-    def surface(times: FloatArray) -> FloatArray:
-        return disturbances.surface(times + start, phases)
-
-    return stepped_contacts(moves, model, scenario.geometry, disturbances, surface)
+    return stepped_contacts_of_moves(
+        moves, model, scenario.geometry, scenario.disturbances, phases, start
+    )
 
 
 def _path_over(
@@ -276,8 +264,8 @@ def _force_stream(
         during = slice(*np.searchsorted(times, [visit.start, visit.stop]))
         stress[during] = visit.contacts.stress(times[during] - visit.start)
         if visit.site.slide is not None:
-            share = _share_of_slide(visit, times[during])
-            stress[during] *= visit.site.slide.stiffness_ratio(share, visit.site.position_m)
+            gone = _gone_of_slide(visit, times[during])
+            stress[during] *= visit.site.slide.stiffness_ratio(gone, visit.site.position_m)
         velocity[during] = _velocity(visit, times[during], scenario.geometry)
     noise = scenario.force_noise_n * generator.standard_normal(times.size)
     error = sensor.bias_n + sensor.drift_n_per_s * times + noise
@@ -286,29 +274,24 @@ def _force_stream(
         for visit in visits
         for contact in visit.contacts.contacts
     ]
-    error += disturbances.force_error(times, velocity, contacts, phases)
-    force = stress * scenario.geometry.force_per_stress + error
-    force = quantised(low_pass(times, force, disturbances.filter_hz), disturbances.force_step_n)
+    force = disturbances.force_reading(
+        times, stress * scenario.geometry.force_per_stress, error, velocity, contacts, phases
+    )
     kept = _kept(elapsed_ns, scenario.dropouts, "force")
     return _stream(sensor, elapsed_ns[kept], force[kept], None)
 
 
-def _share_of_slide(visit: _Visit, times: FloatArray) -> FloatArray:
-    """Return how much of its way sideways a probe has gone at `times`, (n,)."""
+def _gone_of_slide(visit: _Visit, times: FloatArray) -> FloatArray:
+    """Return how much of its path sideways is gone at `times`, (n,)."""
     sine = _sine(visit.moves)
-    share: FloatArray = np.clip(
-        (times - visit.start - sine.start) / (sine.stop - sine.start), 0, 1
-    )
-    return share
+    gone: FloatArray = np.clip((times - visit.start - sine.start) / (sine.stop - sine.start), 0, 1)
+    return gone
 
 
 def _velocity(visit: _Visit, times: FloatArray, geometry: Geometry) -> FloatArray:
     """Return the planned velocity into the tissue in m/s, as in the air."""
     velocity = np.zeros_like(times)
-    for move in visit.moves:
-        during = slice(
-            *np.searchsorted(times, [visit.start + move.start, visit.start + move.stop])
-        )
+    for move, during in _moves_at(visit, times):
         velocity[during] = geometry.length_m * move.strain_rate_at(times[during] - visit.start)
     return velocity
 
@@ -317,17 +300,14 @@ def _displacement_stream(
     scenario: Scenario, visits: Sequence[_Visit], duration: float, generator: np.random.Generator
 ) -> Stream:
     sensor = scenario.displacement
-    elapsed_ns, times = _sampling(sensor, duration, generator)
-    reading = sensor.surface_m + scenario.geometry.depth_of_strain(_strain(visits, times))
-    step = scenario.disturbances.displacement_step_m
-    noise = sensor.noise_m * generator.standard_normal((times.size, 3))
-    stamps = elapsed_ns + round(sensor.delay_s * 1e9)
-    kept = _kept(stamps, scenario.dropouts, "displacement")
-    if sensor.message == "joint_state":
-        return _stream(sensor, stamps[kept], quantised(reading + noise[:, 2], step)[kept], None)
     axis = np.array(sensor.axis)
-    position = quantised(np.outer(reading, axis) + _lateral(visits, times, axis) + noise, step)
-    return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
+
+    def place(times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        depth = scenario.geometry.depth_of_strain(_strain(visits, times))
+        return sensor.surface_m + depth, _lateral(visits, times, axis)
+
+    step = scenario.disturbances.displacement_step_m
+    return _place_stream(scenario, "displacement", sensor, place, step, duration, generator)
 
 
 def _surface_stream(
@@ -336,20 +316,38 @@ def _surface_stream(
     sensor = scenario.surface
     if sensor is None:
         return None
+    offset = sensor.offset_m
+
+    def place(times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return offset + scenario.disturbances.surface(times, phases), np.zeros((times.size, 3))
+
+    return _place_stream(scenario, "surface", sensor, place, 0.0, duration, generator)
+
+
+def _place_stream(
+    scenario: Scenario,
+    name: str,
+    sensor: PlaceSensor,
+    place: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    step: float,
+    duration: float,
+    generator: np.random.Generator,
+) -> Stream:
+    """Return the samples of `place`: along the axis (n,) and across it (n, 3), of times (n,)."""
     elapsed_ns, times = _sampling(sensor, duration, generator)
-    reading = sensor.offset_m + scenario.disturbances.surface(times, phases)
+    along, across = place(times)
     noise = sensor.noise_m * generator.standard_normal((times.size, 3))
     stamps = elapsed_ns + round(sensor.delay_s * 1e9)
-    kept = _kept(stamps, scenario.dropouts, "surface")
+    kept = _kept(stamps, scenario.dropouts, name)
     if sensor.message == "joint_state":
-        return _stream(sensor, stamps[kept], (reading + noise[:, 2])[kept], None)
+        return _stream(sensor, stamps[kept], quantised(along + noise[:, 2], step)[kept], None)
     axis = np.array(sensor.axis)
-    position = np.outer(reading, axis) + noise
+    position = quantised(np.outer(along, axis) + across + noise, step)
     return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
 
 
 def _stream(
-    sensor: ForceSensor | DisplacementSensor | SurfaceSensor,
+    sensor: ForceSensor | PlaceSensor,
     elapsed_ns: StampArray,
     value: FloatArray,
     position: FloatArray | None,
@@ -366,7 +364,7 @@ def _stream(
 
 
 def _sampling(
-    sensor: ForceSensor | DisplacementSensor | SurfaceSensor,
+    sensor: ForceSensor | PlaceSensor,
     duration: float,
     generator: np.random.Generator,
 ) -> tuple[StampArray, FloatArray]:
@@ -391,15 +389,19 @@ def _kept(elapsed_ns: StampArray, dropouts: Sequence[Dropout], stream: str) -> N
 def _strain(visits: Sequence[_Visit], times: FloatArray) -> FloatArray:
     strain = np.empty_like(times)
     for visit in visits:
-        for move in visit.moves:
-            first, last = np.searchsorted(
-                times, [visit.start + move.start, visit.start + move.stop]
-            )
-            strain[first:last] = move.strain_at(times[first:last] - visit.start)
+        for move, during in _moves_at(visit, times):
+            strain[during] = move.strain_at(times[during] - visit.start)
     # The bounds of two moves may differ in the last bit; the very end belongs to no move.
     final = visits[-1].moves[-1]
     strain[times >= visits[-1].stop] = final.strain_at(final.stop)
     return strain
+
+
+def _moves_at(visit: _Visit, times: FloatArray) -> Iterator[tuple[Move, slice]]:
+    """Yield each move of a visit, and which of `times` (n,) it covers."""
+    for move in visit.moves:
+        ends = [visit.start + move.start, visit.start + move.stop]
+        yield move, slice(*np.searchsorted(times, ends))
 
 
 def _lateral(visits: Sequence[_Visit], times: FloatArray, axis: FloatArray) -> FloatArray:

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Contacts of a probe whose motion in the tissue is not the planned one, step by step.
 
@@ -26,7 +15,7 @@ the hereditary law depends on x of the same instant, so each step of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move
-from fden_ros.simulation.disturbance import Disturbances, with_backlash
+from fden_ros.simulation.disturbance import Disturbances, Phases, with_backlash
 from fden_ros.simulation.tissue import Column, Tissue
 
 if TYPE_CHECKING:
@@ -89,56 +78,79 @@ class SteppedHistory:
 
 
 def stepped_contacts(
-    moves: Sequence[Move],
+    depths: FloatArray,
     model: FdenModel,
     geometry: Geometry,
     disturbances: Disturbances,
-    surface: Callable[[FloatArray], FloatArray],
+    phases: Phases,
+    *,
+    start: float = 0.0,
     step: float = STEP_S,
+    clock: float = 0.0,
 ) -> SteppedHistory:
     """Follow a disturbed probe over fresh tissue and return the contacts it makes.
 
     Parameters
     ----------
-    moves
-        Consecutive planned moves, which are what the axis reports; in strain.
+    depths
+        What the axis reports after each step [m], negative above the surface at rest, (n,).
     model
         The tissue, at rest at the beginning.
     geometry
         From strain to depth and from stress to force.
     disturbances
         Of the motion; others are not looked at.
-    surface
-        How far the surface has moved away from the probe [m], of times [s], both (n,).
-    step
-        In s.
+    phases
+        Of the surface's motion.
+    start, step
+        Time of the first depth, and from one to the next, in s.
+    clock
+        Time of the surface's motion at time 0, in s.
     """
-    start, stop = moves[0].start, moves[-1].stop
-    count = max(int(np.ceil((stop - start) / step - 1e-9)), 1)
-    times: FloatArray = start + step * np.arange(count + 1, dtype=np.float64)
-    planned = geometry.depth_of_strain(strain_of_moves(moves, times))
-    depths = with_backlash(planned, disturbances.backlash_m) - surface(times)
+    times: FloatArray = start + step * np.arange(depths.size, dtype=np.float64)
+    surface = disturbances.surface(times + clock, phases)
+    free = with_backlash(depths, disturbances.backlash_m) - surface
     tissue = Tissue([Column(model)], step)
     strains, stresses = np.empty_like(times), np.zeros_like(times)
-    strains[0] = geometry.strain_of_depth(float(depths[0]))
+    strains[0] = geometry.strain_of_depth(float(free[0]))
     contacts: list[SteppedContact] = []
     touch, dent = None, 0.0
-    for n, depth in enumerate(depths[1:].tolist(), start=1):
+    for n, depth in enumerate(free[1:].tolist(), start=1):
         strain = _strain_under(tissue, depth - dent, geometry, disturbances.compliance_m_per_n)
         stress = tissue.press(strain)
         strains[n], stresses[n] = strain, stress
         if stress > 0.0 and touch is None:
             touch = n - 1
-        if touch is not None and (stress == 0.0 or n == count):
-            contacts.append(
-                SteppedContact(
-                    float(times[touch]), float(times[n]), float(strains[touch : n + 1].max())
-                )
-            )
+        if touch is not None and (stress == 0.0 or n == times.size - 1):
+            largest = float(strains[touch : n + 1].max())
+            contacts.append(SteppedContact(float(times[touch]), float(times[n]), largest))
             if (n - touch) * step >= _SHORTEST_PRESS:
                 dent += disturbances.plastic_set_m
             touch = None
     return SteppedHistory(tuple(contacts), model, times, strains, stresses)
+
+
+def stepped_contacts_of_moves(
+    moves: Sequence[Move],
+    model: FdenModel,
+    geometry: Geometry,
+    disturbances: Disturbances,
+    phases: Phases,
+    clock: float = 0.0,
+) -> SteppedHistory:
+    """Return the contacts of planned moves, in strain; the rest as :func:`stepped_contacts`."""
+    start, stop = moves[0].start, moves[-1].stop
+    count = max(int(np.ceil((stop - start) / STEP_S - 1e-9)), 1)
+    strain = strain_of_moves(moves, start + STEP_S * np.arange(count + 1, dtype=np.float64))
+    return stepped_contacts(
+        geometry.depth_of_strain(strain),
+        model,
+        geometry,
+        disturbances,
+        phases,
+        start=start,
+        clock=clock,
+    )
 
 
 def strain_of_moves(moves: Sequence[Move], times: FloatArray) -> FloatArray:

@@ -1,18 +1,7 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
-r"""FDEN tissue in time steps: what a probe meets whose motion is not known beforehand.
+r"""Tissue in time steps: what a probe meets whose motion is not known beforehand.
 
 :mod:`fden_ros.simulation.closed_form` needs the whole motion; a closed loop has only the past. The
 law :math:`f = D^\alpha \varphi(x)` is stepped with :math:`\varphi` linear in between (the L1
@@ -23,7 +12,8 @@ and the past in one number per exponential of
           \int_{-\infty}^{\infty} e^{\alpha u}\, e^{-t e^u}\, du ,
 
 which the trapezoidal rule sums to eight digits (Beylkin and Monzón, Appl. Comput. Harmon. Anal.
-28 (2010) 131). Nothing is shared with :mod:`fden_ros.core`.
+28 (2010) 131). Nothing is shared with :mod:`fden_ros.core`. A column may relax otherwise, by any
+sum of springpots and exponentials, and have any characteristic.
 
 Contact pushes and never pulls. With the stress of a step :math:`f_n = q + c\,(\varphi_n -
 \varphi_{n-1})`, q of the past, the free surface is at :math:`\varphi_s = \varphi_{n-1} - q/c`:
@@ -75,6 +65,45 @@ class Inclusion:
 
 
 @dataclass(frozen=True)
+class Relaxation:
+    """The stress that a unit step of the elastic response leaves, over time.
+
+    Parameters
+    ----------
+    springpots
+        (weight, order) of each: weight t^-order / Gamma(1 - order), t in s.
+    exponentials
+        (weight, rate [1/s]) of each: weight exp(-rate t); rate 0 is a spring.
+    """
+
+    springpots: tuple[tuple[float, float], ...] = ()
+    exponentials: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.springpots or self.exponentials):
+            raise InputError("relaxation: there is neither a springpot nor an exponential")
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the relaxation at positive `times` [s], (n,)."""
+        value = np.zeros_like(times)
+        for weight, order in self.springpots:
+            value += weight * times**-order / math.gamma(1.0 - order)
+        for weight, rate in self.exponentials:
+            value += weight * np.exp(-rate * times)
+        return value
+
+    def mean(self, duration: float) -> float:
+        """Return its mean over the first `duration` in s."""
+        mean = 0.0
+        for weight, order in self.springpots:
+            mean += weight * duration**-order / math.gamma(2.0 - order)
+        for weight, rate in self.exponentials:
+            reach = rate * duration
+            mean += weight * (-math.expm1(-reach) / reach if reach > 0.0 else 1.0)
+        return mean
+
+
+@dataclass(frozen=True)
 class Column:
     """The tissue under the probe at one place.
 
@@ -83,18 +112,35 @@ class Column:
     model
         FDEN parameters.
     inclusions
-        Stiff bodies in it. They share its alpha, so they add to its elastic characteristic.
+        Stiff bodies in it. They relax as it does, so they add to its elastic characteristic.
     position
         Where it is, across the approach axis, in m.
+    relaxation
+        None: that of FDEN, a springpot of the model's alpha.
+    characteristic
+        phi/G of a strain that is not negative, increasing from 0; None: that of FDEN.
+    scale
+        By which phi is larger than that of the model.
     """
 
     model: FdenModel
     inclusions: tuple[Inclusion, ...] = ()
     position: tuple[float, float] = (0.0, 0.0)
+    relaxation: Relaxation | None = None
+    characteristic: Callable[[float], float] | None = None
+    scale: float = 1.0
+
+    @property
+    def relaxes(self) -> Relaxation:
+        """Its relaxation."""
+        return self.relaxation or Relaxation(springpots=((1.0, self.model.fractional_order),))
 
     def phi(self, strain: float) -> float:
         """Return the elastic characteristic in Pa·s^alpha, inclusions included."""
         model = self.model
+        if self.characteristic is not None:
+            value = self.characteristic(abs(strain)) * model.linear_stiffness
+            return math.copysign(self.scale * value, strain)
         excess = model.nonlinear_stiffness * abs(strain) - 1.0
         value = model.linear_stiffness * strain
         if excess > 0.0:
@@ -102,7 +148,7 @@ class Column:
             value = math.copysign(scale * math.exp(min(excess, _MAX_EXPONENT)), strain)
         for inclusion in self.inclusions:
             value += inclusion.linear_stiffness * max(strain - inclusion.strain, 0.0)
-        return value
+        return self.scale * value
 
 
 @dataclass(frozen=True)
@@ -146,10 +192,8 @@ class Tissue:
             raise InputError(f"tissue: the time step is {step} s; it must be positive")
         self.columns = tuple(columns)
         self.step = step
-        orders = [c.model.fractional_order for c in columns]
-        self._orders = np.array(orders)
-        self._gamma = np.array([math.gamma(2.0 - order) for order in orders])
-        self._rates, self._weights = self._exponentials()
+        self._relaxations = [column.relaxes for column in columns]
+        self._rates, self._weights = _exponentials(self._relaxations, step)
         self._whole = self._prepared(step)
         self._memory = np.zeros((len(columns), self._rates.size))
         self._phi = np.zeros(len(columns))
@@ -180,10 +224,10 @@ class Tissue:
         if not touches:
             return self._advance(whole, free, strain, column)
         # The stress rises steeply from the touch on: the step is split there.
-        share = before / (before - after)
-        first = self._prepared(share * self.step)
+        before_touch = before / (before - after)
+        first = self._prepared(before_touch * self.step)
         self._remember(first, self._free(first))
-        rest = self._prepared((1.0 - share) * self.step)
+        rest = self._prepared((1.0 - before_touch) * self.step)
         return self._advance(rest, self._free(rest), strain, column)
 
     def response(self, column: int = 0) -> Callable[[float], float]:
@@ -218,32 +262,30 @@ class Tissue:
         gain = np.ones_like(self._rates)
         gain[1:] = -np.expm1(-self._rates[1:] * duration) / (self._rates[1:] * duration)
         # Not 0, where the probe is on the surface at the end of the step.
-        slope = self._mean_kernel(max(duration, 1e-12))
+        slope = np.array([one.mean(max(duration, 1e-12)) for one in self._relaxations])
         return _Step(decay, gain, self._weights * decay, slope)
-
-    def _exponentials(self) -> tuple[FloatArray, FloatArray]:
-        """Return rates (m,), the first 0, and weights (columns, m) of the kernel of the past."""
-        return springpot_exponentials(self._orders.tolist(), self.step)
-
-    def _mean_kernel(self, duration: float) -> FloatArray:
-        """Return the kernel's mean over the newest `duration` [s], (columns,)."""
-        mean: FloatArray = duration**-self._orders / self._gamma
-        return mean
 
     def surface(self, column: int = 0) -> float:
         """Return phi of a column's surface in Pa·s^alpha: 0 when fully recovered."""
         return float(self._phi[column])
 
 
-def springpot_exponentials(orders: Sequence[float], step: float) -> tuple[FloatArray, FloatArray]:
-    """Return rates (m,), the first 0, and weights (columns, m) of the kernel t^-a/Gamma(1-a)."""
+def _exponentials(relaxations: Sequence[Relaxation], step: float) -> tuple[FloatArray, FloatArray]:
+    """Return rates (m,), the first 0, and weights (columns, m) of the kernels of the past."""
     first, last = math.log(_SLOW / _LONGEST_MEMORY), math.log(_FAST / step)
     logs = np.arange(first, last + _LOG_STEP, _LOG_STEP)
-    rates = np.concatenate([[0.0], np.exp(logs)])
-    weights = np.empty((len(orders), rates.size))
-    for row, order in zip(weights, orders, strict=True):
-        scale = math.sin(math.pi * order) / math.pi * _LOG_STEP
-        row[1:] = scale * np.exp(order * logs)
-        # All slower rates together: a geometric series.
-        row[0] = scale * math.exp(order * first) / math.expm1(order * _LOG_STEP)
+    own = sorted({rate for one in relaxations for _, rate in one.exponentials if rate > 0.0})
+    if not any(one.springpots for one in relaxations):
+        logs = logs[:0]
+    rates = np.concatenate([[0.0], np.exp(logs), own])
+    weights = np.zeros((len(relaxations), rates.size))
+    for row, one in zip(weights, relaxations, strict=True):
+        for weight, order in one.springpots:
+            scale = math.sin(math.pi * order) / math.pi * _LOG_STEP
+            row[1 : logs.size + 1] += weight * scale * np.exp(order * logs)
+            # All slower rates together: a geometric series.
+            slower = scale * math.exp(order * first) / math.expm1(order * _LOG_STEP)
+            row[0] += weight * slower
+        for weight, rate in one.exponentials:
+            row[logs.size + 1 + own.index(rate) if rate > 0.0 else 0] += weight
     return rates, weights

@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """Motions of a probe: through the air to the surface, into the tissue and out again.
 
@@ -23,8 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from dataclasses import dataclass, fields
+from typing import ClassVar
 
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import LinearMove, Move, SineMove
@@ -150,47 +139,55 @@ class Approach:
         path.go(-(self.distance_m if height_m is None else height_m) / path.length_m, rate)
 
 
-class Trajectory(Protocol):
-    """What every kind of press offers."""
+@dataclass(frozen=True)
+class Trajectory:
+    """What every kind of press has: it comes from the air, presses, and goes back.
+
+    Its fields are positive but for those of `may_be_zero`; `strain_rate` is that of the way in,
+    in 1/s.
+    """
 
     kind: ClassVar[str]
+    may_be_zero: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def retract_rate(self) -> float | None:
+        """Rate of strain on the way out in 1/s; None: by the approach's retract speed."""
+        raise NotImplementedError
+
+    def __post_init__(self) -> None:
+        names = [field.name for field in fields(self)]
+        require_positive(self, *(name for name in names if name not in self.may_be_zero))
+        require_not_negative(self, *self.may_be_zero)
 
     def press(self, path: Path, approach: Approach) -> None:
         """Append the press to `path`: down, into the tissue, and back into the air."""
+        approach.descend(path)
+        self.go(path, approach)
+        approach.retract(path, self.retract_rate)
+
+    def go(self, path: Path, approach: Approach) -> None:
+        """Append what happens between the way down and the way back."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Ramp:
-    """Into the tissue at a constant rate of strain, and out again.
-
-    Attributes
-    ----------
-    strain_rate
-        In 1/s.
-    max_strain
-        Where it turns.
-    retract_rate
-        Rate of strain on the way out, in 1/s; by default the approach's retract speed.
-    """
+class Ramp(Trajectory):
+    """Into the tissue at a constant rate of strain up to `max_strain`, and out again."""
 
     kind: ClassVar[str] = "ramp"
     strain_rate: float
     max_strain: float
     retract_rate: float | None = None
 
-    def __post_init__(self) -> None:
-        require_positive(self, "strain_rate", "max_strain", "retract_rate")
-
-    def press(self, path: Path, approach: Approach) -> None:
-        """Append approach, ramp and retreat to `path`."""
-        approach.descend(path)
+    def go(self, path: Path, approach: Approach) -> None:
+        """Append the ramp."""
         path.go(self.max_strain, self.strain_rate)
-        approach.retract(path, self.retract_rate)
 
 
 @dataclass(frozen=True)
-class RampHold:
-    """A ramp, then the strain is held for `hold_s`; other fields as in :class:`Ramp`."""
+class RampHold(Trajectory):
+    """A ramp to `max_strain`, which is held for `hold_s`."""
 
     kind: ClassVar[str] = "ramp_hold"
     strain_rate: float
@@ -198,30 +195,15 @@ class RampHold:
     hold_s: float
     retract_rate: float | None = None
 
-    def __post_init__(self) -> None:
-        require_positive(self, "strain_rate", "max_strain", "hold_s", "retract_rate")
-
-    def press(self, path: Path, approach: Approach) -> None:
-        """Append approach, ramp, hold and retreat to `path`."""
-        approach.descend(path)
+    def go(self, path: Path, approach: Approach) -> None:
+        """Append ramp and hold."""
         path.go(self.max_strain, self.strain_rate)
         path.rest(self.hold_s)
-        approach.retract(path, self.retract_rate)
 
 
 @dataclass(frozen=True)
-class Staircase:
-    """Into the tissue in equal steps of strain, each a ramp that is held for `hold_s`.
-
-    Attributes
-    ----------
-    max_strain
-        Strain of the last step.
-    steps
-        How many.
-    strain_rate, hold_s, retract_rate
-        As in :class:`RampHold`.
-    """
+class Staircase(Trajectory):
+    """To `max_strain` in as many equal `steps`, each a ramp that is held for `hold_s`."""
 
     kind: ClassVar[str] = "staircase"
     strain_rate: float
@@ -230,35 +212,31 @@ class Staircase:
     hold_s: float
     retract_rate: float | None = None
 
-    def __post_init__(self) -> None:
-        require_positive(self, "strain_rate", "max_strain", "steps", "hold_s", "retract_rate")
-
-    def press(self, path: Path, approach: Approach) -> None:
-        """Append approach, steps and retreat to `path`."""
-        approach.descend(path)
+    def go(self, path: Path, approach: Approach) -> None:
+        """Append the steps."""
         for count in range(1, self.steps + 1):
             path.go(self.max_strain * count / self.steps, self.strain_rate)
             path.rest(self.hold_s)
-        approach.retract(path, self.retract_rate)
 
 
 @dataclass(frozen=True)
-class Palpation:
+class Palpation(Trajectory):
     """Repeated presses of one place: ramp, hold, out of contact, pause, and again.
 
     Attributes
     ----------
+    max_strain, hold_s
+        As in :class:`RampHold`.
     presses
         How often.
     lift_m
         Height above the undisturbed surface to which the probe goes between two presses.
     pause_s
         Time it stays there.
-    strain_rate, max_strain, hold_s, retract_rate
-        As in :class:`RampHold`.
     """
 
     kind: ClassVar[str] = "palpation"
+    may_be_zero: ClassVar[tuple[str, ...]] = ("hold_s", "pause_s")
     strain_rate: float
     max_strain: float
     hold_s: float = 0.5
@@ -267,37 +245,22 @@ class Palpation:
     lift_m: float = 0.002
     pause_s: float = 0.5
 
-    def __post_init__(self) -> None:
-        require_positive(self, "strain_rate", "max_strain", "retract_rate", "presses", "lift_m")
-        require_not_negative(self, "hold_s", "pause_s")
-
-    def press(self, path: Path, approach: Approach) -> None:
-        """Append all presses to `path`."""
-        approach.descend(path)
+    def go(self, path: Path, approach: Approach) -> None:
+        """Append all presses."""
         for count in range(1, self.presses + 1):
             path.go(self.max_strain, self.strain_rate)
             path.rest(self.hold_s)
             if count < self.presses:
                 approach.retract(path, self.retract_rate, self.lift_m)
                 path.rest(self.pause_s)
-        approach.retract(path, self.retract_rate)
 
 
 @dataclass(frozen=True)
-class Sinusoid:
-    """A ramp to a mean strain, a hold, then whole cycles of a sine around it.
-
-    Attributes
-    ----------
-    mean_strain, amplitude
-        Strains.
-    frequency_hz, cycles
-        The sine, and how many periods of it.
-    strain_rate, hold_s, retract_rate
-        The way there, as in :class:`RampHold`.
-    """
+class Sinusoid(Trajectory):
+    """A ramp to `mean_strain`, a hold, then whole cycles of a sine of `amplitude` around it."""
 
     kind: ClassVar[str] = "sinusoid"
+    may_be_zero: ClassVar[tuple[str, ...]] = ("hold_s",)
     strain_rate: float
     mean_strain: float
     amplitude: float
@@ -306,29 +269,13 @@ class Sinusoid:
     hold_s: float = 0.0
     retract_rate: float | None = None
 
-    def __post_init__(self) -> None:
-        require_positive(
-            self,
-            "strain_rate",
-            "mean_strain",
-            "amplitude",
-            "frequency_hz",
-            "cycles",
-            "retract_rate",
-        )
-        require_not_negative(self, "hold_s")
-
-    def press(self, path: Path, approach: Approach) -> None:
-        """Append approach, ramp, hold, sine and retreat to `path`."""
-        approach.descend(path)
+    def go(self, path: Path, approach: Approach) -> None:
+        """Append ramp, hold and sine."""
         path.go(self.mean_strain, self.strain_rate)
         path.rest(self.hold_s)
         path.oscillate(self.amplitude, self.frequency_hz, self.cycles)
-        approach.retract(path, self.retract_rate)
 
 
-TRAJECTORIES: dict[
-    str, type[Ramp] | type[RampHold] | type[Staircase] | type[Palpation] | type[Sinusoid]
-] = {
-    trajectory.kind: trajectory for trajectory in (Ramp, RampHold, Staircase, Palpation, Sinusoid)
+TRAJECTORIES: dict[str, type[Trajectory]] = {
+    one.kind: one for one in (Ramp, RampHold, Staircase, Palpation, Sinusoid)
 }

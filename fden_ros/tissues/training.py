@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 r"""Tissue libraries from labelled contacts, the estimation error taken out.
 
@@ -26,6 +15,7 @@ the library holds is the prediction for a new contact with a new specimen: Stude
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -106,19 +96,14 @@ class Contacts:
     @property
     def groups(self) -> tuple[tuple[str, str], ...]:
         """Class and specimen of each contact; a specimen of its own where none is named."""
-        return tuple(
-            (tissue, specimen or f"contact {index + 1}")
-            for index, (tissue, specimen) in enumerate(
-                zip(self.tissues, self.specimens, strict=True)
-            )
-        )
+        own = (name or f"contact {number}" for number, name in enumerate(self.specimens, start=1))
+        return tuple(zip(self.tissues, own, strict=True))
 
     @property
     def unnamed(self) -> tuple[str, ...]:
         """Classes with contacts whose specimen is not named."""
-        return tuple(
-            sorted({t for t, s in zip(self.tissues, self.specimens, strict=True) if not s})
-        )
+        pairs = zip(self.tissues, self.specimens, strict=True)
+        return tuple(sorted({tissue for tissue, specimen in pairs if not specimen}))
 
     def only(self, keep: Iterable[int]) -> Contacts:
         """Return some of them, by index."""
@@ -141,10 +126,9 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
     InputError
         If there are none.
     """
-    skipped: dict[str, int] = {}
+    skipped: Counter[str] = Counter()
     for part in parts:
-        for reason, count in part.skipped.items():
-            skipped[reason] = skipped.get(reason, 0) + count
+        skipped.update(part.skipped)
     full = [part for part in parts if len(part)]
     if not full:
         reasons = ", ".join(f"{count} {reason}" for reason, count in skipped.items())
@@ -156,10 +140,9 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
         sum((part.tissues for part in full), ()),
         sum((part.specimens for part in full), ()),
         Likelihood(
-            *(
-                np.concatenate([getattr(part.likelihood, name) for part in full])
-                for name in ("centre", "score", "information")
-            )
+            np.concatenate([part.likelihood.centre for part in full]),
+            np.concatenate([part.likelihood.score for part in full]),
+            np.concatenate([part.likelihood.information for part in full]),
         ),
         sum((part.names for part in full), ()),
         sum((part.sources for part in parts), ()),
@@ -179,7 +162,7 @@ class Spread:
     contacts: int
     specimens: int
 
-    def tissue(self, name: str, prior: float = 1.0, shrinkage: float = SHRINKAGE) -> Tissue:
+    def tissue(self, name: str, prior: float = 1.0) -> Tissue:
         """Return the prediction for a new contact with a new specimen."""
         scale = self.between + self.within + self.mean_covariance
         return Tissue(
@@ -187,7 +170,7 @@ class Spread:
             self.mean,
             0.5 * (scale + scale.T),
             prior,
-            max(self.specimens - 1.0 + shrinkage, 1.0),
+            max(self.specimens - 1.0 + SHRINKAGE, 1.0),
         )
 
 
@@ -205,11 +188,7 @@ class _Specimens:
         self.has_repeats = self.count < len(specimen)
 
 
-def learn(
-    contacts: Contacts,
-    start: Mapping[str, Spread] | None = None,
-    shrinkage: float = SHRINKAGE,
-) -> dict[str, Spread]:
+def learn(contacts: Contacts, start: Mapping[str, Spread] | None = None) -> dict[str, Spread]:
     """Return the spread of every class.
 
     Parameters
@@ -217,12 +196,10 @@ def learn(
     contacts : Contacts
     start : mapping, optional
         Spreads to start from, which saves time where little has changed.
-    shrinkage : float
-        How many specimens what the classes have in common is worth.
     """
     groups = np.array([f"{tissue}\0{specimen}" for tissue, specimen in contacts.groups])
     tissues = np.array(contacts.tissues)
-    centre = np.mean([_centre(contacts.likelihood)], axis=0)
+    centre = _centre(contacts.likelihood)
     data = {}
     for name in contacts.classes:
         own = np.flatnonzero(tissues == name)
@@ -244,10 +221,7 @@ def learn(
     for _ in range(_ITERATIONS if start is None else _MORE_ITERATIONS):
         moments = {name: _expect(data[name], spreads[name], centre) for name in data}
         common = _common(moments, data, has_repeats)
-        newer = {
-            name: _maximise(data[name], moments[name], common, shrinkage, has_repeats)
-            for name in data
-        }
+        newer = {name: _maximise(data[name], moments[name], common, has_repeats) for name in data}
         change = max(
             float(np.max(np.abs(newer[name].between - spreads[name].between) / _scale(common[0])))
             for name in data
@@ -339,11 +313,10 @@ def _maximise(
     data: _Specimens,
     moments: _Moments,
     common: tuple[Array, Array],
-    shrinkage: float,
     has_repeats: bool,
 ) -> Spread:
-    between = (moments.between + shrinkage * common[0]) / (data.count + shrinkage)
-    within = (moments.within + shrinkage * common[1]) / (data.specimen.size + shrinkage)
+    between = (moments.between + SHRINKAGE * common[0]) / (data.count + SHRINKAGE)
+    within = (moments.within + SHRINKAGE * common[1]) / (data.specimen.size + SHRINKAGE)
     between = 0.5 * (between + between.T) + np.diag(_LEAST_VARIANCE)
     within = 0.5 * (within + within.T)
     if has_repeats:
@@ -365,7 +338,6 @@ def library_of(
     unknown_prior: float = UNKNOWN_PRIOR,
     units: str = "Pa",
     geometry: str = "",
-    shrinkage: float = SHRINKAGE,
 ) -> TissueLibrary:
     """Return the library of learned classes, and the unknown about them.
 
@@ -379,14 +351,11 @@ def library_of(
         Up to a common factor; all alike where not given.
     unknown_prior : float
         Probability of what is none of them.
-    shrinkage : float
-        As in :func:`learn`.
     """
     given = {tissue: (priors or {}).get(tissue, 1.0) for tissue in spreads}
     known = (1.0 - unknown_prior) / sum(given.values())
     tissues = tuple(
-        spread.tissue(tissue, given[tissue] * known, shrinkage)
-        for tissue, spread in spreads.items()
+        spread.tissue(tissue, given[tissue] * known) for tissue, spread in spreads.items()
     )
     means = np.array([spread.mean for spread in spreads.values()])
     about = means - means.mean(axis=0)
@@ -438,7 +407,7 @@ class Check:
         return result
 
     def interval(self) -> tuple[float, float]:
-        """Return the 95 % interval of the share of errors, specimens counted, not contacts."""
+        """Return the 95 % interval of the error rate, specimens counted, not contacts."""
         return share_interval(self.errors, [f"{t}\0{s}" for t, s in self.groups])
 
     def confusion(self) -> NDArray[np.intp]:
@@ -450,22 +419,22 @@ class Check:
 
 
 def share_interval(hits: NDArray[np.bool_], groups: Sequence[str]) -> tuple[float, float]:
-    """Return the 95 % interval of a share, for hits that come in groups.
+    """Return the 95 % interval of a rate, for hits that come in groups.
 
     Clopper and Pearson's, with the contacts divided by the design effect; where all answers are
     alike that cannot be seen, and each group counts once.
     """
-    share, total = float(np.mean(hits)), len(hits)
+    rate, total = float(np.mean(hits)), len(hits)
     names, index = np.unique(np.array(groups), return_inverse=True)
     count = len(names)
     effective = float(count)
-    if 0.0 < share < 1.0 and count > 1:
-        sums = np.bincount(index, weights=hits - share, minlength=count)
+    if 0.0 < rate < 1.0 and count > 1:
+        sums = np.bincount(index, weights=hits - rate, minlength=count)
         variance = count / (count - 1.0) * float(sums @ sums) / total**2
-        effective = min(max(share * (1.0 - share) / max(variance, 1e-12), 1.0), float(total))
-    own = share * effective
+        effective = min(max(rate * (1.0 - rate) / max(variance, 1e-12), 1.0), float(total))
+    own = rate * effective
     low = 0.0 if own == 0.0 else float(beta.ppf(0.025, own, effective - own + 1.0))
-    high = 1.0 if share == 1.0 else float(beta.ppf(0.975, own + 1.0, effective - own))
+    high = 1.0 if rate == 1.0 else float(beta.ppf(0.975, own + 1.0, effective - own))
     return low, high
 
 
@@ -474,7 +443,6 @@ def check(
     spreads: Mapping[str, Spread],
     make: Callable[[Mapping[str, Spread]], TissueLibrary] = library_of,
     advance: Callable[[], None] = lambda: None,
-    fold: Callable[[tuple[str, str]], str] = "\0".join,
 ) -> Check:
     """Leave out one specimen at a time, learn from the others, and classify its contacts.
 
@@ -487,11 +455,9 @@ def check(
         The library of spreads.
     advance : callable
         Called after each specimen.
-    fold : callable
-        What is left out together, by class and specimen.
     """
     groups = contacts.groups
-    folds = np.array([fold(group) for group in groups])
+    folds = np.array(["\0".join(group) for group in groups])
     tissues = np.array(contacts.tissues)
     names = contacts.classes
     unchecked = tuple(name for name in names if len(set(folds[tissues == name])) < 2)

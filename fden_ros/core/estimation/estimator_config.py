@@ -1,16 +1,5 @@
-# Copyright 2026 fden_ros maintainers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
 
 """What an estimator knows before the data: prior, what model and rig leave open, thresholds."""
 
@@ -73,9 +62,10 @@ class Prior:
 
 
 class Observation(enum.Enum):
-    """The quantity whose innovation an estimator takes."""
+    """What an estimator takes: the stress, two ways, or the fractional stress."""
 
     STRESS = "stress"
+    POSTERIOR = "posterior"
     FRACTIONAL_STRESS = "fractional_stress"
 
 
@@ -135,7 +125,7 @@ class EstimatorConfig:
     ----------
     prior : Prior
     observation : Observation
-        STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
+        STRESS and POSTERIOR learn alpha as well; FRACTIONAL_STRESS is the paper's way.
     fractional_order_given : bool
         alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
     converged_log_sd, converged_linear_log_sd, converged_order_sd : float

@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Benchmarks: measured figures held against stated goals, behind ``fden benchmark NAME``.
+
+They stand beside the tests and are installed nowhere. A benchmark is a module of this package with
+a :class:`benchmark.harness.Benchmark` of the name ``BENCHMARK``, and a line in :data:`BENCHMARKS`.
+All have the same parts: *cases*, simulated or recorded data with their truth; a *trial*, the
+pipeline on one of them, in a pool of processes (:func:`benchmark.harness.measured`); *scores*
+(:mod:`benchmark.score`); *tables*, which are the picture and the JSON object too; and *goals*.
+"""
+
+from __future__ import annotations
+
+#: Name of every benchmark, which is that of its module, and what it measures in a line.
+BENCHMARKS: dict[str, str] = {
+    "accuracy": "errors over the Cramér-Rao bound, honesty of the intervals; simulated contacts",
+    "exact": "false alarms, silent errors and honesty on tissue that obeys the law exactly",
+    "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",
+    "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
+    "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
+    "robots": "what a real rig adds: breathing, compliance, friction, hum; silent errors",
+    "contact": "contacts invented, missed and split on a disturbed rig; detection alone",
+    "changes": "inclusions and slides under the probe: how soon they are told; false ones",
+    "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",
+    "configure": "what fden configure finds on simulated rigs of which nothing is known",
+    "closed_loop": "force control with gains from the live stiffness, and with fixed ones",
+    "core": "a sample through the pipeline beside a filter's step; the fractional integral",
+    "replay": "speed and memory of replay and batch, beside merely decoding the same messages",
+    "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
+}

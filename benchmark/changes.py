@@ -1,0 +1,269 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tissue that changes under the probe: how soon it is told, and how often without a change.
+
+A probe presses to 25 % and holds. On the way down it meets an *inclusion*, where G becomes so many
+times what it was, at once; or a *body* beside the tissue, by which from there on only the slope is
+so many times what it was; or in the hold it *slides*, over 40 ms, onto tissue so many times
+stiffer and has the same past. The stress is the closed form, which shares nothing with the
+estimator. A change counts as told where ``TISSUE_CHANGED`` is in a state at most 100 ms after it
+began. Bodies have no goal: little of one is loaded by then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmark.harness import Benchmark, Report, Table, at_least, by_case, few
+from benchmark.score import Share, share, total
+from benchmark.trial import fed
+from fden_ros.core.arrays import Array
+from fden_ros.core.outputs import Flag, Output, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation.closed_form import FdenModel, LinearMove, moves_of_knots, stress_of_moves
+from fden_ros.simulation.contact import Stiffening, contacts_of_moves
+from fden_ros.simulation.scenario import Geometry
+from fden_ros.simulation.simulate import KNOWN_RIG
+
+EPILOG = """\
+examples:
+  fden benchmark changes                          # 12 contacts a cell
+  fden benchmark changes --cases flat_30,flat_100_arm --contacts 4
+"""
+
+#: A change is to be told within this of its beginning [s].
+_IN_TIME = 0.1
+#: The press: deepest strain, strain at which an inclusion is met [1], hold [s], height above the
+#: tissue from where it presses as a share of the length [1], time in the air before it [s].
+_DEEPEST, _MET, _HOLD, _ABOVE, _PAUSE = 0.25, 0.14, 2.0, 0.05, 2.0
+#: Knots of a sphere's press, which is at a constant speed; linear in strain in between.
+_KNOTS = 30
+#: Time of a slide [s], and from the beginning of the hold to that of the slide [s].
+_SLIDE_TIME, _SLIDE_AFTER = 0.04, (0.6, 1.2)
+#: Noise of the stress [Pa] and of the displacement as a share of the length [1].
+_NOISE_PA, _NOISE_SHARE = 3.0, 5e-5
+
+
+class Change(NamedTuple):
+    """What happens under the probe: G is `ratio` times what it was."""
+
+    kind: str
+    ratio: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Kind and ratio."""
+        return self.kind if self.kind == "none" else f"{self.kind} {self.ratio:g}"
+
+
+NOTHING = Change("none")
+CHANGES = (
+    Change("slide", 1.3),
+    *(Change("inclusion", ratio) for ratio in (1.5, 2.0, 4.0)),
+    *(Change("body", ratio) for ratio in (1.5, 2.0, 4.0)),
+    NOTHING,
+)
+_BY_NAME = {change.name: change for change in CHANGES}
+#: Those that are to be told in time.
+_WITH_GOAL = ("slide", "inclusion")
+
+_FLAT = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
+_SPHERE = Geometry("sphere", radius_m=0.01)
+_PASS = Geometry("pass_through")
+
+
+class Row(NamedTuple):
+    """One row of the table."""
+
+    name: str
+    geometry: Geometry
+    rate_hz: float
+    parameters: Mapping[str, Any] = KNOWN_RIG
+
+
+CASES = {
+    row.name: row
+    for row in (
+        Row("flat_10", _FLAT, 10.0),
+        Row("flat_30", _FLAT, 30.0),
+        Row("sphere_30", _SPHERE, 30.0),
+        Row("pass_through_30", _PASS, 30.0),
+        Row("flat_30_arm", _FLAT, 30.0, {}),
+        Row("flat_100", _FLAT, 100.0),
+        Row("flat_100_arm", _FLAT, 100.0, {}),
+        Row("flat_500", _FLAT, 500.0),
+        Row("sphere_500", _SPHERE, 500.0),
+        Row("flat_1000", _FLAT, 1000.0),
+    )
+}
+
+
+class Pressed(NamedTuple):
+    """One press: samples of shape (n,), and when the change begins [s]; inf: never."""
+
+    times: Array  #: [s]
+    forces: Array  #: [N], or [Pa] for pass_through
+    displacements: Array  #: [m], or strain [1]
+    changed_at: float
+
+
+def run(args: argparse.Namespace) -> Report:
+    """Simulate, identify and count."""
+    tasks = [
+        ((row.name, change.name), number)
+        for row in args.cases
+        for change in CHANGES
+        for number in args.numbers
+    ]
+    found = by_case(run_trial, tasks, args.parameters, jobs=args.jobs, what="presses")
+    cells = {
+        row.name: {c.name: told_in(found[row.name, c.name]) for c in CHANGES} for row in args.cases
+    }
+    goals = []
+    for name, row in cells.items():
+        changed = [row[c.name] for c in CHANGES if c.kind in _WITH_GOAL]
+        in_time = total(cell["in time"] for cell in changed).value
+        least = 0.9 if CASES[name].rate_hz >= 500.0 else 0.8
+        goals.append(at_least(f"{name}: changes told within 100 ms", in_time, least))
+    every = [cell for row in cells.values() for cell in row.values()]
+    goals.append(few("told too soon, or without a change", total(c["false"] for c in every), 0.02))
+    counts = {
+        name: {change: _words(cell) for change, cell in row.items()} for name, row in cells.items()
+    }
+    delays = {
+        f"{name}, {change}": cell
+        for name, row in cells.items()
+        for change, cell in row.items()
+        if change != NOTHING.name
+    }
+    return Report(
+        goals,
+        {
+            "rows": Table("In time + later, of so many; - before it began", counts),
+            "delays": Table(
+                "Told after the change began",
+                delays,
+                {"delays [ms]": (0.0, 100.0)},
+                ("delays [ms]",),
+            ),
+        },
+    )
+
+
+def told_in(delays: Sequence[float]) -> dict[str, Any]:
+    """Return the figures of a cell from its delays [s]: below 0 too soon, inf not told."""
+    return {
+        "in time": share(0.0 <= delay <= _IN_TIME for delay in delays),
+        "late": share(_IN_TIME < delay < math.inf for delay in delays),
+        "false": share(delay < 0.0 for delay in delays),
+        "delays [ms]": [1e3 * delay for delay in delays if 0.0 <= delay < math.inf],
+    }
+
+
+def _words(cell: Mapping[str, Share]) -> str:
+    late, false = cell["late"].part, cell["false"].part
+    words = f"{cell['in time'].part}{f'+{late}' * bool(late)}{f'-{false}' * bool(false)}"
+    return f"{words} of {cell['in time'].whole}"
+
+
+def run_trial(which: tuple[str, str], number: int, parameters: Mapping[str, Any]) -> float:
+    """Simulate press `number`, identify it, and return how late the change was told [s]."""
+    row, change = CASES[which[0]], _BY_NAME[which[1]]
+    pressed = press(row.geometry, row.rate_hz, change, number)
+    told: list[bool] = []
+
+    def listen(output: Output) -> None:
+        if isinstance(output, TissueState) and output.flags & Flag.TISSUE_CHANGED:
+            told.append(True)
+
+    own = {**row.parameters, **_geometry_parameters(row.geometry), **parameters}
+    pipeline = Pipeline(pipeline_config(check(own)), listen)
+    for time in fed(pipeline, pressed.times, pressed.forces, pressed.displacements):
+        if told:
+            # Told without a change is too soon.
+            return time - pressed.changed_at
+    return math.inf
+
+
+def press(geometry: Geometry, rate_hz: float, change: Change, number: int) -> Pressed:
+    """Simulate press `number`; tissue and motion are the same for every row and change."""
+    tissue, chance = (np.random.default_rng([number, purpose]) for purpose in (1, 2))
+    model = FdenModel(
+        linear_stiffness=math.exp(tissue.uniform(math.log(500.0), math.log(8000.0))),
+        nonlinear_stiffness=tissue.uniform(6.0, 10.0),
+        fractional_order=tissue.uniform(0.08, 0.32),
+    )
+    strain_rate = math.exp(tissue.uniform(math.log(0.1), math.log(0.5)))
+    knots, hold = _knots(geometry, strain_rate)
+    slide = hold + tissue.uniform(*_SLIDE_AFTER)
+    changed_at = math.inf
+    if change.kind == "slide":
+        changed_at = slide
+    elif change != NOTHING:
+        changed_at = next(time for knot in knots for time in knot.crossings(_MET))
+    stiffening = Stiffening(_MET, change.ratio) if change.kind == "inclusion" else None
+    times = np.arange(tissue.uniform() / rate_hz, knots[-1].stop, 1.0 / rate_hz)
+    stress = contacts_of_moves(knots, model, stiffening).stress(times)
+    if change.kind == "body":
+        stress += (change.ratio - 1.0) * _beyond(knots, times, model)
+    if change.kind == "slide":
+        onto = np.clip((times - slide) / _SLIDE_TIME, 0.0, 1.0)
+        stress = stress * (1.0 + (change.ratio - 1.0) * onto)
+    stress = stress + chance.normal(0.0, _NOISE_PA, times.size)
+    depths = geometry.depth_of_strain(_strains(knots, times))
+    depths = depths + chance.normal(0.0, _NOISE_SHARE * geometry.length_m, times.size)
+    return Pressed(times, stress * geometry.force_per_stress, depths, changed_at)
+
+
+def _knots(geometry: Geometry, strain_rate: float) -> tuple[list[LinearMove], float]:
+    """Return pause, press at a constant speed, hold and release, and when the hold begins [s]."""
+    deepest = float(geometry.depth_of_strain(np.array([_DEEPEST]))[0]) / geometry.length_m
+    knots = _KNOTS if geometry.kind == "sphere" else 2
+    depths = np.concatenate([[-_ABOVE], np.linspace(0.0, deepest, knots)])
+    # In the mean over the press as fast as a strain of so much a second.
+    speed = strain_rate * deepest / _DEEPEST
+    down = _PAUSE + (depths + _ABOVE) / speed
+    hold = float(down[-1])
+    up = hold + _HOLD + (down[-1] - down[::-1])
+    strains = np.array([geometry.strain_of_depth(d * geometry.length_m) for d in depths])
+    times = np.concatenate([[0.0], down, up, [up[-1] + 0.5]])
+    every = np.concatenate([[-_ABOVE], strains, strains[::-1], [-_ABOVE]])
+    return moves_of_knots(times, every), hold
+
+
+def _beyond(knots: Sequence[LinearMove], times: Array, model: FdenModel) -> Array:
+    """Return the stress [Pa] of what is loaded only beyond where the inclusion lies, (n,)."""
+    ends = {knots[0].start, *(knot.stop for knot in knots)}
+    ends |= {time for knot in knots for time in knot.crossings(_MET)}
+    instants = np.array(sorted(ends))
+    deeper = np.maximum(_strains(knots, instants), _MET)
+    return np.maximum(stress_of_moves(moves_of_knots(instants, deeper), times, model), 0.0)
+
+
+def _strains(knots: Sequence[LinearMove], times: Array) -> Array:
+    """Return the strain at times, (n,)."""
+    ends = [knots[0].start, *(knot.stop for knot in knots)]
+    return np.interp(times, ends, [knots[0].start_strain, *(knot.stop_strain for knot in knots)])
+
+
+def _geometry_parameters(geometry: Geometry) -> dict[str, Any]:
+    dimensions = {
+        "flat_punch": {
+            "geometry.area": geometry.force_per_stress,
+            "geometry.thickness": geometry.length_m,
+        },
+        "sphere": {"geometry.radius": geometry.length_m},
+        # Its force is a stress.
+        "pass_through": {"force.limit": 1e6},
+    }
+    return {"geometry.kind": geometry.kind, **dimensions[geometry.kind]}
+
+
+BENCHMARK = Benchmark(run, EPILOG, cases=CASES, contacts=(12, 1), parameters=True)

@@ -1,0 +1,326 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Contacts on tissue that obeys the law exactly, over all of its range: what is told, and wrong.
+
+Tissue, motion, rate, noise and prior are drawn (see below), simulated apart from the identifier,
+and identified with the noise as it is measured in the air; the rig's deviations are 0 and an arm's
+defaults in turn. A *false alarm* is a contact whose summary tells a mismatch or a change, *live*
+where any state does; *silent* is one that is converged, unflagged, and off by more than five
+stated deviations and 3 % (0.01 of alpha).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmark.harness import Benchmark, Goal, Report, Table, at_most, few, measured, within
+from benchmark.score import NAMES, Outcome, Share, figures_of
+from benchmark.trial import outcome_of
+from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+from fden_ros.simulation.scenario import (
+    DisplacementSensor,
+    ForceSensor,
+    Geometry,
+    Scenario,
+    Site,
+    Tissue,
+)
+from fden_ros.simulation.simulate import EXACT, KNOWN_RIG, Recording, simulate
+from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold, Staircase
+
+EPILOG = """\
+examples:
+  fden benchmark exact --quick
+  fden benchmark exact --first 3000 --contacts 500 --jobs 2
+  fden benchmark exact --json | jq '.figures.alarms'
+
+Drawn log-uniform: G 20 to 50,000, Gn 1 to 40, noise 3 to 300 Pa, 30 Hz to 1 kHz, holds of 0.1 to
+600 s, strain rates of 0.02 to 1/s; alpha uniform from 0.02 to 0.6; ramps, staircases, ramps with a
+hold, three presses of one place. A press goes to a Gn x of 0.7 to 6, at most to half of the
+thickness, takes 20 times the noise or more and at most 63 N; what does not is drawn anew. Half of
+the priors are the default one, the others up to two of their deviations off; every other contact
+has 1 um of noise in the displacement. Linear part hidden: G/Gn, about the stress at the boundary
+strain, is below the noise of a sample.
+"""
+
+#: Ranges of what is drawn, log-uniform but for alpha.
+LINEAR_STIFFNESS = (20.0, 50_000.0)  # [Pa s^alpha]
+NONLINEAR_STIFFNESS = (1.0, 40.0)
+ORDER = (0.02, 0.6)
+NOISE_PA = (3.0, 300.0)
+RATE_HZ = (30.0, 1000.0)
+HOLD_S = (0.1, 600.0)
+STRAIN_RATE = (0.02, 1.0)  # [1/s], in and out
+#: Gn x at the deepest, where the stress is up to e^5 times that at the boundary strain: farther
+#: nobody presses, and not beyond LARGEST_STRAIN.
+EXPONENT, LARGEST_STRAIN = (0.7, 6.0), 0.5
+#: The largest stress of a press is so many times its noise, and at most so large [Pa]: 60 N.
+SIGNAL_TO_NOISE, LARGEST_STRESS = 20.0, 2e5
+#: A ramp lasts so many samples.
+RAMP_SAMPLES = 5
+#: Largest number of samples of a contact, unless the slowest rate takes more.
+LARGEST_SAMPLES, _QUICK_SAMPLES = 12_000, 1500
+#: Half of the priors are the default one, the others are this wide [1] and up to so many of their
+#: deviations off.
+PRIOR_LOG_G, PRIOR_LOG_GN, PRIOR_ORDER = (0.1, 2.0), (0.1, 0.9), (0.01, 0.14)
+PRIOR_OFF = 2.0
+#: The largest median of Gn that may be stated [1].
+MOST_PRIOR_NONLINEAR = 100.0
+#: Every other contact has this noise of the displacement [m].
+DISPLACEMENT_NOISE = 1e-6
+
+Press = Ramp | RampHold | Staircase | Palpation
+RIGID, ARM = "rig known", "arm's defaults"
+MOTIONS = ("ramp", "staircase", "ramp_hold", "palpation")
+_GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
+_PRESSES = 3
+#: The last of the approach is at the rate of the press, for so long [s].
+_SLOW_TIME = 0.3
+#: In the air before a touch and after the last [s], about.
+_AIR_S = 3.5
+_DRAWS = 23
+#: A tissue that no motion of so many makes pressable is drawn anew.
+_TRIES = 50
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What is pressed, how, and what the identifier is told; `number` is the seed.
+
+    `rig` is RIGID, with deviations of 0, or ARM, with the defaults; `prior` holds parameters of
+    the identifier, none for the default prior.
+    """
+
+    number: int
+    model: FdenModel
+    press: Press
+    rate_hz: float
+    noise_pa: float
+    displacement_noise_m: float
+    rig: str
+    prior: Mapping[str, float]
+
+    @property
+    def held_s(self) -> float:
+        """Time of all holds of a press [s]."""
+        return float(getattr(self.press, "hold_s", 0.0)) * getattr(self.press, "steps", 1)
+
+    @property
+    def peak_pa(self) -> float:
+        """Stress at the end of a ramp to the largest strain [Pa]."""
+        strain = self.press.max_strain
+        end = strain / self.press.strain_rate
+        return float(stress_of_piecewise_linear_strain([0.0, end], [0.0, strain], end, self.model))
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether the stress at the boundary strain is below the noise of a sample."""
+        return self.model.linear_stiffness < self.noise_pa * self.model.nonlinear_stiffness
+
+    @property
+    def is_pressable(self) -> bool:
+        """Whether somebody might press so."""
+        ramp = self.press.max_strain / self.press.strain_rate
+        is_seen = SIGNAL_TO_NOISE * self.noise_pa <= self.peak_pa <= LARGEST_STRESS
+        return is_seen and ramp * self.rate_hz >= RAMP_SAMPLES
+
+
+def drawn(number: int, largest_samples: int = LARGEST_SAMPLES) -> Contact:
+    """Return contact `number`: the same for the same limit of samples."""
+    generator = np.random.default_rng([number, _DRAWS])
+    motion = MOTIONS[number // 4 % len(MOTIONS)]
+    while True:
+        model = FdenModel(
+            _log_uniform(generator, LINEAR_STIFFNESS),
+            _log_uniform(generator, NONLINEAR_STIFFNESS),
+            float(generator.uniform(*ORDER)),
+        )
+        for _ in range(_TRIES):
+            press, duration = _press(generator, motion, model)
+            fastest = max(min(RATE_HZ[1], largest_samples / duration), RATE_HZ[0])
+            contact = Contact(
+                number,
+                model,
+                press,
+                _log_uniform(generator, (RATE_HZ[0], fastest)),
+                _log_uniform(generator, NOISE_PA),
+                DISPLACEMENT_NOISE if number % 2 else 0.0,
+                ARM if number // 2 % 2 else RIGID,
+                _prior(generator, model),
+            )
+            if contact.is_pressable:
+                return contact
+
+
+def _log_uniform(generator: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(math.exp(generator.uniform(math.log(limits[0]), math.log(limits[1]))))
+
+
+def _press(generator: np.random.Generator, motion: str, model: FdenModel) -> tuple[Press, float]:
+    """Return a motion and how long it takes with the air around it [s]."""
+    rate, back = (_log_uniform(generator, STRAIN_RATE) for _ in range(2))
+    strain = min(_log_uniform(generator, EXPONENT) / model.nonlinear_stiffness, LARGEST_STRAIN)
+    hold = _log_uniform(generator, HOLD_S)
+    moved = _AIR_S + strain / rate + strain / back
+    if motion == "ramp":
+        return Ramp(rate, strain, back), moved
+    if motion == "ramp_hold":
+        return RampHold(rate, strain, hold, back), moved + hold
+    if motion == "palpation":
+        press = Palpation(rate, strain, hold / _PRESSES, back, presses=_PRESSES, pause_s=0.5)
+        return press, _PRESSES * moved + hold
+    steps = int(generator.integers(2, 5))
+    return Staircase(rate, strain, steps, hold / steps, back), moved + hold
+
+
+def _prior(generator: np.random.Generator, model: FdenModel) -> dict[str, float]:
+    """Return the parameters of a prior; empty: the default one."""
+    is_default = bool(generator.integers(2))
+    sds = [_log_uniform(generator, w) for w in (PRIOR_LOG_G, PRIOR_LOG_GN, PRIOR_ORDER)]
+    off = generator.uniform(-PRIOR_OFF, PRIOR_OFF, 3) * sds
+    if is_default:
+        return {}
+    g_n = model.nonlinear_stiffness * math.exp(off[1])
+    return {
+        "prior.linear_stiffness": model.linear_stiffness * math.exp(off[0]),
+        "prior.linear_stiffness_log_sd": sds[0],
+        "prior.nonlinear_stiffness": min(g_n, MOST_PRIOR_NONLINEAR),
+        "prior.nonlinear_stiffness_log_sd": sds[1],
+        "prior.alpha": min(max(model.fractional_order + off[2], ORDER[0]), ORDER[1]),
+        "prior.alpha_sd": sds[2],
+    }
+
+
+def scenario_of(contact: Contact) -> Scenario:
+    """Return the recording of a contact."""
+    generator = np.random.default_rng([contact.number, _DRAWS, 1])
+    model, press = contact.model, contact.press
+    tissue = Tissue(model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order)
+    return Scenario(
+        name=f"exact {contact.number}",
+        seed=contact.number,
+        geometry=_GEOMETRY,
+        approach=Approach(
+            # Where the touch lies between two samples is chance.
+            distance_m=float(generator.uniform(0.005, 0.006)),
+            speed_m_per_s=0.01,
+            slow_distance_m=min(0.004, _SLOW_TIME * press.strain_rate * _GEOMETRY.length_m),
+            start_pause_s=2.0,
+        ),
+        sites=(Site(tissue, (press,)),),
+        force=ForceSensor(rate_hz=contact.rate_hz, noise_stress_pa=contact.noise_pa),
+        # With the place: a palpation's presses are of one site, however long its way out takes.
+        displacement=DisplacementSensor(
+            rate_hz=contact.rate_hz, noise_m=contact.displacement_noise_m, message="point"
+        ),
+    )
+
+
+def parameters_of(contact: Contact, recording: Recording) -> dict[str, Any]:
+    """Return the identifier's parameters: geometry, rig and prior; the noise is not told."""
+    own = dict(recording.truth["identifier_parameters"])
+    for name in (*EXACT, "alpha.learn", "prior.alpha", "prior.alpha_sd"):
+        own.pop(name, None)
+    return own | (KNOWN_RIG if contact.rig == RIGID else {}) | dict(contact.prior)
+
+
+def run_trial(number: int, samples: int) -> tuple[Contact, Outcome]:
+    """Simulate contact `number`, identify it, and judge what is said."""
+    contact = drawn(number, samples)
+    recording = simulate(scenario_of(contact))
+    return contact, outcome_of(recording, parameters_of(contact, recording))
+
+
+def run(args: argparse.Namespace) -> Report:
+    """Simulate, identify and judge."""
+    usual = _QUICK_SAMPLES if args.quick else LARGEST_SAMPLES
+    samples = args.samples or usual
+    tasks = [(number,) for number in args.numbers]
+    found = measured(run_trial, tasks, samples, jobs=args.jobs)
+    return report_of(found)
+
+
+Found = Sequence[tuple[Contact, Outcome]]
+
+
+def report_of(found: Found) -> Report:
+    """Return goals and tables of what was found."""
+    groups: dict[str, list[bool]] = {
+        "all": [True for _ in found],
+        **{rig: [c.rig == rig for c, _ in found] for rig in (RIGID, ARM)},
+        **{motion: [c.press.kind == motion for c, _ in found] for motion in MOTIONS},
+        "held 10 to 100 s": [10.0 <= c.held_s < 100.0 for c, _ in found],
+        "held for longer": [c.held_s >= 100.0 for c, _ in found],
+        "linear part hidden": [c.is_hidden for c, _ in found],
+        "linear part seen": [not c.is_hidden for c, _ in found],
+        "below 100 Hz": [c.rate_hz < 100.0 for c, _ in found],
+        "above 300 Hz": [c.rate_hz >= 300.0 for c, _ in found],
+    }
+    rows = {
+        name: figures_of([o for (_, o), one in zip(found, some, strict=True) if one])
+        for name, some in groups.items()
+        if any(some)
+    }
+    drawn_columns = {"error over sd": (0.6, 1.3), "silent": (0.0, 0.0), "in 95 %": (0.9, 1.0)}
+    tables = {"rows": Table("Tissue that obeys the law", rows, drawn_columns)}
+    alarms = {str(contact.number): row for contact, o in found if (row := _alarm(contact, o))}
+    if alarms:
+        tables["alarms"] = Table("Told falsely, or silently off; by number", alarms)
+    return Report(goals_of(found, rows), tables)
+
+
+def _alarm(contact: Contact, outcome: Outcome) -> dict[str, Any] | None:
+    row = figures_of([outcome])
+    if not (row["silent"].part or row["told live"].part or row["live"].part):
+        return None
+    model = contact.model
+    return {name: row[name] for name in ("silent", "live", "changed", "mismatch")} | {
+        "rig": contact.rig,
+        "motion": contact.press.kind,
+        "tissue": [model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order],
+        "hold [s]": contact.held_s,
+        "rate [Hz]": contact.rate_hz,
+        "peak over noise": contact.peak_pa / contact.noise_pa,
+    }
+
+
+def goals_of(found: Found, rows: Mapping[str, Mapping[str, Any]]) -> list[Goal]:
+    """Hold the contacts against the goals."""
+    every = rows["all"]
+    told = sum(bool(_told(outcome)) for _, outcome in found)
+    silent = sum(any(c.is_silent for c in outcome.contacts) for _, outcome in found)
+    goals = [
+        few("silent: converged, unflagged and off", Share(silent, len(found)), 1e-3),
+        few("false alarms: told as mismatch or change", Share(told, len(found)), 1.0 / 300.0),
+        few("false alarms: told at any moment", every["told live"], 1.0 / 300.0),
+        at_most("live: unflagged CONVERGED states that are off", every["live"].value, 1e-3),
+    ]
+    for index, name in enumerate(NAMES):
+        goals.append(
+            within(f"error over deviation, {name}", every["error over sd"][index], (0.6, 1.3))
+        )
+        goals.append(within(f"in the 95 % interval, {name}", every["in 95 %"][index], (0.9, 1.0)))
+        if hidden := rows.get("linear part hidden"):
+            words = f"linear part hidden: error over deviation, {name}"
+            goals.append(at_most(words, hidden["error over sd"][index], 1.3))
+    return goals
+
+
+def _told(outcome: Outcome) -> bool:
+    row = figures_of([outcome])
+    return bool(row["changed"].part or row["mismatch"].part)
+
+
+def _more(parser: argparse.ArgumentParser) -> None:
+    words = f"most samples of a contact, down to 30 Hz (default: {LARGEST_SAMPLES})"
+    parser.add_argument("--samples", type=int, metavar="N", help=words)
+
+
+BENCHMARK = Benchmark(run, EPILOG, contacts=(300, 16), more=_more)

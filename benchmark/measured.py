@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""Measured ramps and holds on specimens, from tables, and the order that a hold itself shows.
+
+A table (CSV) has the columns of :data:`COLUMNS`; each test is a ramp and a hold, the displacement
+is 0 at contact, and the gap at contact is the thickness. The indenter's shape is not known, so G
+comes in force units: N s^alpha.
+
+The order of a hold is that of the law with a free curve: every step of phi on the ramp is a
+parameter of its own, not negative,
+
+.. math:: f_n = \sum_j w_{nj}(\alpha)\, \Delta\varphi_j, \qquad
+    w_{nj} = \frac{(t_n-t_{j-1})^{1-\alpha} - (t_n-t_j)^{1-\alpha}}
+                  {\Gamma(2-\alpha)\,(t_j-t_{j-1})}
+
+The forces of the ramp are then met by any order, and the hold alone decides: no estimator, no
+prior and no exponential is in it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar, nnls
+
+from benchmark.harness import DATA_VARIABLE
+from benchmark.trial import fed
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.outputs import ContactSummary, Output, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.errors import InputError
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation.simulate import KNOWN_RIG
+
+COLUMNS = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
+#: How much of the hold is seen [s].
+SEEN_HOLD = 2.0
+#: The force noise of these tests, as their README states it [N].
+FORCE_NOISE = 1e-3
+#: The default prior, for G in N s^alpha as of a face of 1 cm^2.
+PRIOR_STIFFNESS = 1e-4 * Prior().linear_stiffness
+#: The hold begins where the probe is this close to its deepest point [m].
+_AT_HOLD = 1e-5
+_LEAST_ORDER, _MOST_ORDER = 0.005, 0.9
+
+
+@dataclass(frozen=True)
+class Test:
+    """One ramp and hold on one specimen; arrays of shape (n,)."""
+
+    #: Not a test of pytest's.
+    __test__ = False
+
+    name: str
+    material: str
+    times: Array  #: [s]
+    forces: Array  #: [N]
+    displacements: Array  #: into the tissue, 0 at contact [m]
+    thickness: float  #: [m]
+
+    @property
+    def specimen(self) -> str:
+        """First word of the name: other places on the same piece share it."""
+        return self.name.split()[0]
+
+    @property
+    def kind(self) -> str:
+        """Material up to the first underscore: beef for beef_RDG."""
+        return self.material.split("_")[0]
+
+    @property
+    def hold(self) -> int:
+        """Index of the first sample of the hold."""
+        return int(np.argmax(self.displacements >= self.displacements.max() - _AT_HOLD))
+
+    @property
+    def seen(self) -> int:
+        """How many samples there are of the ramp and the first 2 s of the hold."""
+        last = self.times[self.hold] + SEEN_HOLD
+        return int(np.searchsorted(self.times, last, side="right"))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Of the identifier: a testing machine, whose rig leaves nothing open."""
+        rig = {name: value for name, value in KNOWN_RIG.items() if name != "converged.log_sd"}
+        return rig | {
+            "geometry.kind": "flat_punch",
+            # Stress is force: the indenter's shape is not known.
+            "geometry.area": 1.0,
+            "geometry.thickness": self.thickness,
+            # The recording begins in contact, so bias and noise cannot be measured in the air.
+            "force.measure_bias": False,
+            "force.noise": FORCE_NOISE,
+            "origin.source": "given",
+            "origin.displacement": 0.0,
+            "prior.linear_stiffness": PRIOR_STIFFNESS,
+        }
+
+
+def read_tests(folder: Path | None) -> list[Test]:
+    """Return the tests in every table of a folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, no such table in it, or a number that cannot be read.
+    """
+    if folder is None:
+        raise InputError(
+            f"no data: name the folder with the measured tests, or set {DATA_VARIABLE}"
+        )
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name the one with the measured tests")
+    tests = [test for path in sorted(folder.glob("*.csv")) for test in _read_table(path)]
+    if not tests:
+        raise InputError(f"{folder}: no CSV file in it has the columns {', '.join(COLUMNS)}")
+    return tests
+
+
+def some_of(tests: Sequence[Test], count: int) -> list[Test]:
+    """Return a few tests of each kind, of as many specimens as possible."""
+    chosen: list[Test] = []
+    for kind in sorted({test.kind for test in tests}):
+        own = [test for test in tests if test.kind == kind]
+        chosen += own[:: math.ceil(len(own) / count)]
+    return chosen
+
+
+def _read_table(path: Path) -> list[Test]:
+    rows: defaultdict[tuple[str, str], list[list[float]]] = defaultdict(list)
+    with path.open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        if not set(COLUMNS) <= set(reader.fieldnames or ()):
+            return []
+        for row in reader:
+            try:
+                numbers = [float(row[column]) for column in COLUMNS[2:]]
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"{path}: line {reader.line_num}: {', '.join(COLUMNS[2:])} must be numbers"
+                ) from None
+            rows[row["test"], row["material"]].append(numbers)
+    tests = []
+    for (name, material), samples in rows.items():
+        times, forces, displacements, gaps = np.array(samples).T
+        test = Test(name, material, times, forces, 1e-3 * displacements, 1e-3 * float(gaps[0]))
+        if test.thickness <= 0.0 or np.any(np.diff(test.times) <= 0.0):
+            raise InputError(
+                f"{path}: {name}: the gap at contact must be positive and the time increase"
+            )
+        if test.times.size - test.seen < 2:
+            words = f"no hold of more than {SEEN_HOLD:g} s, so nothing to predict"
+            raise InputError(f"{path}: {name}: {words}")
+        tests.append(test)
+    return tests
+
+
+def identify(
+    test: Test, count: int | None = None, parameters: Mapping[str, Any] | None = None
+) -> tuple[Estimate, TissueState, ContactSummary | None]:
+    """Run the pipeline over the first samples; return the last live estimate, state and summary.
+
+    Raises
+    ------
+    InputError
+        If the pipeline finds no contact that it can use.
+    """
+    outputs: list[Output] = []
+    pipeline = Pipeline(
+        pipeline_config(check(test.parameters | dict(parameters or {}))), outputs.append
+    )
+    for _ in fed(pipeline, test.times[:count], test.forces[:count], test.displacements[:count]):
+        pass
+    states = [output for output in outputs if isinstance(output, TissueState)]
+    if not states or states[-1].estimate is None:
+        raise InputError(
+            f"{test.name}: no estimate; the displacement must begin at 0, in contact or before it"
+        )
+    pipeline.finish()
+    summaries = [output for output in outputs if isinstance(output, ContactSummary)]
+    return states[-1].estimate, states[-1], summaries[-1] if summaries else None
+
+
+def hold_order(test: Test) -> float:
+    """Return the order by which the force of a test's hold relaxes, whatever the curve."""
+    ends = test.times[: test.hold + 1]
+
+    def misfit(order: float) -> float:
+        since = np.maximum(test.times[1:, None] - ends, 0.0) ** (1.0 - order)
+        weights = (since[:, :-1] - since[:, 1:]) / np.diff(ends) / math.gamma(2.0 - order)
+        return float(nnls(weights, test.forces[1:])[1])
+
+    found = minimize_scalar(
+        misfit, bounds=(_LEAST_ORDER, _MOST_ORDER), method="bounded", options={"xatol": 1e-3}
+    )
+    return float(found.x)

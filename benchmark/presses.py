@@ -1,0 +1,288 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Simulated presses on a disturbed rig: the cases of `robots`, `contact` and `invariance`.
+
+Tissue: G log-uniform from 2,000 to 8,000, Gn 6 to 10, alpha 0.08 to 0.32, 20 mm thick to 2 %; a
+punch of 10 mm radius, so that a press to 25 % takes 0.2 to 0.9 N (20 mm where the noise is
+largest: moving vibration, liver). 500 Hz, 10 mN and 5 um of noise.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from benchmark.score import Outcome
+from benchmark.trial import outcome_of
+from fden_ros.simulation.disturbance import Disturbances, SurfaceMotion
+from fden_ros.simulation.scenario import (
+    DisplacementSensor,
+    ForceSensor,
+    Geometry,
+    Preload,
+    Press,
+    Scenario,
+    Site,
+    SurfaceSensor,
+    Tissue,
+)
+from fden_ros.simulation.simulate import EXACT, Recording, simulate
+from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold
+
+RATE_HZ = 500.0
+#: As stated to the identifier.
+_THICKNESS_M = 0.02
+#: The tissue is thicker or thinner than that by a share uniform between these two: a deviation of
+#: 2 %, which is what `geometry.thickness_sd` states by default.
+_MOST_THICKER = 0.02 * math.sqrt(3.0)
+_RADIUS_M, _WIDE_RADIUS_M = 0.01, 0.02
+#: Beside the number of the recording, so that these draws are none of the simulation's own.
+_DRAWS = 19
+
+HOLD: Press = RampHold(0.2, 0.25, 2.0, 0.4)
+PRESS: Press = Ramp(0.2, 0.25, 0.4)
+_FAST: Press = Ramp(0.4, 0.25, 0.4)
+_THREE = (Palpation(0.2, 0.25, 0.5, 0.4, presses=3, lift_m=0.002, pause_s=0.5),)
+
+#: So wide that the data decide.
+PRIOR: Mapping[str, Any] = {
+    "alpha.learn": True,
+    "prior.linear_stiffness": 4000.0,
+    "prior.linear_stiffness_log_sd": 1.0,
+    "prior.nonlinear_stiffness": 8.0,
+    "prior.nonlinear_stiffness_log_sd": 0.5,
+    "prior.alpha": 0.2,
+    "prior.alpha_sd": 0.1,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One kind of rig and press.
+
+    Parameters
+    ----------
+    name, says : str
+        What is disturbed, short and in words.
+    presses : tuple of Press
+        At each site.
+    disturbances, preload, surface
+        As in a scenario.
+    sites : int
+        How many are touched, all of one tissue.
+    pitch_m : float
+        From one site to the next; 0: places are not told.
+    radius_m, noise_n, delay_s : float
+        Of the punch; white noise of the force; delay of the displacement that is not corrected.
+    liver : bool
+        The tissue is the paper's liver.
+    detection : bool
+        It is there to fool the detection of contact.
+    beyond : bool
+        Far beyond what a rig is expected to do: may be told as changed tissue.
+    """
+
+    name: str
+    says: str
+    presses: tuple[Press, ...] = (HOLD,)
+    disturbances: Disturbances = field(default_factory=Disturbances)
+    preload: Preload = field(default_factory=Preload)
+    surface: SurfaceSensor | None = None
+    sites: int = 1
+    pitch_m: float = 0.0
+    radius_m: float = _RADIUS_M
+    noise_n: float = 0.010
+    delay_s: float = 0.0
+    liver: bool = False
+    detection: bool = False
+    beyond: bool = False
+
+    @property
+    def press_count(self) -> int:
+        """Presses planned in a recording."""
+        at_each = sum(getattr(press, "presses", 1) for press in self.presses)
+        return self.sites - 1 + at_each if self.preload.depth_m else self.sites * at_each
+
+    @property
+    def largest_noise_n(self) -> float:
+        """What a press has to stand out from, in N."""
+        d = self.disturbances
+        return max(self.noise_n, d.hum_n, d.vibration_n, d.force_step_n)
+
+    @property
+    def held_s(self) -> float:
+        """Time from the touch to the end of the first press's hold [s]."""
+        press: Any = self.presses[0]
+        return float(press.max_strain / press.strain_rate + getattr(press, "hold_s", 0.0))
+
+
+def _disturbed(name: str, says: str, *, beyond: bool = False, **disturbances: Any) -> Case:
+    return Case(name, says, disturbances=Disturbances(**disturbances), beyond=beyond)
+
+
+def _fooling(name: str, says: str, **disturbances: Any) -> Case:
+    return replace(_disturbed(name, says, **disturbances), detection=True)
+
+
+def _breathing(peak_to_peak_m: float) -> SurfaceMotion:
+    return SurfaceMotion(peak_to_peak_m, rate_variation=0.1)
+
+
+_MEASURED = SurfaceSensor(60.0, noise_m=2e-5, jitter_s=1e-3, delay_s=0.02, offset_m=0.3)
+_BREATHES = _disturbed(
+    "breathing_1mm", "breathing 1 mm, hold", beyond=True, breathing=_breathing(1e-3)
+)
+_LIVER = Case("", "", (PRESS,), radius_m=_WIDE_RADIUS_M, liver=True, detection=True)
+
+_ALL = (
+    Case("undisturbed", "nothing; press and hold"),
+    Case("undisturbed_press", "nothing; no hold", (PRESS,)),
+    replace(
+        _BREATHES, name="breathing_1mm_press", says="breathing 1 mm, 8 mm/s", presses=(_FAST,)
+    ),
+    _disturbed("breathing_0.3mm", "breathing 0.3 mm, hold", breathing=_breathing(3e-4)),
+    _BREATHES,
+    replace(
+        _BREATHES,
+        name="breathing_1mm_measured",
+        says="breathing 1 mm, hold, measured",
+        surface=_MEASURED,
+        beyond=False,
+    ),
+    _disturbed(
+        "heartbeat_0.2mm", "heartbeat 0.2 mm, hold", heartbeat=SurfaceMotion(2e-4, 1.2, 0.1)
+    ),
+    _disturbed("compliance_0.2", "compliance 0.2 mm/N", compliance_m_per_n=2e-4),
+    _disturbed("compliance_0.5", "compliance 0.5 mm/N", compliance_m_per_n=5e-4),
+    _disturbed("compliance_1.0", "compliance 1.0 mm/N", compliance_m_per_n=1e-3, beyond=True),
+    # 20 mN after 2 s of contact.
+    _disturbed("creep_20mN", "creep 20 mN in 2 s", creep_n=0.0316),
+    Case("friction_20mN", "friction 20 mN", (PRESS,), Disturbances(friction_n=0.02)),
+    Case(
+        "preload_2mm", "begins in contact, 2 mm", (PRESS, PRESS), preload=Preload(0.002), sites=2
+    ),
+    Case("plastic_0.1mm", "plastic set 0.1 mm", _THREE, Disturbances(plastic_set_m=1e-4)),
+    Case("delay_5ms", "delay 5 ms", delay_s=0.005),
+    Case("delay_10ms", "delay 10 ms", delay_s=0.01),
+    _disturbed("filter_30Hz", "low-pass 30 Hz", filter_hz=30.0),
+    _disturbed("backlash_50um", "backlash 0.05 mm", backlash_m=5e-5),
+    _disturbed("thermal_100mN", "thermal 0.1 N, 20 s", thermal_n=0.1),
+    Case(
+        # 0.15 mm/N, 7 mN and 2.5 ms at all of them.
+        "ten_sites",
+        "ten sites, one rig",
+        disturbances=Disturbances(compliance_m_per_n=1.5e-4, friction_n=0.007),
+        delay_s=0.0025,
+        sites=10,
+    ),
+    *(
+        replace(
+            _fooling(
+                f"vibration_moving_{size}mN", f"12 Hz, {size} mN, moving", vibration_n=size * 1e-3
+            ),
+            radius_m=_WIDE_RADIUS_M,
+        )
+        for size in (50, 100)
+    ),
+    *(
+        replace(
+            _LIVER,
+            name=f"liver_white_{size}mN",
+            says=f"white {size} mN, liver",
+            noise_n=size * 1e-3,
+        )
+        for size in (15, 20)
+    ),
+    _fooling("hum_20mN", "hum 50 Hz, 20 mN", hum_n=0.02),
+    *(
+        _fooling(
+            f"vibration_{rate}Hz_20mN",
+            f"{rate} Hz, 20 mN, always",
+            vibration_n=0.02,
+            vibration_hz=float(rate),
+            vibration_at_rest=True,
+        )
+        for rate in (12, 30)
+    ),
+    _fooling("encoder_50um", "encoder of 50 um", displacement_step_m=5e-5),
+    replace(_fooling("force_steps_10mN", "force in 10 mN", force_step_n=0.01), noise_n=0.001),
+    Case("grid_3mm", "3 mm grid, virgin", (PRESS,), sites=10, pitch_m=0.003, detection=True),
+)
+CASES = {case.name: case for case in _ALL}
+
+
+def scenario_of(case: Case, number: int) -> Scenario:
+    """Return recording `number` of a case; the seed is fixed."""
+    seed = zlib.crc32(case.name.encode()) % 1_000_000_000 + number
+    generator = np.random.default_rng([seed, _DRAWS])
+    tissue = Tissue(
+        linear_stiffness=math.exp(generator.uniform(math.log(2000.0), math.log(8000.0))),
+        nonlinear_stiffness=generator.uniform(6.0, 10.0),
+        fractional_order=generator.uniform(0.08, 0.32),
+    )
+    if case.liver:
+        model = Tissue(draw="liver").model(np.random.default_rng([seed, _DRAWS, 1]))
+        tissue = Tissue(model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order)
+    thicker = np.random.default_rng([seed, _DRAWS, 2]).uniform(-_MOST_THICKER, _MOST_THICKER)
+    sites = [Site(tissue, case.presses, (case.pitch_m * n, 0.0)) for n in range(case.sites)]
+    if case.preload.depth_m:
+        # The later site is touched once.
+        sites[1:] = [replace(site, presses=case.presses[:1]) for site in sites[1:]]
+    return Scenario(
+        name=case.name,
+        seed=seed,
+        geometry=Geometry(
+            "flat_punch", radius_m=case.radius_m, thickness_m=_THICKNESS_M * (1.0 + thicker)
+        ),
+        sites=tuple(sites),
+        approach=Approach(
+            # Where the touch lies between two samples is chance.
+            distance_m=generator.uniform(0.005, 0.0055),
+            speed_m_per_s=0.01,
+            slow_distance_m=0.002,
+            start_pause_s=1.5,
+        ),
+        force=ForceSensor(rate_hz=RATE_HZ, noise_n=case.noise_n),
+        displacement=DisplacementSensor(
+            rate_hz=RATE_HZ,
+            noise_m=5e-6,
+            delay_s=case.delay_s,
+            message="point" if case.pitch_m else "joint_state",
+        ),
+        disturbances=case.disturbances,
+        preload=case.preload,
+        surface=case.surface,
+    )
+
+
+def parameters_of(recording: Recording) -> dict[str, Any]:
+    """Return the identifier's parameters: nothing is told of thickness, delay, or the rig."""
+    own = {**recording.truth["identifier_parameters"], **PRIOR}
+    own["geometry.thickness"] = _THICKNESS_M
+    for name in ("displacement.delay", *EXACT):
+        own.pop(name, None)
+    return own
+
+
+def trial_of(case: Case, number: int, parameters: Mapping[str, Any]) -> Outcome:
+    """Simulate recording `number` of a case, identify it, and judge it."""
+    recording = simulate(scenario_of(case, number))
+    return outcome_of(recording, {**parameters, **parameters_of(recording)}, case.held_s)
+
+
+def peak_n(scenario: Scenario) -> float:
+    """Return the largest force of an undisturbed press in N."""
+    quiet = replace(
+        scenario,
+        sites=scenario.sites[:1],
+        disturbances=Disturbances(),
+        preload=Preload(),
+        force=replace(scenario.force, noise_n=0.0),
+    )
+    return float(simulate(quiet).force.value.max())

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Speed and memory of replay: against real time, against merely decoding, over the bag's length.
+
+A simulated palpation of one site, force and displacement at 1 kHz each, is replayed by a process
+of its own on one core, which then decodes the same messages with rclpy and does nothing with
+them. Memory is the peak of such a process on a bag of a minute and on one of an hour; the long
+bag repeats a press every 30 s at 100 Hz, so that it holds as many samples as six minutes at 1 kHz.
+Last, an archive goes through ``fden batch`` with one worker and with two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import resource
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from benchmark.harness import Benchmark, Report, Table, at_least, at_most, measured, undecided
+from fden_ros.offline.replay import replay
+from fden_ros.parameters import read_parameter_file
+from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
+from fden_ros.recording.writer import BagWriter
+from fden_ros.simulation.scenario import Scenario, load_scenario
+from fden_ros.simulation.simulate import simulate
+
+EPILOG = """\
+examples:
+  fden benchmark replay --quick
+  fden benchmark replay --json | jq .goals
+
+An otherwise idle machine is wanted: the speeds are of processor time, but cores share caches.
+"""
+
+_MEMORY_RATE_HZ = 100.0
+_REPETITION_S = 30
+_MINUTE, _HOUR, _QUICK_HOUR = 60, 3600, 600
+_BAGS = 30
+_ROUNDS, _QUICK_ROUNDS = 3, 1
+_NS_PER_S = 1_000_000_000
+_STAMP = struct.Struct("<iI")
+_STAMP_AT = 4  # after the encapsulation's header, every header of a message begins with its stamp
+
+
+def run(args: argparse.Namespace) -> Report:
+    """Measure; return the report."""
+    long = _QUICK_HOUR if args.quick else _HOUR
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        bag = _make(load_scenario("palpation"), place / "palpation")
+        rounds = [_alone(speed_of, bag) for _ in range(_QUICK_ROUNDS if args.quick else _ROUNDS)]
+        speed = min(rounds, key=lambda found: found["replay [s]"])
+        memory = {
+            f"{length // 60} minutes at 100 Hz": _alone(
+                memory_of, _long(place / f"{length}", length)
+            )
+            for length in (_MINUTE, long)
+        }
+        scaling = math.nan
+        if not args.quick and (os.cpu_count() or 1) >= 2:
+            archive = _archive(place / "archive", bag)
+            one, two = (_batch(archive, place / f"{n}.parquet", n) for n in (1, 2))
+            scaling = one / two
+    short, other = (row["peak [MiB]"] for row in memory.values())
+    growth = [at_most(f"peak memory, {long // 60} minutes over one", other / short, 1.05)]
+    return Report(
+        [
+            at_least("replay at 1 kHz, times real time, one core", speed["times real time"], 25.0),
+            at_least("speed of replay over merely decoding", speed["over decoding"], 0.4),
+            *(undecided(growth) if args.quick else growth),
+            at_least("archive: speed of two workers over one", scaling, 1.8),
+        ],
+        {
+            "speed": Table("Replay", {"palpation at 1 kHz": speed}),
+            "memory": Table("Peak memory", memory, {"peak [MiB]": (0.0, 1.05 * short)}),
+        },
+    )
+
+
+def _make(scenario: Scenario, folder: Path) -> Path:
+    write_recording(simulate(scenario, scenario.seed), folder)
+    return folder
+
+
+def _long(folder: Path, seconds: int) -> Path:
+    """Make a bag of one press, repeated with later stamps."""
+    scenario = load_scenario("ramp")
+    scenario = replace(
+        scenario,
+        sites=scenario.sites[:1],
+        force=replace(scenario.force, rate_hz=_MEMORY_RATE_HZ),
+        displacement=replace(scenario.displacement, rate_hz=_MEMORY_RATE_HZ),
+    )
+    once = BagReader(_make(scenario, folder.with_name(f"{folder.name}_once")))
+    topics = [topic for topic in once.topics if "truth" not in topic.name]
+    with BagWriter(folder) as writer:
+        for topic in topics:
+            writer.add_topic(topic.name, topic.type_name, *topic.offered_qos)
+        for shift in range(0, seconds // _REPETITION_S * _REPETITION_S, _REPETITION_S):
+            for message in once.messages([topic.name for topic in topics]):
+                data = bytearray(message.data)
+                whole, rest = _STAMP.unpack_from(data, _STAMP_AT)
+                _STAMP.pack_into(data, _STAMP_AT, whole + shift, rest)
+                writer.write(message.topic, bytes(data), message.log_time_ns + shift * _NS_PER_S)
+    (folder / PARAMETER_FILE).write_bytes((once.path / PARAMETER_FILE).read_bytes())
+    return folder
+
+
+def _archive(folder: Path, bag: Path) -> Path:
+    """Make an archive of one bag many times, each with content of its own."""
+    reader = BagReader(bag)
+    for number in range(_BAGS):
+        with BagWriter(folder / f"bag_{number}") as writer:
+            for topic in reader.topics:
+                writer.add_topic(topic.name, topic.type_name, *topic.offered_qos)
+            for message in reader.messages():
+                writer.write(message.topic, message.data, message.log_time_ns + number)
+    (folder / PARAMETER_FILE).write_bytes((bag / PARAMETER_FILE).read_bytes())
+    return folder
+
+
+def _alone(function: Callable[[Path], dict[str, float]], bag: Path) -> dict[str, float]:
+    """Call a function in a process of its own, whose peak of memory is its alone."""
+    # Of two processes one is new for the only task.
+    return measured(function, [(bag,)], what=bag.name)[0]
+
+
+def _recorded_s(reader: BagReader) -> float:
+    return ((reader.end_ns or 0) - (reader.start_ns or 0)) / _NS_PER_S
+
+
+def speed_of(bag: Path) -> dict[str, float]:
+    """Return the processor time of a replay, and of decoding the same messages."""
+    parameters = read_parameter_file(bag / PARAMETER_FILE)
+    start = time.process_time()
+    result = replay(bag, parameters)
+    replayed = time.process_time() - start
+    reader = BagReader(bag)
+    count = sum(1 for message in reader.messages(list(result.inputs.values())) if decode(message))
+    decoded = time.process_time() - start - replayed
+    return {
+        "recorded [s]": _recorded_s(reader),
+        "messages": count,
+        "replay [s]": replayed,
+        "decoding [s]": decoded,
+        "us a message": 1e6 * replayed / count,
+        "times real time": _recorded_s(reader) / replayed,
+        "over decoding": decoded / replayed,
+    }
+
+
+def memory_of(bag: Path) -> dict[str, float]:
+    """Return the peak memory of a process that replays a bag."""
+    result = replay(bag, read_parameter_file(bag / PARAMETER_FILE))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    assert result.summaries
+    reader = BagReader(bag)
+    return {
+        "recorded [s]": _recorded_s(reader),
+        "messages": reader.message_count,
+        "peak [MiB]": peak,
+    }
+
+
+def _batch(archive: Path, output: Path, workers: int) -> float:
+    command = [sys.executable, "-c", "import sys; from fden_ros.cli import main; sys.exit(main())"]
+    command += ["batch", str(archive), "-o", str(output), "--workers", str(workers)]
+    command += ["--config", str(archive / PARAMETER_FILE)]
+    start = time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return time.perf_counter() - start
+
+
+BENCHMARK = Benchmark(run, EPILOG)

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The statistics of all benchmarks: what counts as off, silent, honest, and how sure that is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.outputs import Flag
+
+#: Of the parameters, in the order of errors and deviations.
+NAMES = ("ln G", "ln Gn", "alpha")
+#: Standard deviations of a normal variable that hold 95 % of it, on both sides [1].
+TWO_SIDED_95 = 1.959964
+_NOTHING = np.full(3, np.nan)
+#: An error counts from this many stated deviations, and these sizes of ln G, ln Gn, alpha.
+_DEVIATIONS, _SIZES = 5.0, np.array([0.03, 0.03, 0.01])
+#: Summaries and states with another flag than these say that something is wrong.
+_HARMLESS = Flag.INPUT_REJECTED
+_RESAMPLES = 1000
+
+
+class Share(NamedTuple):
+    """So many of so many."""
+
+    part: int
+    whole: int
+
+    @property
+    def value(self) -> float:
+        """From 0 to 1; NaN: of none."""
+        return self.part / self.whole if self.whole else math.nan
+
+    def interval(self) -> tuple[float, float]:
+        """Return the 95 % interval (Clopper and Pearson 1934)."""
+        from scipy.stats import binomtest
+
+        found = binomtest(self.part, self.whole).proportion_ci(0.95)
+        return float(found.low), float(found.high)
+
+
+def share(values: Iterable[object]) -> Share:
+    """Return how many of the values are true."""
+    known = [bool(value) for value in values]
+    return Share(sum(known), len(known))
+
+
+def total(shares: Iterable[Share]) -> Share:
+    """Return the sum of shares."""
+    parts = list(shares)
+    return Share(sum(s.part for s in parts), sum(s.whole for s in parts))
+
+
+def warns(flags: Flag) -> bool:
+    """Return whether a flag says that something is wrong."""
+    return bool(flags & ~_HARMLESS)
+
+
+def is_off(error: Array, deviation: Array) -> bool:
+    """Return whether errors of (ln G, ln Gn, alpha) are beyond what is stated, each (3,)."""
+    return bool(np.any((np.abs(error) > _DEVIATIONS * deviation) & (np.abs(error) > _SIZES)))
+
+
+class Judged(NamedTuple):
+    """What the summary of one contact says, beside the truth."""
+
+    converged: bool
+    flags: Flag
+    error: Array  #: of (ln G, ln Gn, alpha), shape (3,); NaN: there is no estimate
+    deviation: Array  #: as stated, shape (3,)
+    number: int = 0  #: of the press, from 0; -1: there was none
+    estimate: Estimate | None = None
+
+    @property
+    def is_off(self) -> bool:
+        """Whether a parameter is off by more than the stated deviation allows."""
+        return is_off(self.error, self.deviation)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it is off, and nothing says so."""
+        return self.claims and self.is_off
+
+    @property
+    def claims(self) -> bool:
+        """Whether it is converged, without a warning flag."""
+        return self.converged and not warns(self.flags)
+
+
+def judged(
+    estimate: Estimate | None, truth: Array, converged: bool, flags: Flag, number: int = 0
+) -> Judged:
+    """Return an estimate beside the true (ln G, ln Gn, alpha), shape (3,)."""
+    if estimate is None:
+        return Judged(converged, flags, _NOTHING, _NOTHING, number)
+    return Judged(converged, flags, estimate.mean - truth, estimate.deviations, number, estimate)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the pipeline made of one recording.
+
+    Parameters
+    ----------
+    presses : int
+        Made.
+    contacts : tuple of Judged
+        By the last summary of each.
+    claims : Share
+        Of the unflagged CONVERGED states those that are off.
+    live : Flag
+        All that the states told.
+    held : ndarray
+        Stated deviations at the end of the first press's hold, shape (3,).
+    stuck : int
+        Samples dropped as stuck.
+    """
+
+    presses: int
+    contacts: tuple[Judged, ...]
+    claims: Share
+    live: Flag
+    held: Array
+    stuck: int = 0
+
+
+def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return the figures of some recordings by the heading of their column.
+
+    *silent*: presses whose contact is converged, unflagged and off; *live*: states alike; *error
+    over sd*: root mean square; *in 95 %*: share of the intervals that hold; *told live*:
+    recordings of which any state tells a mismatch or a change; *sd*: median, as stated.
+    """
+    every = [contact for outcome in outcomes for contact in outcome.contacts]
+    pressed = [contact for contact in every if contact.number >= 0]
+    known = [contact for contact in pressed if contact.estimate is not None]
+    error = np.array([contact.error for contact in known]).reshape(-1, 3)
+    deviation = np.array([contact.deviation for contact in known]).reshape(-1, 3)
+    told = Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
+    return {
+        "silent": Share(sum(c.is_silent for c in every), sum(o.presses for o in outcomes)),
+        "live": total(outcome.claims for outcome in outcomes),
+        "error over sd": rms(error / np.maximum(deviation, 1e-12)),
+        "in 95 %": _mean(np.abs(error) <= TWO_SIDED_95 * deviation),
+        "changed": share(c.flags & Flag.TISSUE_CHANGED for c in pressed),
+        "mismatch": share(c.flags & Flag.MODEL_MISMATCH for c in pressed),
+        "told live": share(outcome.live & told for outcome in outcomes),
+        "converged": share(c.converged for c in pressed),
+        "unflagged": share(c.claims for c in pressed),
+        "no estimate": share(c.estimate is None for c in pressed),
+        "sd": median(deviation),
+    }
+
+
+def rms(values: Array) -> Array:
+    """Return the root mean square over the first axis; NaN of nothing."""
+    if not len(values):
+        return np.full(np.shape(values)[1:], np.nan)
+    root: Array = np.sqrt(np.mean(np.square(values), axis=0))
+    return root
+
+
+def _mean(values: Array) -> Array:
+    return np.mean(values, axis=0) if len(values) else _NOTHING
+
+
+def mean_of(values: Iterable[float]) -> float:
+    """Return the mean of the values that are finite; NaN of none."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.mean(finite)) if finite else math.nan
+
+
+def median(values: Array) -> Array:
+    """Return the median over the rows that are finite, shape (n, k) to (k,)."""
+    values = np.asarray(values, dtype=float)
+    finite = values[np.all(np.isfinite(values), axis=1)] if values.size else values
+    return np.median(finite, axis=0) if finite.size else _NOTHING
+
+
+def bootstrapped(
+    values: Array, transform: Callable[[Any], Any] = lambda mean: mean
+) -> tuple[float, float, float]:
+    """Return the transformed mean and its 95 % interval, values drawn anew with replacement."""
+    if len(values) < 2:
+        return math.nan, math.nan, math.nan
+    picks = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
+    low, high = np.quantile(transform(values[picks].mean(axis=1)), [0.025, 0.975])
+    return float(transform(values.mean())), float(low), float(high)

@@ -1,0 +1,457 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Simulated rigs of which nothing is known: axes, signs, units, rates, delay, compliance, weight.
+
+The tissue is that of the stepped simulation, pressed by a tool that gives way in series; the
+sensor turns with the tool, has bias, drift, noise and steps; each stream has its own clock rate,
+and one lags the other. Nothing is shared with the findings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from fden_ros.configure.streams import Streams
+from fden_ros.core.arrays import Array
+from fden_ros.simulation.closed_form import FdenModel
+from fden_ros.simulation.tissue import Column, Tissue
+
+Generator = np.random.Generator
+
+GRAVITY = 9.80665
+GRAM_FORCE_N = 9.80665e-3
+#: Step of the simulated mechanics [s].
+_STEP = 2e-3
+_START = 100.0
+
+
+@dataclass(frozen=True)
+class RigTruth:
+    """What was drawn for a rig; SI units."""
+
+    seed: int
+    force_axis: Array  #: unit vector (3,), or (1,) of a sign
+    displacement_axis: Array
+    force_unit: float  #: one unit of the recorded force [N]
+    displacement_unit: float  #: one unit of the recorded position [m]
+    force_rate: float  #: [Hz]
+    displacement_rate: float
+    force_noise: float  #: per sample and axis [N]
+    displacement_noise: float  #: [m]
+    force_step: float  #: quantisation [N], 0: none
+    displacement_step: float
+    bias: Array  #: of each axis at the beginning [N]
+    drift: Array  #: of each axis [N/s]
+    delay: float  #: of the displacement's stamps behind the force's [s]
+    compliance: float  #: [m/N]
+    mass: float  #: that the sensor shows [kg]; 0: taken off by the driver
+    centre: Array  #: of mass in the sensor's frame [m]
+    sensor_turned: bool  #: the poses are not the sensor's orientation
+    sensor_sign: float  #: 1: the sensor measures what acts on the tool
+    area: float  #: of the flat punch [m^2]
+    thickness: float  #: of the tissue [m]
+    linear_stiffness: float  #: G [Pa s^alpha]
+    nonlinear_stiffness: float  #: Gn
+    alpha: float
+    breathing: float  #: amplitude of the surface [m]
+    turns: bool  #: the tool turned in the air
+    rigid: bool  #: something rigid was pressed
+    tissue: bool  #: tissue was pressed
+    leaves: bool  #: the probe left the surface
+    frequencies: tuple[float, ...]  #: of oscillations in contact [Hz]
+    normal: Array | None = None  #: of the surface, in the frame of the poses; None: not known
+
+
+@dataclass(frozen=True)
+class SimulatedRig:
+    """A recording and what is true of it."""
+
+    streams: Streams
+    truth: RigTruth
+
+
+class _Plan:
+    """The probe's planned motion: depth [m], place across [m], turn [rad] about axes, by time."""
+
+    def __init__(self) -> None:
+        self.depth: list[Array] = []
+        self.across: list[Array] = []
+        self.turn: list[Array] = []
+        self.push: list[Array] = []
+        self.kind: list[Array] = []
+        self.at_depth, self.at_across, self.at_turn = 0.0, np.zeros(2), np.zeros(3)
+
+    def move(
+        self,
+        duration: float,
+        depth: float | None = None,
+        across: Array | None = None,
+        turn: Array | None = None,
+        kind: int = 0,
+        push: tuple[float, float] = (0.0, 0.0),
+        wave: tuple[float, float] | None = None,
+    ) -> None:
+        """Go on for `duration` s to what is given; `push` is from and to on something rigid."""
+        n = max(round(duration / _STEP), 1)
+        share = np.arange(1, n + 1) / n
+        smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        to_depth = self.at_depth if depth is None else depth
+        line = self.at_depth + (to_depth - self.at_depth) * smooth
+        if wave is not None:
+            amplitude, frequency = wave
+            t = share * n * _STEP
+            fade = np.minimum(1.0, 2.0 * frequency * np.minimum(t, t[-1] - t))
+            line = line + amplitude * np.sin(2.0 * np.pi * frequency * t) * fade
+        self.depth.append(line)
+        goal = self.at_across if across is None else across
+        self.across.append(self.at_across + np.outer(smooth, goal - self.at_across))
+        facing = self.at_turn if turn is None else turn
+        self.turn.append(self.at_turn + np.outer(smooth, facing - self.at_turn))
+        self.push.append(push[0] + (push[1] - push[0]) * smooth)
+        self.kind.append(np.full(n, kind))
+        self.at_depth, self.at_across, self.at_turn = to_depth, goal, facing
+
+
+_AIR, _TISSUE, _RIGID = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class _Mount:
+    """How the rig stands: what the recording does not say directly."""
+
+    into: Array  #: direction into the tissue in the frame of the poses (3,)
+    facing: Array  #: orientation of the pose while pressing (3, 3)
+    sensor: Array  #: from the sensor's frame into the pose's (3, 3)
+    origin: Array  #: place above the surface (3,) [m]
+    lever: Array  #: from the centre of the turns to the reported point, in the pose's frame [m]
+
+
+def simulate_rig(
+    seed: int,
+    *,
+    along_tool: bool = False,
+    presses: int = 0,
+    slope: tuple[float, float] = (0.0, 0.0),
+    **chosen: Any,
+) -> SimulatedRig:
+    """Return the recording of one rig.
+
+    Parameters
+    ----------
+    seed : int
+        Everything is drawn from it ...
+    along_tool : bool
+        ... but for the directions, if the probe presses along the z of its poses ...
+    presses : int
+        ... for the number of presses of tissue, if given ...
+    slope : tuple of float
+        ... for the surface, which sinks away by these shares of the way to each side ...
+    **chosen
+        ... and for these fields of :class:`RigTruth`.
+    """
+    draw = np.random.default_rng([seed, 17])
+    truth, mount = _draw_rig(seed, draw)
+    truth = replace(truth, **chosen)
+    if along_tool:
+        into = mount.facing[:, 2]
+        mount = replace(mount, into=into, sensor=np.eye(3))
+        truth = replace(
+            truth,
+            sensor_turned=False,
+            force_axis=-truth.sensor_sign * np.array([0.0, 0.0, 1.0]),
+            displacement_axis=into,
+            bias=np.resize(truth.bias, 3),
+            drift=np.resize(truth.drift, 3),
+        )
+    plan, truth = _draw_motion(truth, draw, presses)
+    depth = np.concatenate(plan.depth)
+    kind = np.concatenate(plan.kind)
+    push = np.concatenate(plan.push)
+    times: Array = np.asarray(_START + _STEP * np.arange(1, depth.size + 1), dtype=np.float64)
+    force = _tissue_force(truth, depth, kind == _TISSUE, draw)
+    force[kind == _RIGID] = push[kind == _RIGID]
+    depth = depth + truth.compliance * np.where(kind == _RIGID, push, 0.0)
+    # Lifting slowly to a shallower depth may leave the tissue for a moment, too.
+    truth = replace(truth, leaves=truth.leaves or bool(np.mean(force == 0.0) > 0.1))
+    across, turn = np.concatenate(plan.across), np.concatenate(plan.turn)
+    if truth.displacement_axis.size > 1:
+        normal = mount.into - np.array(slope) @ sideways_of(mount.into)
+        truth = replace(truth, normal=normal / np.linalg.norm(normal))
+        depth = depth + across @ np.array(slope)
+    motion = _Motion(times, depth, across, turn, force)
+    return SimulatedRig(_measure(truth, mount, motion, draw), truth)
+
+
+def _log_uniform(draw: Generator, low: float, high: float) -> float:
+    return float(np.exp(draw.uniform(math.log(low), math.log(high))))
+
+
+def _unit(draw: Generator) -> Array:
+    vector = draw.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _chance(draw: Generator, probability: float) -> bool:
+    return bool(draw.random() < probability)
+
+
+def _draw_rig(seed: int, draw: Generator) -> tuple[RigTruth, _Mount]:
+    is_joint, is_number = _chance(draw, 0.2), _chance(draw, 0.12)
+    turns = not is_joint and not is_number and _chance(draw, 0.65)
+    sensor_turned = _chance(draw, 0.15)
+    mount = _Mount(
+        into=_unit(draw),
+        facing=_turned(_unit(draw) * draw.uniform(0.0, np.pi)),
+        sensor=_turned(_unit(draw) * draw.uniform(0.3, np.pi) * sensor_turned),
+        origin=draw.uniform(-0.5, 0.5, 3),
+        lever=draw.uniform(-0.1, 0.1, 3),
+    )
+    sign = float(draw.choice([-1.0, 1.0]))
+    peak = _log_uniform(draw, 0.3, 8.0)
+    nonlinear = draw.uniform(4.0, 14.0)
+    area = math.pi * draw.uniform(0.004, 0.012) ** 2
+    bend = nonlinear * _DEEPEST
+    curve = math.exp(bend - 1.0) / nonlinear if bend > 1.0 else _DEEPEST
+    noise = min(_log_uniform(draw, 1e-3, 3e-2), peak / 15.0)
+    components = 1 if is_number else 3
+    truth = RigTruth(
+        seed=seed,
+        force_axis=(
+            np.array([sign])
+            if is_number
+            else mount.sensor.T @ mount.facing.T @ (-sign * mount.into)
+        ),
+        displacement_axis=np.array([draw.choice([-1.0, 1.0])]) if is_joint else mount.into,
+        force_unit=GRAM_FORCE_N if _chance(draw, 0.12) else 1.0,
+        displacement_unit=1e-3 if _chance(draw, 0.15) else 1.0,
+        force_rate=_log_uniform(draw, 30.0, 1000.0),
+        displacement_rate=_log_uniform(draw, 30.0, 1000.0),
+        force_noise=noise,
+        displacement_noise=_log_uniform(draw, 1e-6, 4e-5),
+        force_step=_chance(draw, 0.3) * 0.5 * noise,
+        displacement_step=_chance(draw, 0.3) * _log_uniform(draw, 1e-6, 2e-5),
+        bias=draw.uniform(-5.0, 5.0, components),
+        drift=draw.normal(0.0, 1.5e-3, components) * _chance(draw, 0.7),
+        delay=float(draw.uniform(-5e-3, 30e-3)),
+        compliance=0.0 if _chance(draw, 0.12) else _log_uniform(draw, 5e-6, 1e-3),
+        mass=0.0 if is_joint or _chance(draw, 0.25) else float(draw.uniform(0.0, 1.0)),
+        centre=draw.uniform(-0.05, 0.05, 3),
+        sensor_turned=sensor_turned,
+        sensor_sign=sign,
+        area=area,
+        thickness=float(draw.uniform(0.012, 0.04)),
+        linear_stiffness=peak / (area * curve),
+        nonlinear_stiffness=float(nonlinear),
+        alpha=float(draw.uniform(0.05, 0.3)),
+        breathing=_chance(draw, 0.3) * float(draw.uniform(5e-5, 5e-4)),
+        turns=turns,
+        rigid=_chance(draw, 0.55),
+        tissue=_chance(draw, 0.93),
+        leaves=_chance(draw, 0.93),
+        frequencies=(),
+    )
+    return truth, mount
+
+
+#: Deepest strain of a press; the drawn peak force is that of it after 1 s.
+_DEEPEST = 0.22
+_HEIGHT = 3e-3
+
+
+def _draw_motion(truth: RigTruth, draw: Generator, presses: int) -> tuple[_Plan, RigTruth]:
+    plan = _Plan()
+    leaves, deepest = truth.leaves, _DEEPEST * truth.thickness
+    rigid = truth.rigid and leaves
+    tissue = truth.tissue or not rigid
+    turns = truth.turns and leaves
+    kind = _AIR if leaves else _TISSUE
+    plan.at_depth = -_HEIGHT if leaves else 0.3 * deepest
+    plan.move(draw.uniform(2.0, 4.0), kind=kind)
+    if turns:
+        _turn(plan, draw)
+    if rigid:
+        plan.move(1.0, across=draw.uniform(-0.04, 0.04, 2))
+        strongest = _log_uniform(draw, 3.0, 15.0)
+        for _ in range(int(draw.integers(2, 4))):
+            _press_rigid(plan, draw, strongest)
+    frequencies: tuple[float, ...] = ()
+    if tissue:
+        usual = int(draw.integers(2, 5))
+        for _ in range(presses or usual):
+            _press(plan, draw, deepest, leaves)
+        if _chance(draw, 0.4):
+            frequencies = (1.0, 4.0) if _chance(draw, 0.6) else (2.0,)
+            _oscillate(plan, draw, deepest, frequencies, leaves)
+    plan.move(draw.uniform(1.0, 3.0), kind=kind)
+    return plan, replace(truth, tissue=tissue, rigid=rigid, turns=turns, frequencies=frequencies)
+
+
+def _turn(plan: _Plan, draw: Generator) -> None:
+    """Turn the tool through orientations in the air, and back."""
+    for _ in range(int(draw.integers(3, 6))):
+        plan.move(draw.uniform(1.0, 2.0), turn=_unit(draw) * draw.uniform(0.5, 1.4))
+        plan.move(draw.uniform(0.3, 1.0))
+    plan.move(2.0, turn=np.zeros(3))
+    plan.move(1.0)
+
+
+def _press_rigid(plan: _Plan, draw: Generator, strongest: float) -> None:
+    plan.move(1.0, depth=0.0)
+    plan.move(draw.uniform(0.8, 2.0), push=(0.0, strongest), kind=_RIGID)
+    plan.move(draw.uniform(0.5, 1.5), push=(strongest, strongest), kind=_RIGID)
+    plan.move(draw.uniform(0.8, 2.0), push=(strongest, 0.0), kind=_RIGID)
+    plan.move(1.0, depth=-_HEIGHT)
+    plan.move(1.0)
+
+
+def _press(plan: _Plan, draw: Generator, deepest: float, leaves: bool) -> None:
+    high = -_HEIGHT if leaves else 0.3 * deepest
+    if leaves:
+        plan.move(1.2, across=draw.uniform(-0.04, 0.04, 2))
+    plan.move(draw.uniform(0.8, 2.0), depth=draw.uniform(0.7, 1.0) * deepest, kind=_TISSUE)
+    plan.move(draw.uniform(0.5, 3.0), kind=_TISSUE)
+    plan.move(draw.uniform(0.6, 1.5), depth=high, kind=_TISSUE)
+    plan.move(draw.uniform(1.0, 2.0), kind=_AIR if leaves else _TISSUE)
+
+
+def _oscillate(
+    plan: _Plan, draw: Generator, deepest: float, frequencies: tuple[float, ...], leaves: bool
+) -> None:
+    if leaves:
+        # Another place: every press of the simulator is one of fresh tissue.
+        plan.move(1.2, across=draw.uniform(-0.04, 0.04, 2))
+    plan.move(1.5, depth=0.7 * deepest, kind=_TISSUE)
+    plan.move(2.0, kind=_TISSUE)
+    for frequency in frequencies:
+        wave = (draw.uniform(0.05, 0.1) * deepest, frequency)
+        plan.move(10.5 / frequency, wave=wave, kind=_TISSUE)
+        plan.move(0.7, kind=_TISSUE)
+    plan.move(1.0, depth=-_HEIGHT if leaves else 0.3 * deepest, kind=_TISSUE)
+
+
+def _turned(vector: Array) -> Array:
+    """Return the matrix (3, 3) of a rotation vector [rad], or (n, 3, 3) of (n, 3)."""
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+
+
+def sideways_of(into: Array) -> Array:
+    """Return two unit vectors (2, 3) perpendicular to one and to each other."""
+    return np.asarray(np.linalg.svd(into[None])[2][1:])
+
+
+def _tissue_force(truth: RigTruth, depth: Array, pressing: Array, draw: Generator) -> Array:
+    """Return the force of the tissue at every step [N]; each press is one of fresh tissue."""
+    breathing = truth.breathing * np.sin(
+        2.0 * np.pi * draw.uniform(0.2, 0.35) * _STEP * np.arange(depth.size)
+        + draw.uniform(0.0, 2.0 * np.pi)
+    )
+    model = FdenModel(truth.linear_stiffness, truth.nonlinear_stiffness, truth.alpha)
+    strains = (depth - breathing) / truth.thickness
+    gives = truth.compliance * truth.area / truth.thickness
+    force = np.zeros_like(depth)
+    tissue = Tissue([Column(model)], _STEP)
+    for n in np.flatnonzero(pressing).tolist():
+        if n and not pressing[n - 1]:
+            tissue = Tissue([Column(model)], _STEP)
+        strain = float(strains[n])
+        # The tool gives way: the stress at the strain that it leaves.
+        stress = _balanced(tissue.response(), strain, gives)
+        force[n] = tissue.press(strain - gives * stress) * truth.area
+    return force
+
+
+def _balanced(response: Callable[[float], float], strain: float, gives: float) -> float:
+    """Return the stress at which a tool that gives way by so much a stress stands [Pa]."""
+    most = response(strain)
+    if gives == 0.0 or most == 0.0:
+        return most
+    found = brentq(lambda f: response(strain - gives * f) - f, 0.0, most, rtol=1e-9)
+    return float(found)
+
+
+class _Motion(NamedTuple):
+    """What the tip and the tissue did; arrays over the steps."""
+
+    times: Array  #: [s]
+    depth: Array  #: [m]
+    across: Array  #: [m], shape (n, 2)
+    turn: Array  #: rotation vector [rad], shape (n, 3)
+    force: Array  #: of the tissue [N]
+
+    def at(self, values: Array, instants: Array) -> Array:
+        """Return values, (n, k), at other instants, (m, k)."""
+        columns = [np.interp(instants, self.times, column) for column in values.T]
+        return np.stack(columns, axis=1)
+
+    def clock(self, rate: float, draw: Generator) -> Array:
+        """Return the instants of a stream's samples, unevenly [s]."""
+        count = int((self.times[-1] - self.times[0]) * rate)
+        steps = np.arange(count) + draw.uniform(0.0, 0.05) * draw.uniform(-1.0, 1.0, count)
+        return np.asarray(self.times[0] + (steps + 0.1) / rate)
+
+
+def _measure(truth: RigTruth, mount: _Mount, motion: _Motion, draw: Generator) -> Streams:
+    force_times = motion.clock(truth.force_rate, draw)
+    motion_times = motion.clock(truth.displacement_rate, draw)
+    force_values, torque = _wrench(truth, mount, motion, force_times, draw)
+    position, orientation = _pose(truth, mount, motion, motion_times, draw)
+    stamps = motion_times + truth.delay
+    name = f"rig {truth.seed}"
+    return Streams(name, force_times, force_values, stamps, position, torque, orientation)
+
+
+def _wrench(
+    truth: RigTruth, mount: _Mount, motion: _Motion, stamps: Array, draw: Generator
+) -> tuple[Array, Array | None]:
+    pushed = np.interp(stamps, motion.times, motion.force)[:, None]
+    torque = None
+    if truth.force_axis.size == 1:
+        values = pushed * truth.force_axis
+    else:
+        facing = _turned(motion.at(motion.turn, stamps)) @ mount.facing @ mount.sensor
+        down = np.array([0.0, 0.0, -GRAVITY * truth.mass])
+        weight = truth.sensor_sign * np.einsum("nji,j->ni", facing, down)
+        on_tool = -truth.sensor_sign * np.einsum("nji,j->ni", facing, mount.into)
+        torque = np.cross(truth.centre, weight) + draw.normal(0.0, 1e-3, (stamps.size, 3))
+        values = pushed * on_tool + weight
+    noise = draw.normal(0.0, truth.force_noise, values.shape)
+    drifted = truth.drift * (stamps - motion.times[0])[:, None]
+    values = _stepped(values + truth.bias + drifted + noise, truth.force_step) / truth.force_unit
+    return values, None if torque is None else torque / truth.force_unit
+
+
+def _pose(
+    truth: RigTruth, mount: _Mount, motion: _Motion, instants: Array, draw: Generator
+) -> tuple[Array, Array | None]:
+    deep = np.interp(instants, motion.times, motion.depth)[:, None]
+    orientation = None
+    if truth.displacement_axis.size == 1:
+        position = deep * truth.displacement_axis + 0.1
+    else:
+        facing = _turned(motion.at(motion.turn, instants)) @ mount.facing
+        wander = [
+            np.sin(2.0 * np.pi * draw.uniform(0.05, 0.5) * instants + draw.uniform(0.0, 6.28))
+            for _ in range(2)
+        ]
+        sideways = motion.at(motion.across, instants) + 1.5e-5 * np.stack(wander, axis=1)
+        position = (
+            mount.origin
+            + deep * mount.into
+            + sideways @ sideways_of(mount.into)
+            + (facing - mount.facing) @ mount.lever
+        )
+        orientation = Rotation.from_matrix(facing).as_quat()
+    position = position + draw.normal(0.0, truth.displacement_noise, position.shape)
+    return _stepped(position, truth.displacement_step) / truth.displacement_unit, orientation
+
+
+def _stepped(values: Array, step: float) -> Array:
+    return values if step == 0.0 else np.asarray(step * np.round(values / step))

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The shape of every command of ``fden``, and the kinds of argument that several take."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fden_ros.errors import InputError
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that says what is wrong in one line, and where the rest is explained."""
+
+    def error(self, message: str) -> Any:
+        """End the program with exit code 2."""
+        self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
+
+
+def _nothing(parser: argparse.ArgumentParser) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command of ``fden``: a module of this folder has it as ``COMMAND``.
+
+    Parameters
+    ----------
+    name, summary : str
+        As typed, and the line that ``fden --help`` says of it.
+    description, epilog : str
+        What ``--help`` says before and after the arguments; the epilog begins with examples.
+    add_arguments : callable
+        Adds the arguments to a parser.
+    run : callable, optional
+        Takes the parsed arguments and returns the exit code. It calls ``args.parser.error`` where
+        arguments do not go together, and raises
+        :class:`~fden_ros.errors.InputError` where what they name cannot be used.
+    parts : tuple of Command
+        Commands below this one, which then has no `run` of its own.
+    """
+
+    name: str
+    summary: str
+    description: str
+    epilog: str
+    add_arguments: Callable[[argparse.ArgumentParser], None] = _nothing
+    run: Callable[[argparse.Namespace], int] | None = None
+    parts: tuple[Command, ...] = ()
+
+    def add_to(self, commands: argparse._SubParsersAction[Any]) -> None:
+        """Add the command to those of a parser."""
+        parser = commands.add_parser(
+            self.name,
+            help=self.summary,
+            description=self.description,
+            epilog=self.epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        self.add_arguments(parser)
+        parser.set_defaults(parser=parser)
+        if self.run is not None:
+            parser.set_defaults(run=self.run)
+        if self.parts:
+            below = parser.add_subparsers(required=True, metavar="WHAT")
+            for part in self.parts:
+                part.add_to(below)
+
+
+def number(
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    whole: bool = False,
+) -> Callable[[str], float]:
+    """Return a type of argument: a finite number within bounds, of which `least` is allowed."""
+    expected = "a whole number" if whole else "a number"
+    bounds = (("above", above), ("of at least", least), ("below", below))
+    limits = " and ".join(f"{word} {value:g}" for word, value in bounds if math.isfinite(value))
+    words = f"{expected} {limits}".rstrip()
+
+    def convert(text: str) -> float:
+        try:
+            value = int(text) if whole else float(text)
+        except ValueError:
+            value = math.nan
+        if above < value < below and least <= value:
+            return value
+        raise argparse.ArgumentTypeError(f"expected {words}, got {text!r}")
+
+    return convert
+
+
+positive = number(above=0.0)
+count = number(least=1, whole=True)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json``."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def print_json(value: Any) -> int:
+    """Print one JSON object; return the exit code of success."""
+    json.dump(value, sys.stdout, allow_nan=False)
+    print()
+    return 0
+
+
+def write(path: Path, save: Callable[[Path], object]) -> None:
+    """Let `save` write a file.
+
+    Raises
+    ------
+    InputError
+        If it cannot.
+    """
+    try:
+        save(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise InputError(f"{path}: cannot be written: {reason}") from None

@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``fden doctor``: what a running identifier hears and lacks, and what to do next."""
+
+from __future__ import annotations
+
+import argparse
+
+from fden_ros.commands.command import Command
+
+DESCRIPTION = """\
+Listen to a running identifier for 3 s and print one page: what it hears and at which rates, what
+it lacks, what it refused last, and the one next step. Exit code 3: there is something to mend.
+"""
+
+EPILOG = """\
+examples:
+  fden doctor                        the node /identifier
+  fden doctor /left/identifier       another one
+"""
+
+#: There is something to mend.
+_UNWELL = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
+    parser.add_argument(
+        "identifier", nargs="?", default="/identifier", help="its name (default: /identifier)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Examine the node; return the exit code."""
+    from fden_ros.nodes.doctor import examine
+
+    found = examine("/" + args.identifier.lstrip("/"))
+    print(found.page())
+    return 0 if found.is_well else _UNWELL
+
+
+COMMAND = Command(
+    "doctor",
+    "what a running identifier hears and lacks, and the next step",
+    DESCRIPTION,
+    EPILOG,
+    add_arguments,
+    run,
+)

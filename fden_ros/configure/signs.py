@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""Signs of force and displacement: the readings of a recording compared.
+
+Force and displacement may each grow or fall as the probe presses: four readings, of which mostly
+two go with the force's change. Under the right one the force is that of a contact:
+
+.. math:: F(t) = b + d\,t + \sum_{k,m} w_{km} \int_0^t e^{-(t-s)/\tau_m} \, d(x(s)-x_k)_+
+          + \sum_m h_m e^{-t/\tau_m}, \qquad w_{km} \ge 0
+
+It is constant in the air but for a drift d, grows convexly with the depth x, never pulls, and
+relaxes towards the force in the air; h is what the tissue remembers from before. Least squares
+with weights that are not negative fit each reading, and the ratio of the likelihoods says how far
+the next best is excluded. Several presses, perhaps of several places, are fitted one by one, cut
+between them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.signal import find_peaks, lfilter
+
+from fden_ros.core.arrays import Array
+
+Mask = NDArray[np.bool_]
+
+#: A reading is stated where it is this many times as likely as any other.
+LEAST_RATIO = 1e4
+#: Times of relaxation [s]: a sum of two follows what a press and a hold show of a power law.
+_TIMES = (0.5, 6.0)
+#: Delays of the displacement that are tried [s].
+_DELAYS = (-0.02, 0.0, 0.02, 0.04, 0.06)
+#: Knots of the depth, evenly and by the changes of the force.
+_KNOTS = 6
+#: A stroke that cuts is at least this part of the range in which the force changes.
+_STROKE = 0.4
+#: Parts are fitted one by one up to this number, and from this number of chunks on.
+_MOST_PARTS, _LEAST_CHUNKS = 40, 10
+
+#: Signs of force and way.
+_READINGS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
+
+Cuts = list[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Course:
+    """Force and motion of one recording along their lines, in chunks."""
+
+    times: Array  #: (n,) [s]
+    way: Array  #: (n,)
+    push: Array  #: (n,)
+    seen: Mask  #: chunks that count (n,)
+
+
+@dataclass(frozen=True)
+class Signs:
+    """The likeliest reading, and by how much.
+
+    Parameters
+    ----------
+    force, way : float
+        1 where it grows into the tissue, -1 where it falls.
+    log_ratio : float
+        Logarithm of its likelihood over that of the next best reading.
+    """
+
+    force: float
+    way: float
+    log_ratio: float
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the other readings are excluded."""
+        return self.log_ratio > math.log(LEAST_RATIO)
+
+
+def find_signs(courses: Sequence[Course]) -> Signs:
+    """Compare the readings of recordings of one rig."""
+    total = sum((_compared(course) for course in courses), np.zeros(len(_READINGS)))
+    next_best, best = np.argsort(total)[-2:]
+    return Signs(*_READINGS[best], float(total[best] - total[next_best]))
+
+
+def _compared(course: Course) -> Array:
+    """Return ln of the likelihoods (4,), with those cuts with which any reading fits best."""
+    course = min((_shifted(course, delay) for delay in _DELAYS), key=_misfit)
+    least, found = math.inf, np.zeros(len(_READINGS))
+    for cuts in _partitions(course):
+        parts = [[_residual(course, a, b, reading) for reading in _READINGS] for a, b in cuts]
+        misfits = np.array([[float(r @ r) for r in part] for part in parts])
+        if float(misfits.sum(axis=0).min()) < least:
+            least = float(misfits.sum(axis=0).min())
+            found = sum((_log_likelihoods(part) for part in parts), np.zeros(len(_READINGS)))
+    return found
+
+
+def _shifted(course: Course, delay: float) -> Course:
+    way = np.interp(course.times + delay, course.times, course.way)
+    return replace(course, way=way)
+
+
+def _misfit(course: Course) -> float:
+    """Return what the nearest reading of the whole leaves."""
+    whole = (_residual(course, 0, course.times.size, reading) for reading in _READINGS)
+    return min(float(residual @ residual) for residual in whole)
+
+
+def _log_likelihoods(residuals: Sequence[Array]) -> Array:
+    """Return those of a Gaussian whose variance is not known (4,)."""
+    misfits = np.maximum([float(r @ r) for r in residuals], 1e-300)
+    nearest = residuals[int(np.argmin(misfits))]
+    # Neighbours that hang together count for less.
+    together = float(nearest[1:] @ nearest[:-1]) / misfits.min() if nearest.size > 1 else 0.0
+    together = min(max(together, 0.0), 0.99)
+    count = nearest.size * (1.0 - together) / (1.0 + together)
+    return np.asarray(-0.5 * count * np.log(misfits))
+
+
+def _partitions(course: Course) -> list[Cuts]:
+    """Return the whole, and the parts from one turning point of the motion to the next but one."""
+    way = course.way
+    found: list[Cuts] = [[(0, way.size)]]
+    changes = np.abs(np.diff(course.push))
+    active = changes > 3.0 * float(np.median(changes))
+    middles = 0.5 * (way[1:] + way[:-1])
+    if not active.any():
+        return found
+    stroke = float(np.ptp(np.quantile(middles[active], [0.05, 0.95])))
+    for sign in (1.0, -1.0):
+        turns = find_peaks(sign * way, prominence=max(_STROKE * stroke, 1e-300))[0]
+        turns = turns[:: max(math.ceil(turns.size / _MOST_PARTS), 1)]
+        ends = [0]
+        for turn in turns:
+            if min(turn - ends[-1], way.size - turn) >= _LEAST_CHUNKS:
+                ends.append(int(turn))
+        if len(ends) > 1:
+            found.append(list(zip(ends, [*ends[1:], way.size], strict=True)))
+    return found
+
+
+def _residual(course: Course, first: int, last: int, reading: tuple[float, float]) -> Array:
+    """Return what a part leaves under a reading."""
+    span = slice(first, last)
+    seen = course.seen[span]
+    if seen.sum() < _LEAST_CHUNKS:
+        return np.empty(0)
+    since = course.times[span] - course.times[first]
+    push, depth = reading[0] * course.push[span], reading[1] * course.way[span]
+    free = [np.ones_like(since), since, *(np.exp(-since / time) for time in _TIMES)]
+    axes = np.linalg.qr(np.stack(free, axis=1)[seen])[0]
+    columns = np.column_stack([_contact(since, depth, push), push])[seen]
+    columns -= axes @ (axes.T @ columns)
+    sizes = np.maximum(np.linalg.norm(columns[:, :-1], axis=0), 1e-12)
+    small = np.asarray(np.linalg.qr(columns / [*sizes, 1.0], mode="r"))
+    weights = nnls(small[:, :-1], small[:, -1], maxiter=100 * sizes.size)[0]
+    return np.asarray(columns[:, -1] - columns[:, :-1] @ (weights / sizes))
+
+
+def _contact(since: Array, depth: Array, push: Array) -> Array:
+    """Return the forces of unit springs and Maxwell elements that begin at knots of the depth."""
+    step = float(np.median(np.diff(since)))
+    columns = []
+    for knot in _knots(depth, push):
+        pressed = np.maximum(depth - knot, 0.0)
+        columns.append(pressed)
+        for time in _TIMES:
+            kept = math.exp(-step / time)
+            force = lfilter([1.0], [1.0, -kept], np.diff(pressed, prepend=pressed[0]))
+            # The probe leaves: nothing pulls it.
+            columns.append(np.where(pressed > 0.0, force, 0.0) if pressed[0] == 0.0 else force)
+    return np.stack(columns, axis=1)
+
+
+def _knots(depth: Array, push: Array) -> Array:
+    even = np.linspace(depth.min(), depth.max(), _KNOTS, endpoint=False)
+    middles = 0.5 * (depth[1:] + depth[:-1])
+    order = np.argsort(middles)
+    changes = np.cumsum(np.abs(np.diff(push))[order])
+    if not changes[-1] > 0.0:
+        return even
+    parts = np.linspace(0.0, changes[-1], _KNOTS + 2)[1:-1]
+    return np.unique(np.concatenate([even, np.interp(parts, changes, middles[order])]))

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One tissue against two: whether the stiffness has changed under the probe.
+
+The evidence of the record with a change of the stiffness against that without, both averaged anew
+over the scales of the law's errors, so that a smooth misfit widens these and a jump cannot be
+bought by them. Both are solved from the last solution, which was made before the change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.unknowns import Unknown, change_since
+
+#: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
+#: thousand, at some 250 looks.
+_THRESHOLD = 10.6
+#: Least relative change of the stiffness that is said [1].
+_LEAST_STEP = 0.15
+#: Times before now at which the change may have been [s].
+_AGO = (0.03, 0.06, 0.12, 0.24)
+#: Factors of the best of these at which it is looked for more closely [1].
+_CLOSER = (0.7, 0.85, 1.2, 1.45)
+#: An innovation beyond this many standard deviations asks for a look [1].
+SUSPICIOUS = 3.5
+#: Least time between two looks [s].
+LOOK_PERIOD = 0.04
+
+
+def change_of(
+    points: Points,
+    solution: Solution,
+    without: Posterior,
+    with_change: Callable[[Unknown], Posterior],
+) -> Unknown | None:
+    """Return the change that the record shows; None: none.
+
+    Parameters
+    ----------
+    points : Points
+        The record up to now.
+    solution : Solution
+        The last one.
+    without : Posterior
+        Of which that is a solution.
+    with_change : callable
+        Returns the posterior with one more unknown, behind those that are not of the law's errors.
+    """
+    state, scales = solution.maximum.state, solution.maximum.scales
+    if state.size != without.model.size:
+        return None
+    count, now = len(without.model.unknowns), float(points.times[-1])
+    alone = without.solution(points, [state], scales).log_evidence
+    best, gain = None, _THRESHOLD
+
+    def look(ago: float) -> None:
+        nonlocal best, gain
+        if now - ago <= points.times[0]:
+            return
+        unknown = change_since(now - ago)
+        start = np.insert(state, count, 0.0)
+        found = with_change(unknown).solution(points, [start], scales)
+        is_large = abs(found.mean[count]) > _LEAST_STEP
+        if is_large and found.log_evidence - alone > gain:
+            best, gain = unknown, found.log_evidence - alone
+
+    for ago in _AGO:
+        look(ago)
+    if best is not None and best.since is not None:
+        middle = now - best.since
+        for factor in _CLOSER:
+            look(factor * middle)
+    return best

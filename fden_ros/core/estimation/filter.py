@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The extended Kalman filter between two solutions of the posterior.
+
+The state x holds the unknowns and the two walks. A block of stress z is
+
+.. math::
+    z = f(\hat\theta) + J(\theta - \hat\theta) + w + k s + v = h(x) + v,
+
+linear about the maximum of the last solution. Predict and update as in the book (Bar-Shalom,
+Li and Kirubarajan 2001, section 5.2):
+
+.. math::
+    P \leftarrow P + Q, \quad y = z - h(x), \quad S = H P H^T + R, \quad
+    K = P H^T S^{-1}, \quad x \leftarrow x + K y, \quad P \leftarrow P - K S K^T .
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import ErrorModel, Errors
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.solution import Solution
+
+
+class Update(NamedTuple):
+    """How a block compared with its prediction."""
+
+    prediction: float  #: [Pa]
+    innovation: float  #: observed less predicted [Pa]
+    variance: float  #: S, of the innovation [Pa^2]
+
+
+class PressFilter:
+    """Goes on from a solution, block by block.
+
+    Parameters
+    ----------
+    solution : Solution
+    model : PressModel
+    error_model : ErrorModel
+
+    Attributes
+    ----------
+    x, P : ndarray, shapes (n + 2,), (n + 2, n + 2)
+        Mean and covariance of the unknowns, the stress's walk and the surface's.
+    """
+
+    def __init__(self, solution: Solution, model: PressModel, error_model: ErrorModel) -> None:
+        self._model, self._error_model = model, error_model
+        self._about = solution.maximum.state
+        self._scales = max(solution.scales, key=lambda s: solution.scales[s])
+        self._response = copy.deepcopy(solution.response_state)
+        self._loading = solution.maximum.errors.loading
+        n = model.size
+        self._known = np.flatnonzero([u.sd == 0.0 for u in model.unknowns])
+        # Given the unknowns the walks are what the residuals less their columns leave.
+        by_unknowns = -solution.walk.means[:, 1:]
+        p00, p01, p11 = solution.walk.covariance
+        self.x = np.empty(n + 2)
+        self.x[:n] = solution.mean
+        self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
+        self.P = np.empty((n + 2, n + 2))
+        self.P[:n, :n] = solution.covariance
+        by_unknowns[:, self._known] = 0.0
+        self.P[n:, :n] = by_unknowns @ solution.covariance
+        self.P[:n, n:] = self.P[n:, :n].T
+        self.P[n:, n:] = self.P[n:, :n] @ by_unknowns.T + np.array([[p00, p01], [p01, p11]])
+
+    @property
+    def mean(self) -> Array:
+        """Mean of the unknowns, (n,)."""
+        return self.x[:-2]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns, (n, n)."""
+        return self.P[:-2, :-2]
+
+    @property
+    def loading_age(self) -> float:
+        """Mean time since the present elastic response was built up [s]."""
+        return self._loading.age
+
+    def _predict(self, errors: Errors) -> None:
+        """Let the walks go on."""
+        walk, motion = errors.walks(self._scales.roughness, self._scales.motion)
+        self.P[-2, -2] += walk[0]
+        self.P[-1, -1] += motion[0]
+
+    def step(self, points: Points, *, learns: bool = True) -> Update:
+        """Take one block; `learns`: update the state by it, not only the prediction.
+
+        Raises
+        ------
+        FloatingPointError
+            If the prediction is not finite.
+        """
+        found = self._model.evaluate(points, self._about, self._response)
+        errors = self._error_model.errors(points, self._about, found.stress, self._loading)
+        self._loading = errors.loading
+        self._predict(errors)
+        H = np.concatenate([found.jacobian[0], [1.0, errors.gain[0]]])
+        H[:-2][self._known] = 0.0
+        h = found.stress[0] + H[:-2] @ (self.mean - self._about) + H[-2:] @ self.x[-2:]
+        y = points.stresses[0] - h
+        PHt = self.P @ H
+        S = H @ PHt + errors.noise[0]
+        if not (np.isfinite(y) and S > 0.0):
+            raise FloatingPointError("the prediction of the stress is not finite")
+        if learns:
+            K = PHt / S
+            self.x = self.x + K * y
+            self.P = self.P - np.outer(K, PHt)
+        return Update(float(h), float(y), float(S))

@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How far the tissue is from the law, read off the law's errors of a solution."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, characteristic_splines
+from fden_ros.core.law.relaxation import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    RATES,
+    relaxation_weights,
+)
+
+#: Places in time and strain at which the errors are read off [1].
+_PLACES = 16
+#: Part of the elapsed time, and of the largest strain, from which on they are [1].
+_FROM_TIME, _FROM_STRAIN = 0.03, 0.1
+#: The loaded part of the characteristic is above this part of the largest strain [1].
+_LOADED = 0.7
+
+
+def law_error(
+    mean: Array,
+    covariance: Array,
+    parts: tuple[slice, slice],
+    last_knot: float,
+    seen: tuple[float, float],
+) -> LawError:
+    """Return root mean squares of the errors over what was seen, with their standard deviations.
+
+    Parameters
+    ----------
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        Of the unknowns.
+    parts : tuple of slice
+        Of the kernel's error and of the characteristic's among them.
+    last_knot : float
+        Strain of the last knot [1].
+    seen : tuple of float
+        Time since the touch [s], and largest strain [1].
+    """
+    kernel, characteristic = parts
+    elapsed, strain = seen
+    times = np.geomspace(_FROM_TIME * elapsed, elapsed, _PLACES)
+    design, slope = _relaxation_functionals(float(mean[ORDER]), times)
+    bend = design @ mean[kernel]
+    bend_covariance = design @ covariance[kernel, kernel] @ design.T
+    own = np.zeros(mean.size)
+    own[ORDER], own[kernel] = 1.0, -slope
+    strains = np.linspace(_FROM_STRAIN * strain, strain, _PLACES)
+    curve = characteristic_splines(strains, last_knot)
+    off = curve @ mean[characteristic]
+    off_covariance = curve @ covariance[characteristic, characteristic] @ curve.T
+    loaded = strains >= _LOADED * strain
+    return LawError(
+        *_root_mean_square(bend, bend_covariance),
+        *_root_mean_square(off, off_covariance),
+        *_root_mean_square(off[loaded], off_covariance[np.ix_(loaded, loaded)]),
+        float(own @ mean),
+        math.sqrt(max(float(own @ covariance @ own), 0.0)),
+    )
+
+
+def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
+    """Return the kernel's error at times less its line in ln t, and the line's slope, by knots."""
+    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
+    after = np.hstack(
+        [
+            weights[:-2] * np.exp(-np.outer(times, RATES)),
+            np.full((times.size, 1), weights[-2]),
+            np.zeros((times.size, 1)),
+        ]
+    )
+    errors = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
+    logs = np.log(times)
+    line = np.column_stack([np.ones(times.size), logs - logs.mean()])
+    fit = np.linalg.pinv(line)
+    return errors - line @ fit @ errors, fit[1] @ errors
+
+
+def _root_mean_square(values: Array, covariance: Array) -> tuple[float, float]:
+    size = math.sqrt(float(np.mean(values**2)))
+    return size, math.sqrt(max(float(np.mean(covariance.diagonal())), 0.0))

@@ -1,0 +1,572 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The estimator of one site: record, solutions of its posterior, and the filter between them.
+
+The order of events, for each block: the filter takes it; where the record has grown enough, the
+posterior is solved anew and the filter goes on from there. After a press its posterior is the next
+one's prior, and the stress of the press goes on to act as the free surface of the tissue.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPICIOUS, change_of
+from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
+from fden_ros.core.estimation.error_model import ErrorModel, Noise
+from fden_ros.core.estimation.estimate import Estimate, LawError
+from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.innovation_monitor import InnovationMonitor
+from fden_ros.core.estimation.law_error import law_error
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.record import Points, Record, Sample, block_points
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rival import mismatch_log_odds
+from fden_ros.core.estimation.scales import Scales, carried_scales, scales_of
+from fden_ros.core.estimation.solution import Belief, Posterior, Solution
+from fden_ros.core.estimation.unknowns import (
+    LOG_G,
+    LOG_GN,
+    ORDER,
+    ORIGIN,
+    Lifetime,
+    Unknown,
+    strain_range,
+    unknowns_of,
+)
+from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.relaxation import StressMoments
+from fden_ros.core.streams.samples import PathNoise
+
+#: The posterior is solved anew when the time since the touch, or the largest compression, has
+#: grown by these factors [1], some 40 times a contact; between two the filter is off by half
+#: a standard deviation.
+_TIME_RATIO, _DEPTH_RATIO = 1.15, 1.08
+#: Blocks before the first solution [1].
+_FIRST_SOLUTION = 4
+#: Starts of ln Gn, about the prior's mean in its standard deviations [1].
+_STARTS = (-0.8, 0.8)
+#: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
+#: standard deviations off.
+_UNKNOWN_ZERO = 0.01
+#: Probability of a relaxation that ends beyond which it is said [1].
+_MISMATCH = 0.95
+#: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
+#: of the relaxation's order counts as this at least [1].
+_CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
+#: Least factor by which the stiffness changes [1].
+_LEAST_FACTOR = 0.05
+_NOISELESS = PathNoise()
+
+
+class _Press:
+    """One press: its record, model and filter."""
+
+    def __init__(self, start: float, zero_sd: float, drift_sd: float, noise_sd: float) -> None:
+        self.start, self.zero_sd, self.drift_sd = start, zero_sd, drift_sd
+        self.record = Record(noise_sd)
+        self.free: FreeSurface | None = None
+        self.samples: list[Sample] = []
+        self.last = start
+        self.is_pressed = False
+        self.blocks = 0
+        self.solution: Solution | None = None
+        self.posterior: Posterior | None = None
+        self.filter: PressFilter | None = None
+        self.solved_at = (0.0, 0.0)
+        self.changes: list[Unknown] = []
+        self.is_contradicted = False
+        self.looked_at = -math.inf
+
+
+class PosteriorEstimator:
+    """The estimator of one site.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    geometry : Geometry
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    origin_sd : float
+        Standard deviation of the strain origin [1]; 0: known.
+    path_noise : PathNoise
+        Of the compression [1].
+    rig : RigKnowledge, optional
+        What earlier contacts have told; without it what the configuration states.
+    """
+
+    def __init__(
+        self,
+        config: EstimatorConfig,
+        geometry: Geometry,
+        noise_sd: float,
+        origin_sd: float = 0.0,
+        path_noise: PathNoise = _NOISELESS,
+        rig: RigKnowledge | None = None,
+    ) -> None:
+        self._known_rig = rig or RigKnowledge.stated(config)
+        self._stated_config = config
+        learned = self._known_rig.learned(config.uncertainty)
+        self._config = replace(config, uncertainty=learned)
+        self._geometry, self._origin_sd = geometry, origin_sd
+        self._noise_sd, self._path_noise = noise_sd, path_noise
+        self._time = 0.0
+        self._step = 0.0
+        self._press: _Press | None = None
+        self._moments, self._moments_at = StressMoments(), 0.0
+        self._stress_before = 0.0
+        self._carried: tuple[tuple[Unknown, ...], float, Array, Array, bool] | None = None
+        self._max_compression = 0.0
+        self._sample_count = 0
+        self._change_count = 0
+        self._mismatch_probability = 0.0
+
+    # What others ask
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the data contradict the law.
+
+        A law that is said to be exact: the innovations; else a relaxation that ends is likelier.
+        """
+        if self._config.uncertainty.characteristic_sd == 0.0:
+            press = self._press
+            return press is not None and press.is_contradicted
+        return self._mismatch_probability > _MISMATCH
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the newest solution was not found."""
+        press = self._press
+        return press is not None and press.solution is not None and not press.solution.is_solved
+
+    @property
+    def change_count(self) -> int:
+        """Changes of the tissue under the probe that were found."""
+        return self._change_count
+
+    @property
+    def rig_deviations(self) -> float:
+        """How far the press says the rig is from what is stated [1]."""
+        press = self._press
+        if press is None or press.solution is None or press.posterior is None:
+            return 0.0
+        off = 0.0
+        for k, unknown in enumerate(press.posterior.model.unknowns):
+            if unknown.lifetime is Lifetime.RIG:
+                spread = 1.0 - press.solution.covariance[k, k]
+                off = max(off, abs(press.solution.mean[k]) / math.sqrt(max(spread, 0.01)))
+        return off
+
+    def motion_evidence(self) -> list[float] | None:
+        """Return nothing: the motion's scale is averaged over in every solution."""
+        return None
+
+    def rig(self) -> RigKnowledge | None:
+        """Return nothing yet of the rig."""
+        return None
+
+    def work_ahead(self, steps: int, *, begins: bool) -> None:
+        """Do nothing: a solution is made at once."""
+
+    # Samples
+
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
+        self._carry()
+        zero_sd = bias_sd or _UNKNOWN_ZERO * self._geometry.stress_per_force
+        spread = self._path_noise.total
+        noise_sd = math.sqrt(spread / self._step) if self._step else 0.0
+        self._press = _Press(self._time, zero_sd, drift_sd, noise_sd)
+        if self._carried is not None:
+            self._moments.wait(self._time - self._moments_at)
+            self._moments_at = self._time
+            frozen = StressMoments()
+            frozen.values = self._moments.values.copy()
+            self._press.free = FreeSurface(frozen, self._time)
+
+    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
+        """Take a sample of a contact, `step` seconds after the last.
+
+        `is_free`: the tissue is not on the probe, as far as is known.
+        """
+        press = self._press
+        assert press is not None
+        self._time += step
+        if step > 0.0 and not press.record.noise_sd:
+            press.record.noise_sd = math.sqrt(self._path_noise.total / step)
+        if step > 0.0:
+            self._step = step
+        press.is_pressed |= not is_free
+        observed = not (is_free and press.is_pressed)
+        sample = Sample(self._time, compression, stress)
+        press.record.add(*sample, is_observed=observed)
+        if observed:
+            press.samples.append(sample)
+            self._max_compression = max(self._max_compression, compression)
+
+    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
+        """Not used: see :meth:`take`."""
+
+    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
+        """Let time pass without a contact."""
+        del free_responses
+        self._time += sum(steps)
+
+    def _remember(self, stress: float) -> None:
+        """Take the mean stress of a block into the tissue's memory."""
+        step = self._time - self._moments_at
+        if step > 0.0:
+            self._moments.add(step, self._stress_before, stress)
+            self._moments_at, self._stress_before = self._time, stress
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by."""
+        self._remember(0.0)
+        if self._press is not None:
+            self._press.samples.clear()
+
+    def update(self, block: Block) -> Innovation:
+        """Take one block; return how it compared with the prediction.
+
+        Raises
+        ------
+        FloatingPointError
+            If the block's response is beyond floating-point numbers.
+        """
+        press = self._press
+        assert press is not None
+        self._remember(block.stress)
+        self._sample_count += block.size
+        innovation = Innovation(0.0, block.stress, 0.0, max(self._noise_sd**2, 1e-300))
+        if press.filter is not None and press.samples:
+            found = press.filter.step(block_points(press.samples, press.last))
+            press.last = press.samples[-1].time
+            innovation = Innovation(
+                self._elastic(block.compression),
+                found.prediction,
+                found.innovation,
+                found.variance,
+            )
+        press.samples.clear()
+        press.blocks += 1
+        off = innovation.innovation**2 > (SUSPICIOUS**2) * innovation.variance
+        is_time = self._time - press.looked_at > LOOK_PERIOD
+        if press.filter is not None and off and is_time and self._finds_change(press):
+            self._solve(press, fully=True)
+        elif self._is_due(press):
+            self._solve(press)
+        return innovation
+
+    def _finds_change(self, press: _Press) -> bool:
+        """Whether the tissue has changed under the probe; then the change is an unknown more."""
+        assert press.solution is not None
+        press.looked_at = self._time
+        change = change_of(
+            press.record.points(),
+            press.solution,
+            self._posterior(press),
+            lambda unknown: self._posterior(press, (unknown,)),
+        )
+        if change is None:
+            return False
+        press.changes.append(change)
+        self._change_count += 1
+        return True
+
+    def _elastic(self, compression: float) -> float:
+        """Return phi at a compression by the newest estimate [Pa s^alpha]."""
+        assert self._press is not None and self._press.filter is not None
+        mean = self._press.filter.mean
+        origin = mean[ORIGIN] * self._origin_sd
+        strain = self._geometry.strain(compression - origin)
+        return elastic_response(strain, math.exp(mean[LOG_G]), math.exp(mean[LOG_GN])).value
+
+    # Solutions
+
+    def _is_due(self, press: _Press) -> bool:
+        if press.blocks < _FIRST_SOLUTION or press.record.is_full:
+            return False
+        elapsed, depth = press.solved_at
+        return (
+            self._time - press.start > _TIME_RATIO * elapsed
+            or press.record.max_compression > _DEPTH_RATIO * depth > 0.0
+        )
+
+    def _solve(self, press: _Press, *, fully: bool = False) -> None:
+        points = press.record.points()
+        if points.stresses.size < _FIRST_SOLUTION:
+            return
+        posterior = self._posterior(press)
+        tracked = None
+        if press.solution is not None:
+            assert press.posterior is not None
+            tracked = press.solution.maximum.state.copy()
+            known = len(press.posterior.model.unknowns)
+            tracked = np.insert(tracked, [known] * (len(posterior.model.unknowns) - known), 0.0)
+            if press.posterior.model.last_knot != posterior.model.last_knot:
+                tracked[posterior.model.characteristic] = 0.0
+        if tracked is None or fully or press.blocks < 3 * _FIRST_SOLUTION:
+            starts = self._starts(posterior, points)
+            starts += [tracked] if tracked is not None else []
+            scales = _middle(posterior)
+        else:
+            assert press.solution is not None
+            starts = [tracked]
+            scales = press.solution.maximum.scales
+        press.solution = posterior.solution(points, starts, scales)
+        press.posterior = posterior
+        press.filter = PressFilter(press.solution, posterior.model, posterior.error_model)
+        press.last = float(points.times[-1])
+        monitor = InnovationMonitor()
+        for residual in press.solution.residuals.tolist():
+            monitor.add(residual)
+        press.is_contradicted = monitor.mismatch_count > 0
+        press.solved_at = self._time - press.start, press.record.max_compression
+
+    def _posterior(
+        self, press: _Press, more: tuple[Unknown, ...] = (), kind: type[PressModel] = PressModel
+    ) -> Posterior:
+        config, geometry = self._config, self._geometry
+        unknowns = unknowns_of(config, geometry, self._origin_sd, press.drift_sd)
+        unknowns += (*press.changes, *more)
+        is_bent = config.uncertainty.characteristic_sd > 0.0
+        largest = self._geometry.strain(max(self._max_compression + self._origin_sd, 0.0))
+        model = kind(
+            unknowns,
+            geometry,
+            is_bent=is_bent,
+            last_knot=strain_range(largest),
+            free=press.free,
+        )
+        noise = Noise(
+            self._noise_sd,
+            math.sqrt(self._path_noise.total / self._step) if self._step else 0.0,
+            press.zero_sd,
+        )
+        error_model = ErrorModel(model, config.uncertainty, noise)
+        mean, precision = np.zeros(model.size), np.zeros((model.size, model.size))
+        mean[: len(unknowns)] = [u.mean for u in unknowns]
+        for k, unknown in enumerate(unknowns):
+            precision[k, k] = 1.0 / unknown.unit**2 if unknown.unit else 1.0
+        carried = self._carried
+        if carried is None:
+            grid = scales_of(config.uncertainty)
+            return Posterior(
+                model, error_model, Belief(mean, precision), grid, has_field_prior=is_bent
+            )
+        belief, has_fields = _taken_over(carried, model, mean, precision)
+        grid = scales_of(config.uncertainty) if has_fields else carried_scales(config.uncertainty)
+        return Posterior(model, error_model, belief, grid, has_field_prior=has_fields)
+
+    def _starts(self, posterior: Posterior, points: Points) -> list[Array]:
+        found = []
+        sd = posterior.model.unknowns[LOG_GN].sd
+        places = _STARTS if self._carried is None and sd > 0.0 else (0.0,)
+        for place in places:
+            start = posterior.belief.mean.copy()
+            start[LOG_GN] += place * sd
+            if self._carried is None:
+                highest = float(posterior.model.stress(points, start).max())
+                if highest > 0.0:
+                    start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
+            found.append(start)
+        return found
+
+    def relinearise(self, *, fully: bool = False) -> None:
+        """Solve anew at the end of a contact."""
+        press = self._press
+        if fully and press is not None and press.blocks >= _FIRST_SOLUTION:
+            self._solve(press, fully=True)
+            self._compare(press)
+
+    def _compare(self, press: _Press) -> None:
+        """Weigh the law against a relaxation that ends."""
+        solution, posterior = press.solution, press.posterior
+        if solution is None or posterior is None or not posterior.model.is_bent:
+            return
+        if self._carried is not None or self._config.is_order_given:
+            return
+        odds = mismatch_log_odds(
+            press.record.points(),
+            solution,
+            posterior,
+            lambda kind: self._posterior(press, kind=kind),
+        )
+        self._mismatch_probability = 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
+
+    def _carry(self) -> None:
+        """Make the posterior of the press the prior of the next."""
+        press, self._press = self._press, None
+        if press is None or press.solution is None or press.posterior is None:
+            return
+        model = press.posterior.model
+        self._carried = (
+            model.unknowns,
+            model.last_knot,
+            press.solution.mean,
+            press.solution.covariance,
+            model.is_bent,
+        )
+
+    # Result
+
+    def estimate(self) -> Estimate:
+        """Return the present estimate."""
+        press = self._press
+        if press is None or press.filter is None or press.posterior is None:
+            return self._prior_estimate()
+        mean, full = _after_changes(
+            press.posterior.model, press.filter.mean, press.filter.covariance
+        )
+        covariance = full[:3, :3].copy()
+        covariance[:2, :2] += self._config.uncertainty.thickness_sd**2
+        if self._config.fractional_order_given:
+            covariance[ORDER, ORDER] = self._config.prior.fractional_order_sd**2
+        covariance = 0.5 * (covariance + covariance.T)
+        origin_sd = self._origin_sd * math.sqrt(max(float(full[ORIGIN, ORIGIN]), 0.0))
+        origin = self._origin_sd * float(mean[ORIGIN])
+        compression = max(self._max_compression - origin, 0.0)
+        strain = self._geometry.strain(compression)
+        strain_sd = self._geometry.strain_slope(compression) * origin_sd
+        deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        beyond = probability_beyond(strain, strain_sd, float(mean[LOG_GN]), float(deviations[1]))
+        solution = press.solution
+        assert solution is not None
+        error = self._law_error(press, mean, full, strain)
+        claims = claims_of(
+            self._config,
+            Evidence(
+                mean[:3], deviations, beyond, solution.is_solved,
+                origin_sd * math.exp(mean[LOG_GN]),
+            ),
+        )  # fmt: skip
+        return Estimate(
+            log_linear_stiffness=float(mean[LOG_G]),
+            log_nonlinear_stiffness=float(mean[LOG_GN]),
+            fractional_order=float(mean[ORDER]),
+            covariance=covariance,
+            strain_origin=origin,
+            strain_origin_sd=origin_sd,
+            probability_beyond_boundary=beyond,
+            valid=claims.valid,
+            known=claims.known,
+            sample_count=self._sample_count,
+            model_error=sum(s.characteristic * p for s, p in solution.scales.items()),
+            loading_age=press.filter.loading_age,
+            law_error=error,
+            at_edge=claims.at_edge,
+            is_order_contradicted=_is_contradicted(self._config, error),
+        )
+
+    def _law_error(
+        self, press: _Press, mean: Array, covariance: Array, strain: float
+    ) -> LawError | None:
+        assert press.posterior is not None
+        model, elapsed = press.posterior.model, self._time - press.start
+        if not model.is_bent or strain <= 0.0 or elapsed <= 0.0:
+            return None
+        parts = model.kernel, model.characteristic
+        return law_error(mean, covariance, parts, model.last_knot, (elapsed, strain))
+
+    def _prior_estimate(self) -> Estimate:
+        prior = self._config.prior
+        mean, variances = prior.mean, prior.deviations**2
+        origin = 0.0
+        if self._carried is not None:
+            mean, covariance = self._carried[2][:3], self._carried[3][:3, :3].copy()
+            origin = self._origin_sd * float(self._carried[2][ORIGIN])
+        else:
+            covariance = np.diag(variances)
+        covariance[:2, :2] += self._config.uncertainty.thickness_sd**2
+        deviations = np.sqrt(covariance.diagonal())
+        claims = claims_of(self._config, Evidence(mean, deviations, 0.0, False, 0.0))
+        return Estimate(
+            log_linear_stiffness=float(mean[0]),
+            log_nonlinear_stiffness=float(mean[1]),
+            fractional_order=float(mean[2]),
+            covariance=covariance,
+            strain_origin=origin,
+            strain_origin_sd=self._origin_sd,
+            probability_beyond_boundary=0.0,
+            valid=claims.valid,
+            known=claims.known,
+            sample_count=self._sample_count,
+        )
+
+
+def _is_contradicted(config: EstimatorConfig, error: LawError | None) -> bool:
+    """Whether the relaxation is that of another alpha than is stated."""
+    if error is None:
+        return False
+    prior = config.prior
+    both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
+    return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
+
+
+def _after_changes(model: PressModel, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the moments with ln G of the tissue that is under the probe now."""
+    places = [k for k, unknown in enumerate(model.unknowns) if unknown.since is not None]
+    if not places:
+        return mean, covariance
+    factor = max(1.0 + float(mean[places].sum()), _LEAST_FACTOR)
+    jacobian = np.eye(mean.size)
+    jacobian[LOG_G, places] = 1.0 / factor
+    after = mean.copy()
+    after[LOG_G] += math.log(factor)
+    return after, jacobian @ covariance @ jacobian.T
+
+
+def _middle(posterior: Posterior) -> Scales:
+    """Return the scales to begin with: rough, and of a moderate error."""
+    ranked = sorted(posterior.grid, key=lambda g: (g.scales.roughness, g.log_prior))
+    return ranked[-1].scales if len(ranked) < 3 else _nearest(posterior)
+
+
+def _nearest(posterior: Posterior) -> Scales:
+    def off(scales: Scales) -> float:
+        wanted = (0.1, 0.1, 0.06, 1.0)
+        found = zip(scales, wanted, strict=True)
+        return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in found)
+
+    return min((g.scales for g in posterior.grid), key=off)
+
+
+def _taken_over(
+    carried: tuple[tuple[Unknown, ...], float, Array, Array, bool],
+    model: PressModel,
+    mean: Array,
+    precision: Array,
+) -> tuple[Belief, bool]:
+    """Return the belief after an earlier press; and whether the law's errors are open anew."""
+    unknowns, last_knot, old_mean, old_covariance, _ = carried
+    names = [u.name for u in unknowns if u.lifetime is not Lifetime.CONTACT]
+    places = [[u.name for u in model.unknowns].index(name) for name in names]
+    sources = [[u.name for u in unknowns].index(name) for name in names]
+    has_fields = model.is_bent and last_knot == model.last_knot
+    if has_fields:
+        before = len(unknowns)
+        places += list(range(len(model.unknowns), model.size))
+        sources += list(range(before, old_mean.size))
+    elif model.is_bent:
+        places += list(range(model.kernel.start, model.kernel.stop))
+        sources += list(
+            range(len(unknowns), len(unknowns) + model.kernel.stop - model.kernel.start)
+        )
+    belief_mean, belief_precision = mean.copy(), precision.copy()
+    belief_mean[places] = old_mean[sources]
+    covariance = old_covariance[np.ix_(sources, sources)]
+    scale = np.sqrt(covariance.diagonal())
+    scale[scale == 0.0] = 1.0
+    inverse = np.linalg.inv(covariance / np.outer(scale, scale) + 1e-9 * np.eye(scale.size))
+    belief_precision[np.ix_(places, places)] = inverse / np.outer(scale, scale)
+    return Belief(belief_mean, belief_precision), model.is_bent and not has_fields

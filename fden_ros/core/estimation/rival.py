@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""A relaxation that ends against one that goes on: whether predictions of a hold will hold.
+
+The rival of the power law is a spring beside one Maxwell element, E(t) = (1 - q) + q e^(-t/tau),
+with the same characteristic and walk. Their evidence decides; tau is a rate of the kernel,
+averaged over those that the record can show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.unknowns import LOG_G, ORDER
+from fden_ros.core.law.relaxation import RATES, relaxation_weights
+
+#: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
+#: one that is long over.
+_SLOWEST, _FASTEST = 0.3, 60.0
+#: Prior of the part q that relaxes: mean and standard deviation [1].
+_PART, _PART_SD = 0.5, 0.3
+
+
+class _Maxwell(PressModel):
+    """The model of a press on a spring beside a Maxwell element; `order` is q."""
+
+    rate = 0
+
+    def relaxation(self, order: float) -> tuple[Array, Array]:
+        """Return the weights and their derivatives by q."""
+        weights, slopes = np.zeros(RATES.size + 2), np.zeros(RATES.size + 2)
+        weights[self.rate], weights[RATES.size] = order, 1.0 - order
+        slopes[self.rate], slopes[RATES.size] = 1.0, -1.0
+        return weights, slopes
+
+
+def mismatch_log_odds(
+    points: Points,
+    solution: Solution,
+    posterior: Posterior,
+    made: Callable[[type[PressModel]], Posterior],
+) -> float:
+    """Return the log evidence of the rival over that of the power law.
+
+    Parameters
+    ----------
+    points : Points
+    solution : Solution
+        Of the record.
+    posterior : Posterior
+        Of which that is a solution.
+    made : callable
+        Returns the posterior with a model of another class.
+    """
+    elapsed = float(points.times[-1] - points.times[0])
+    start = solution.maximum.state.copy()
+    start[posterior.model.kernel] = 0.0
+    law = _evidence(_straight(made(PressModel)), points, start)
+    wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
+    rivals = []
+    for rate in wanted.tolist():
+        rival = _straight(made(_Maxwell))
+        assert isinstance(rival.model, _Maxwell)
+        rival.model.rate = rate
+        rival.belief.mean[ORDER] = _PART
+        rival.belief.precision[ORDER, ORDER] = 1.0 / _PART_SD**2
+        at = start.copy()
+        at[ORDER] = _PART
+        # The stress after the time seen is about the same.
+        now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
+        at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
+        rivals.append(_evidence(rival, points, at))
+    if not rivals:
+        return -math.inf
+    best = max(rivals)
+    if not math.isfinite(best):
+        return -math.inf
+    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / len(rivals)) - law
+    # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
+    return gain / max(float(np.mean(solution.residuals**2)), 1.0)
+
+
+def _straight(posterior: Posterior) -> Posterior:
+    """Return a posterior whose kernel has no error of its own."""
+    least = min(weighed.scales.kernel for weighed in posterior.grid)
+    posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
+    return posterior
+
+
+def _evidence(posterior: Posterior, points: Points, start: Array) -> float:
+    try:
+        scales = posterior.grid[len(posterior.grid) // 2].scales
+        return posterior.solution(points, [start], scales).log_evidence
+    except (FloatingPointError, OverflowError):
+        return -math.inf

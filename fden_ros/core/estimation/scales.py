@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How large the law's errors and the surface's motion may be: hyperparameters on a grid."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+from fden_ros.core.estimation.estimator_config import Uncertainty
+
+
+class Scales(NamedTuple):
+    """Standard deviations of the errors whose size the evidence decides."""
+
+    kernel: float  #: of delta [1]
+    characteristic: float  #: of epsilon [1]
+    roughness: float  #: rho [1]
+    motion: float  #: of the surface, over what is stated [1]
+
+
+class WeighedScales(NamedTuple):
+    """One place of the grid, and the logarithm of its prior probability."""
+
+    scales: Scales
+    log_prior: float
+
+
+#: Scales of the kernel's error and of the characteristic's, over the stated one of the latter [1]:
+#: from a law that is exact to one that is hardly a law.
+KERNEL_FACTORS = (0.015, 0.1, 0.5, 1.5, 4.0)
+CHARACTERISTIC_FACTORS = (0.015, 0.1, 0.5, 1.65, 5.0)
+#: Scales of the roughness, likewise; a law with no roughness has no other error either.
+ROUGHNESS_FACTORS = (0.0, 0.05, 0.15, 0.5)
+#: Scales of the surface's motion: as stated, and more. Evidence may widen it, never shrink.
+MOTION_FACTORS = (1.0, 2.5)
+#: Errors of kernel and characteristic go together: places of the grid apart beyond this do not
+#: count, and by one apart a scale is less likely by e^-0.5.
+_MOST_APART = 2
+
+
+def exact_scales(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
+    """Return the scales of a law without errors."""
+    return tuple(
+        WeighedScales(Scales(0.0, 0.0, 0.0, motion), 0.0) for motion in _motions(uncertainty)
+    )
+
+
+def scales_of(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
+    """Return the grid of scales for what is stated of law and rig."""
+    unit = uncertainty.characteristic_sd
+    if not unit:
+        return exact_scales(uncertainty)
+    found = []
+    for (i, kernel), (j, characteristic), (r, roughness), motion in itertools.product(
+        enumerate(KERNEL_FACTORS),
+        enumerate(CHARACTERISTIC_FACTORS),
+        enumerate(ROUGHNESS_FACTORS),
+        _motions(uncertainty),
+    ):
+        if abs(i - j) > _MOST_APART or (r == 0 and j > 0) or (r > 1 and j == 0):
+            continue
+        scales = Scales(kernel * unit, characteristic * unit, roughness * unit, motion)
+        found.append(WeighedScales(scales, -0.5 * (i - j) ** 2))
+    return tuple(found)
+
+
+def carried_scales(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
+    """Return the grid where earlier presses have told the smooth errors."""
+    unit = uncertainty.characteristic_sd
+    roughness = ROUGHNESS_FACTORS if unit else (0.0,)
+    return tuple(
+        WeighedScales(Scales(0.0, 0.0, rough * unit, motion), 0.0)
+        for rough, motion in itertools.product(roughness, _motions(uncertainty))
+    )
+
+
+def _motions(uncertainty: Uncertainty) -> tuple[float, ...]:
+    return MOTION_FACTORS if uncertainty.surface_motion_sd else (1.0,)

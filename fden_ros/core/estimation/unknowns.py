@@ -1,0 +1,258 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""What is not known of a press: one object an unknown, with its prior, lifetime and column.
+
+The stress of a press is
+
+.. math::
+    f(t) = \int E(t-s)\,d\max(\psi(u(s)) - F(s), 0) + \text{stresses} + w(t) + v, \qquad
+    u = d/L - o + \tau \dot d/L - C f,
+
+with :math:`E = t^{-\alpha}/\Gamma(1-\alpha)\; e^{\delta(\ln t)}`, :math:`\psi = \varphi\,
+e^{\epsilon(x)}` and F the free surface that earlier presses have left. To add an unknown, add an
+:class:`Unknown` to :func:`unknowns_of`: a column of compressions or of stresses per standard
+deviation. What changes with time is a process of :mod:`fden_ros.core.estimation.error_model`.
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.loop_arguments import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, Column
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.relaxation import RATES, relaxation_weights
+
+#: Speed at which friction has half its full square [m/s]: slower is a hold.
+FRICTION_SPEED = 5e-4
+
+
+class Lifetime(enum.Enum):
+    """For how long an unknown is one and the same."""
+
+    CONTACT = enum.auto()
+    SITE = enum.auto()
+    RIG = enum.auto()
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number that is not known.
+
+    Attributes
+    ----------
+    name : str
+    mean, sd : float
+        Its prior. An unknown counts in standard deviations, except for the law's own parameters.
+    lifetime : Lifetime
+    kind : int
+        What of the law it is, one of the ``BY_...`` of the loops.
+    motion : callable or None
+        Points to the change of their compressions by one standard deviation, (n,).
+    stress : callable or None
+        Points to the stress at their blocks by one standard deviation, (m,) [Pa].
+    since : float or None
+        It is a change of the stiffness at this time [s], relative to the first stiffness.
+    """
+
+    name: str
+    mean: float
+    sd: float
+    lifetime: Lifetime
+    kind: int = 0
+    motion: Callable[[Points], Array] | None = None
+    stress: Callable[[Points], Array] | None = None
+    since: float | None = None
+
+    @property
+    def is_of_law(self) -> bool:
+        """Whether it counts in its own unit."""
+        return self.name in LAW
+
+    @property
+    def unit(self) -> float:
+        """The prior's standard deviation in the unknown's unit."""
+        return self.sd if self.is_of_law else 1.0
+
+    def column(self, points: Points, weights: Array | None) -> Column | None:
+        """Return its derivative's column; None: it only adds a stress."""
+        if self.stress is not None:
+            return None
+        motion = self.motion(points) if self.motion is not None else None
+        return Column(self.kind, motion=motion, weights=weights)
+
+
+#: The law's parameters, in the order of a state.
+LAW = ("log_g", "log_gn", "order")
+#: The first places of a state.
+LOG_G, LOG_GN, ORDER, ORIGIN = range(4)
+
+# The law's errors: knots, and how they are correlated.
+
+#: Knots of the kernel's error delta: one a decade of ln t [ln s].
+KERNEL_KNOTS: Array = math.log(10.0) * np.arange(-4.0, 7.0)
+#: Correlation length of the kernel's error in ln t: two decades, by the evidence of measured beef.
+KERNEL_LENGTH = 2.0 * math.log(10.0)
+#: Knots of the characteristic's error epsilon [1]; fewer predict holds of beef worse.
+CHARACTERISTIC_KNOTS = 22
+#: Correlation length of the characteristic's error in ln phi [1].
+CHARACTERISTIC_LENGTH = 2.0
+#: Strain below which ln phi counts as if there was no motion [1].
+STRAIN_FLOOR = 3e-3
+#: By definition the law's error is 0 at this strain [1], and after this time [s] at this order
+#: [1]: there G and Gn are those of the tissue.
+REFERENCE_STRAIN, REFERENCE_TIME, REFERENCE_ORDER = 0.1, 1.0, 0.3
+#: What is left of the variance of an error where it is 0 by definition [1].
+_CONSTRAINED = 1e-6
+_JITTER = 1e-10
+#: Strain about which the splines become wider, over that of the last knot [1].
+_NEAR = 0.1
+#: The last knot of strain [1] is the least of 0.02 * 1.25^k above the largest strain.
+_LEAST_RANGE, _RANGE_RATIO, _RANGE_MARGIN = 0.02, 1.25, 1.05
+
+
+def hats(places: Array, knots: Array) -> Array:
+    """Return the hat functions of evenly spaced knots at places, shape (places, knots)."""
+    at = np.clip((places - knots[0]) / (knots[1] - knots[0]), 0.0, knots.size - 1.0)
+    result: Array = np.maximum(1.0 - np.abs(at[:, None] - np.arange(knots.size)), 0.0)
+    return result
+
+
+#: Weight of each knot of the kernel's error at each rate, then at slower and faster ones.
+KERNEL_HATS = hats(-np.log(np.concatenate([RATES, RATES[[0, -1]]])), KERNEL_KNOTS)
+
+
+def strain_range(largest: float) -> float:
+    """Return the strain of the last knot for a largest strain [1]."""
+    ratio = max(largest * _RANGE_MARGIN, _LEAST_RANGE) / _LEAST_RANGE
+    return _LEAST_RANGE * _RANGE_RATIO ** math.ceil(math.log(ratio) / math.log(_RANGE_RATIO))
+
+
+def characteristic_knots(last: float) -> Array:
+    """Return the strains about which the splines of the characteristic's error lie [1]."""
+    cells = CHARACTERISTIC_KNOTS - 2
+    middles = np.clip((np.arange(CHARACTERISTIC_KNOTS) - 0.5) / cells, 0.0, 1.0)
+    result: Array = _NEAR * last * np.expm1(middles * math.log1p(1.0 / _NEAR))
+    return result
+
+
+def characteristic_splines(strains: Array, last: float) -> Array:
+    """Return the values of the splines at strains, shape (strains, splines).
+
+    Quadratic and evenly spaced in ln(1 + x / x0), so that they can follow the law's own bend at
+    1/Gn: with hat functions ln Gn has false maxima 0.15 apart.
+    """
+    cells = CHARACTERISTIC_KNOTS - 2
+    scaled = np.log1p(np.maximum(strains, 0.0) / (_NEAR * last)) / math.log1p(1.0 / _NEAR)
+    at = np.minimum(scaled, 1.0) * cells
+    k = np.minimum(at.astype(int), cells - 1)
+    p = at - k
+    result = np.zeros((at.size, CHARACTERISTIC_KNOTS))
+    rows = np.arange(at.size)
+    result[rows, k] = 0.5 * (1.0 - p) ** 2
+    result[rows, k + 1] = 0.5 + p * (1.0 - p)
+    result[rows, k + 2] = 0.5 * p**2
+    return result
+
+
+@dataclass(frozen=True)
+class FieldPrior:
+    """Prior of an error at its knots, at a standard deviation of 1."""
+
+    precision: Array
+    log_determinant: float
+
+
+def _constrained(covariance: Array, zero: Array) -> FieldPrior:
+    """Return the prior of values of which the mean by the weights `zero` is 0 by definition."""
+    along = covariance @ zero
+    held = covariance - (1.0 - _CONSTRAINED) * np.outer(along, along) / (zero @ along)
+    held[np.diag_indices_from(held)] += _JITTER
+    precision = np.linalg.inv(held)
+    return FieldPrior(0.5 * (precision + precision.T), float(np.linalg.slogdet(precision)[1]))
+
+
+@functools.cache
+def kernel_prior() -> FieldPrior:
+    """Return the prior of the kernel's error; the relaxation after 1 s is the law's."""
+    weights = relaxation_weights(REFERENCE_ORDER)
+    after = np.concatenate([weights[:-2] * np.exp(-RATES * REFERENCE_TIME), [weights[-2], 0.0]])
+    zero = after @ KERNEL_HATS
+    distance = np.abs(KERNEL_KNOTS[:, None] - KERNEL_KNOTS)
+    return _constrained(np.exp(-distance / KERNEL_LENGTH), zero / zero.sum())
+
+
+def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
+    """Return the prior of the characteristic's error; at the strain 0.1 it is 0."""
+    scaled = nonlinear_stiffness * characteristic_knots(last)
+    ratio = np.where(scaled > 1.0, np.exp(np.minimum(scaled, 300.0) - 1.0), scaled)
+    place = np.log(ratio + STRAIN_FLOOR * nonlinear_stiffness)
+    distance = np.abs(place[:, None] - place)
+    zero = characteristic_splines(np.array([REFERENCE_STRAIN]), last)[0]
+    return _constrained(np.exp(-distance / CHARACTERISTIC_LENGTH), zero)
+
+
+def change_since(time: float) -> Unknown:
+    """Return a change of the tissue's stiffness at a time [s]: by a factor of 2, more or less."""
+    return Unknown(f"change_{time!r}", 0.0, 1.0, Lifetime.CONTACT, since=time)
+
+
+def unknowns_of(
+    config: EstimatorConfig, geometry: Geometry, origin_sd: float, drift_sd: float
+) -> tuple[Unknown, ...]:
+    """Return the unknowns of a press but for the law's errors.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    geometry : Geometry
+    origin_sd : float
+        Standard deviation of the strain origin, as compression [1]; 0: known.
+    drift_sd : float
+        Of the slope of the force's zero, as stress [Pa/s].
+    """
+    prior, unsure = config.prior, config.uncertainty
+    length, per_force = geometry.length, geometry.stress_per_force
+    order_sd = 0.0 if config.fractional_order_given else prior.fractional_order_sd
+    site, rig = Lifetime.SITE, Lifetime.RIG
+
+    def friction(points: Points) -> Array:
+        speed = length * points.mean(points.speeds)
+        result: Array = speed / np.hypot(speed, FRICTION_SPEED)
+        return per_force * unsure.friction_sd * result
+
+    found = (
+        Unknown("log_g", prior.mean[0], prior.linear_stiffness_log_sd, site, BY_LOG_G),
+        Unknown("log_gn", prior.mean[1], prior.nonlinear_stiffness_log_sd, site, BY_LOG_GN),
+        Unknown("order", prior.fractional_order, order_sd, site),
+        Unknown(
+            "origin", 0.0, origin_sd, site, motion=lambda p: np.full(p.times.size, -origin_sd)
+        ),
+        Unknown("compliance", 0.0, unsure.compliance_sd, rig, BY_COMPLIANCE),
+        Unknown("delay", 0.0, unsure.delay_sd, rig, motion=lambda p: unsure.delay_sd * p.speeds),
+        Unknown(
+            "friction",
+            config.friction / unsure.friction_sd if unsure.friction_sd else 0.0,
+            unsure.friction_sd,
+            rig,
+            stress=friction,
+        ),
+        Unknown(
+            "drift",
+            0.0,
+            drift_sd,
+            Lifetime.CONTACT,
+            stress=lambda p: drift_sd * (p.middles - p.times[0]),
+        ),
+    )
+    # The first four are always there, so that they have a place; what has no prior is known.
+    return tuple(u for k, u in enumerate(found) if k <= ORIGIN or u.sd > 0.0)

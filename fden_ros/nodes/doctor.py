@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What an identifier hears, what it lacks, and the one next step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import GetState
+
+from fden_ros.nodes.monitor import is_of
+from fden_ros.ros.plain_node import plain_node, spin_for
+
+#: Diagnostics come once a second; a problem is sure when it is in two of them [s].
+_LISTEN = 3.2
+_ANSWER = 5.0
+_ESTIMATE = "fden_msgs/msg/TissueEstimate"
+_PROBLEM = "problem "
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What was found of one identifier."""
+
+    identifier: str
+    state: str = ""  #: of its lifecycle; empty: no such node answers
+    words: str = ""  #: of its diagnostics; empty: none came
+    values: Mapping[str, str] = field(default_factory=dict)  #: of its diagnostics
+    others: tuple[str, ...] = ()  #: identifiers that there are
+
+    @property
+    def problems(self) -> list[str]:
+        """Return what the node lacks, a sentence each, the first to be mended first."""
+        if self.state != "active":
+            return [self.words] if self.words else []
+        return [words for key, words in self.values.items() if key.startswith(_PROBLEM)]
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it identifies, as far as it can be seen."""
+        return self.state == "active" and bool(self.words) and not self.problems
+
+    @property
+    def next_step(self) -> str:
+        """Return the one thing to do next."""
+        by_hand = f"ros2 lifecycle set {self.identifier}"
+        if not self.state:
+            if self.others:
+                return f"name the one that runs: fden doctor {self.others[0]}"
+            return "start it: identifier --ros-args --params-file probe.yaml -p autostart:=true"
+        if self.state == "unconfigured":
+            mend = "mend what it refused, then " if self.problems else ""
+            return f"{mend}{by_hand} configure"
+        if self.state == "inactive":
+            return f"{by_hand} activate"
+        if not self.words:
+            return "wait: it is active, but has sent no diagnostics; is the machine overloaded?"
+        if self.problems:
+            return self.problems[0]
+        if self.values.get("contacts") == "0":
+            return "lift the probe for 2 s, then press"
+        return "nothing: it identifies"
+
+    def page(self) -> str:
+        """Return all of it, a line a finding."""
+        values = self.values
+        lines = [f"{self.identifier}: {self.state or 'does not answer'}"]
+        for key, topic in values.items():
+            if key.startswith("topic."):
+                name = key.removeprefix("topic.")
+                rate, lost = values.get(f"received.{name}", "0"), values.get(f"lost.{name}", "0")
+                lines.append(f"  hears {name:<13} {topic:<24} {rate:>5} Hz, {lost} lost")
+        if "pairs per second" in values:
+            rejected = ", ".join(
+                f"{key.removeprefix('rejected.')} {count}"
+                for key, count in values.items()
+                if key.startswith("rejected.")
+            )
+            lines += [
+                f"  makes {'pairs':<13} {'':<24} {values['pairs per second']:>5} Hz",
+                f"  saw {values['contacts']} contacts at {values['sites']} sites; "
+                f"rejected {values['rejected']} samples" + (f": {rejected}" if rejected else ""),
+            ]
+        lines += [f"  lacks: {problem}" for problem in self.problems] or ["  lacks nothing"]
+        lines.append(f"  last refusal: {values.get('last refusal') or 'none'}")
+        return "\n".join([*lines, f"Next: {self.next_step}"])
+
+
+def examine(identifier: str) -> Examination:
+    """Listen to an identifier for some seconds; return what was found.
+
+    Parameters
+    ----------
+    identifier : str
+        Fully qualified name of the node.
+    """
+    heard: list[DiagnosticArray] = []
+    with plain_node("fden_doctor") as (node, executor):
+        node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 100)
+        client = node.create_client(GetState, f"{identifier}/get_state")
+        spin_for(executor, _LISTEN)
+        state = ""
+        if client.service_is_ready():
+            future = client.call_async(GetState.Request())
+            executor.spin_until_future_complete(future, timeout_sec=_ANSWER)
+            if future.done():
+                state = future.result().current_state.label
+        others = tuple(
+            name.removesuffix("/estimate")
+            for name, kinds in sorted(node.get_topic_names_and_types())
+            if _ESTIMATE in kinds and name.endswith("/estimate") and node.count_publishers(name)
+        )
+    own = [s for message in heard for s in message.status if is_of(s, identifier)]
+    words = own[-1].message if own else ""
+    values = {value.key: value.value for value in own[-1].values} if own else {}
+    return Examination(identifier, state, words, values, others)

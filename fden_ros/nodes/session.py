@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the identifier holds while it is active: subscriptions, pipeline, outputs.
+
+One object an activation: what was learned before an interruption is not trusted after it.
+"""
+
+from __future__ import annotations
+
+import copy
+import struct
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle.publisher import LifecyclePublisher
+from rclpy.serialization import deserialize_message
+from rclpy.time import Time
+from tf2_msgs.msg import TFMessage
+
+from fden_ros.configure.weight import ToolCollection
+from fden_ros.core.outputs import Output, TissueState, placed, stale
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.errors import InputError
+from fden_ros.nodes.backlog import Backlog, Input, taker
+from fden_ros.nodes.decisions import Decisions
+from fden_ros.nodes.input_problems import ListenedTo
+from fden_ros.nodes.qos_overrides import OVERRIDABLE
+from fden_ros.nodes.tool_identification import ToolIdentification
+from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.recording.reader import Topic
+from fden_ros.ros.decoding import UnusualError, fast_handler
+from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs, stream_of
+from fden_ros.ros.status import type_name
+from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
+
+#: Whether the input has stopped is looked at so often [s].
+_STALE_CHECK_PERIOD = 0.05
+#: A stale estimate is published again and again at this period [s].
+_STALE_PERIOD = 1.0
+#: What ``~/identify_tool`` reads.
+_TURNS_OF_THE_TOOL = ("force", "displacement")
+
+
+class Session:
+    """One activation of the identifier.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+    parameters : Parameters
+    publishers : mapping
+        By the name of an output topic.
+    lock : RLock
+        Held in callbacks and transitions.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        parameters: Parameters,
+        publishers: Mapping[str, LifecyclePublisher],
+        lock: threading.RLock,
+    ) -> None:
+        self._node, self._parameters, self._lock = node, parameters, lock
+        self._publishers = publishers
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.pipeline = Pipeline(pipeline_config(parameters), self._publish)
+        self.inputs = Inputs(parameters, self.pipeline)
+        self.backlog = Backlog()
+        self.listened_to: list[ListenedTo] = []
+        self.tool = ToolIdentification(
+            self._begin_collection, lambda line: node.get_logger().info(f"identify_tool: {line}")
+        )
+        self._lost: Counter[str] = Counter()
+        self._messages = OutputMessages()
+        self._decisions = Decisions(self.pipeline.rejected)
+        self._last_state: TissueState | None = None
+        self._last_input = self._steady.now()
+        self._said_stale: Time | None = None
+        self._seen_pairs = self._seen_failures = 0
+        self._is_open = False
+        self._timer = node.create_timer(_STALE_CHECK_PERIOD, self._look, clock=self._steady)
+
+    def listen(self) -> None:
+        """Subscribe to the inputs."""
+        self._is_open = True
+        for name in self.inputs.names:
+            kind = getattr(self._parameters, name).message
+            self._subscribe(INPUT_MESSAGES[name][kind], name)
+        for name in self.inputs.transform_topics:
+            self._subscribe(TFMessage, name)
+        # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
+        *first, last = (one.subscription.topic_name for one in self.listened_to)
+        self._node.get_logger().info(f"listening to {', '.join(first)} and {last}")
+        for problem in self.pipeline.problems:
+            self._node.get_logger().warning(problem)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Messages lost so far in the middleware, by the name of the input."""
+        return self._lost
+
+    def finish(self) -> None:
+        """Report the open contact; listen no more."""
+        self.pipeline.finish()
+        self._log_failures()
+        self.close()
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._is_open = False
+        self.tool.end()
+        self.backlog.clear()
+        for one in self.listened_to:
+            self._node.destroy_subscription(one.subscription)
+        self.listened_to.clear()
+        self._node.destroy_timer(self._timer)
+
+    def reset(self) -> str | None:
+        """Forget what was learned but of the rig; return None, or why that cannot be done now."""
+        problem = self.pipeline.reset()
+        if problem is None:
+            self.inputs.reset()
+        return problem
+
+    # In
+
+    def _subscribe(self, kind: type, topic: str) -> None:
+        source: Input | None = None
+
+        def on_message(data: bytes) -> None:
+            with self._lock:
+                if self._is_open and source is not None:
+                    self.backlog.add(source, data)
+
+        def on_lost(event: Any) -> None:
+            self._lost[topic] = int(event.total_count)
+
+        subscription = self._node.create_subscription(
+            kind,
+            topic,
+            on_message,
+            copy.copy(STATIC_QOS if topic == "/tf_static" else INPUT_QOS),
+            event_callbacks=SubscriptionEventCallbacks(
+                # The diagnostics say it, with the override that mends it.
+                incompatible_qos=lambda event: None,
+                message_lost=on_lost,
+            ),
+            qos_overriding_options=OVERRIDABLE,
+            # Decoding the few bytes that count is faster than making a message of them all.
+            raw=True,
+        )
+        self.listened_to.append(ListenedTo(topic, subscription))
+        source = Input(topic, taker(subscription), self._reader(kind, topic))
+        self.backlog.inputs.append(source)
+
+    def _reader(self, kind: type, topic: str) -> Callable[[bytes], None]:
+        inputs, tool = self.inputs, self.tool
+        fast = fast_handler(topic, type_name(kind), inputs)
+
+        def read(data: bytes) -> None:
+            if tool.is_collecting and topic in _TURNS_OF_THE_TOOL:
+                tool.add(topic, data)
+                return
+            try:
+                if fast is not None:
+                    fast(data)
+                    return
+            except (UnusualError, struct.error):
+                pass
+            try:
+                message = deserialize_message(data, kind)
+            except Exception:
+                # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+                inputs.reject(stream_of(topic), DAMAGED)
+                return
+            inputs.add(topic, message)
+
+        return read
+
+    def _begin_collection(self) -> ToolCollection:
+        """Return an empty collection; the pipeline waits, and begins afresh behind it."""
+        parameters = self._parameters
+        if parameters.displacement.message not in INPUT_MESSAGES["displacement"]:
+            raise InputError("identify_tool needs the turns of a pose: displacement.message: pose")
+        force, displacement = (
+            Topic(
+                self._node.resolve_topic_name(name),
+                type_name(INPUT_MESSAGES[name][getattr(parameters, name).message]),
+                1,
+            )
+            for name in _TURNS_OF_THE_TOOL
+        )
+        collection = ToolCollection(force, displacement, needs_centre=self.inputs.takes_torque)
+        if self.reset() is not None:
+            raise InputError(
+                "the probe is in contact: lift it, then ask again; where it is in the air all "
+                "the same, deactivate and activate the node first"
+            )
+        return collection
+
+    # Out
+
+    def _publish(self, output: Output) -> None:
+        if isinstance(output, TissueState):
+            self._last_state = output
+        self._publish_messages(output)
+        for decision in self._decisions.of(output):
+            self._node.get_logger().debug(decision)
+
+    def _publish_messages(self, output: Output) -> None:
+        output = placed(output, self.inputs.displacement_frame)
+        for topic, message in self._messages.of(output, self.inputs.force_frame):
+            self._publishers[topic.name].publish(message)
+
+    def _look(self) -> None:
+        with self._lock:
+            if not self._is_open:
+                return
+            if self.backlog.waiting:
+                self.backlog.work()
+            self.tool.check_time()
+            self._log_failures()
+            self._check_stale()
+
+    def _log_failures(self) -> None:
+        pipeline = self.pipeline
+        new = pipeline.failure_count - self._seen_failures
+        self._seen_failures += new
+        for failure in list(pipeline.failures)[-new:] if new else ():
+            self._node.get_logger().error(f"{failure}\n{failure.traceback}")
+
+    def _check_stale(self) -> None:
+        now, pairs = self._steady.now(), self.pipeline.pair_count
+        if pairs != self._seen_pairs:
+            self._seen_pairs, self._last_input, self._said_stale = pairs, now, None
+            return
+        waited = _seconds(self._last_input, now)
+        if waited < self._node.get_parameter("stale_timeout").value:
+            return
+        if self._said_stale is not None:
+            if _seconds(self._said_stale, now) < _STALE_PERIOD:
+                return
+        elif self.tool.is_collecting:
+            self._node.get_logger().debug("stale: the samples go to identify_tool")
+        elif self._last_state is not None:
+            self._node.get_logger().warning(
+                f"no usable pair of force and displacement for {waited:.2f} s: the estimate is "
+                "stale"
+            )
+        # Again and again, so that who comes late hears it too.
+        self._said_stale = now
+        self._last_state = stale(self._last_state, self.pipeline.standing_flags)
+        self._publish_messages(self._last_state)
+
+
+def _seconds(start: Time, end: Time) -> float:
+    return float((end - start).nanoseconds * 1e-9)

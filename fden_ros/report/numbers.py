@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Numbers with their standard deviation, as tables, pages and the node's log print them."""
+
+from __future__ import annotations
+
+import math
+
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.outputs import ApparentStiffness
+
+DASH = "–"
+#: Values within these have decimal places, others significant digits.
+_SMALL, _LARGE = 1e-2, 1e7
+#: Below this many standard deviations a number of the order of 1 lies with 95 %.
+_UPPER = 1.645
+#: A bound this many times the value says nothing.
+_VAGUE = 100.0
+
+
+def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
+    """Return value ± deviation, with two digits of the deviation.
+
+    The value has at most `most_digits` significant digits.
+    """
+    if not deviation > 0.0 or not math.isfinite(deviation):
+        return f"{value:.4g}"
+    if not _SMALL <= abs(value) < _LARGE or deviation >= _LARGE:
+        return f"{value:.3g} ± {deviation:.2g}"
+    places = 1 - math.floor(math.log10(deviation))
+    places = max(0, min(places, most_digits - 1 - math.floor(math.log10(abs(value)))))
+    shown = f"{deviation:.{places}f}"
+    return f"{value:.{places}f} ± {shown if float(shown) else f'{deviation:.1g}'}"
+
+
+def result(
+    value: float, deviation: float, most_digits: int = 17, *, is_of_data: bool = True
+) -> str:
+    """Return a positive number as a result, as far as it is one.
+
+    In brackets what the data did not determine. What is no larger than its own standard deviation
+    is stated by its upper bound at 95 %: its logarithm is normal, with the deviation
+    `deviation` / `value`.
+
+    Parameters
+    ----------
+    value, deviation : float
+        Median, and standard deviation to first order.
+    most_digits : int
+        Significant digits of the value at most.
+    is_of_data : bool
+        Whether the data determine it, not the prior.
+    """
+    if not is_of_data:
+        return f"({plus_minus(value, deviation, most_digits)})"
+    if deviation < value:
+        return plus_minus(value, deviation, most_digits)
+    times = math.exp(min(_UPPER * deviation / value, 600.0))
+    return f"below {_rounded_up(times * value)}" if times <= _VAGUE else DASH
+
+
+def parameter(estimate: Estimate, index: int, most_digits: int = 17) -> str:
+    """Return G or Gn (`index` 0 or 1) of an estimate as a result."""
+    value = math.exp(min(float(estimate.mean[index]), 600.0))
+    deviation = value * float(estimate.deviations[index])
+    return result(value, deviation, most_digits, is_of_data=estimate.determines(index))
+
+
+def order(estimate: Estimate, *, with_deviation: bool = True) -> str:
+    """Return alpha as a result: in brackets where it is the prior's."""
+    text = f"{estimate.fractional_order:.3f}"
+    if with_deviation:
+        text = plus_minus(estimate.fractional_order, estimate.fractional_order_sd)
+    return text if estimate.determines(2) else f"({text})"
+
+
+def stiffness(found: ApparentStiffness | None, most_digits: int = 17) -> str:
+    """Return the stiffness [N/m] as a result; a dash where there is none."""
+    return DASH if found is None else result(found.value, found.sd, most_digits)
+
+
+def _rounded_up(value: float) -> str:
+    """Return a bound with two digits, none of them below it."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    bound = step * math.ceil(value / step - 1e-9)
+    return f"{bound:.0f}" if 10.0 <= bound < _LARGE else f"{bound:.2g}"

@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A recording in one sentence: what was pressed, how stiff it is, and what to do next."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from fden_ros.core.classification.classifier import UNKNOWN
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.offline.session import Contact, Session
+from fden_ros.report.numbers import DASH, stiffness
+
+#: So many places are named one by one.
+_EACH = 3
+#: Gn shows where the strain passes 1/Gn; at this many times of it, it surely has.
+_BEYOND_BOUNDARY = 1.5
+#: No soft tissue is pressed farther, as a part of its thickness or of the probe's radius.
+_LARGEST_COMPRESSION = 0.7
+
+
+def sentence(session: Session) -> str:
+    """Return what a recording says, in one sentence."""
+    summaries = session.replay.summaries
+    if any(summary.is_of_path for summary in summaries):
+        return _of_path([summary for summary in summaries if summary.is_of_path])
+    if session.parameters.contact.mode == "continuous":
+        return "No stiffness is known on the path: it takes a probe that palpates as it slides."
+    if not summaries:
+        return "No contact was found."
+    # A place is known best at the end of its last contact.
+    places = list({summary.site_id: summary for summary in summaries}.values())
+    if len(places) > _EACH:
+        return _of_many(places, session.geometry)
+    speeds = {
+        contact.contact_id: _speed(contact, session.geometry) for contact in session.contacts
+    }
+    parts = []
+    for place in places:
+        remedy = next_step(place, session.geometry, speeds.get(place.contact_id))
+        words = _what(place, session.geometry) + (f"; {remedy}" if remedy else "")
+        parts.append(words if len(places) == 1 else f"site {place.site_id}: {words}")
+    return _sentence(". ".join(part[0].upper() + part[1:] for part in parts))
+
+
+def next_step(summary: ContactSummary, geometry: Geometry, speed: float | None) -> str:
+    """Return what to do so that more of a place is known; empty where all is.
+
+    Parameters
+    ----------
+    summary : ContactSummary
+    geometry : Geometry
+    speed : float or None
+        Of the press [m/s], where it is known.
+    """
+    estimate, flags = summary.estimate, summary.flags
+    if flags & Flag.IMPLAUSIBLE:
+        return "check the units"
+    if flags & Flag.GEOMETRY_UNSTATED:
+        return "state probe and tissue (geometry) for G and Gn"
+    if flags & Flag.ORIGIN_UNCERTAIN:
+        return "begin 1 s in the air for G and Gn"
+    if estimate is None or estimate.at_edge:
+        return "see what stands against an estimate"
+    if not estimate.determines(1):
+        return _deeper(summary.max_strain, estimate.nonlinear_stiffness, geometry, speed)
+    poor = " and ".join(
+        name for index, name in enumerate(("G", "Gn")) if not estimate.knows(index)
+    )
+    if poor:
+        return f"press here once more for {poor}"
+    return "" if estimate.determines(2) else "hold for 2 s for alpha"
+
+
+def _deeper(strain: float, gn: float, geometry: Geometry, speed: float | None) -> str:
+    """Return how far to press for Gn; a strain that was reached without a bend is too small."""
+    wanted = max(_BEYOND_BOUNDARY / gn, 1.5 * strain)
+    compression = geometry.compression(wanted)
+    if compression > _LARGEST_COMPRESSION:
+        return "it hardly stiffens this far, so Gn is not seen"
+    depth, reached = (geometry.length * c for c in (compression, geometry.compression(strain)))
+    words = f"press to {1e3 * depth:.2g} mm for Gn"
+    return words + (f" ({(depth - reached) / speed:.1f} s longer)" if speed else "")
+
+
+def _speed(contact: Contact, geometry: Geometry) -> float | None:
+    """Return how fast the probe went from half its largest depth on [m/s]; None: not known."""
+    seen = [(s.stamp_ns, s.signals.strain) for s in contact.states.items if s.signals is not None]
+    if len(seen) < 2:
+        return None
+    stamps, strains = (np.array(column) for column in zip(*seen, strict=True))
+    half, end = (int(np.argmax(strains >= part * strains.max())) for part in (0.5, 0.98))
+    seconds = (stamps[end] - stamps[half]) / NANOSECONDS
+    if seconds <= 0.0:
+        return None
+    first, last = (geometry.compression(float(strains[i])) for i in (half, end))
+    return geometry.length * (last - first) / float(seconds)
+
+
+def _what(place: ContactSummary, geometry: Geometry) -> str:
+    """Return which tissue it is like, and how stiff at which depth."""
+    found = DASH if place.flags & Flag.IMPLAUSIBLE else stiffness(place.apparent_stiffness, 3)
+    depth = 1e3 * geometry.length * geometry.compression(max(place.max_strain, 0.0))
+    words = f"{found} N/m at {depth:.2g} mm" if found != DASH else "stiffness not known"
+    tissue = _tissue(place)
+    return f"{tissue}, {words}" if tissue else words
+
+
+def _tissue(place: ContactSummary) -> str:
+    label = place.classes.label if place.classes is not None else ""
+    if label == UNKNOWN:
+        return "like no tissue of the library"
+    return f"{label}-like" if label else ""
+
+
+def _of_many(places: Sequence[ContactSummary], geometry: Geometry) -> str:
+    tissues = Counter(_tissue(place) or "of undetermined tissue" for place in places)
+    listed = ", ".join(f"{count} {tissue}" for tissue, count in tissues.most_common())
+    words = f"{len(places)} places, {listed}"
+    values = [
+        found.value
+        for place in places
+        if (found := place.apparent_stiffness) is not None and found.sd < found.value
+    ]
+    if values:
+        words += f"; {min(values):.3g} to {max(values):.3g} N/m"
+    steps = Counter(filter(None, (next_step(place, geometry, None) for place in places)))
+    for step, count in steps.most_common(1):
+        words += f"; at {count} of them {step}"
+    return _sentence(words)
+
+
+def _of_path(places: Sequence[ContactSummary]) -> str:
+    values = [place.apparent_stiffness.value for place in places if place.apparent_stiffness]
+    count = f"{len(places)} place{'s' if len(places) > 1 else ''}"
+    low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+    span = low if low == high else f"{low} to {high}"
+    return f"{count} on the path whose stiffness is known: {span} N/m."
+
+
+def _sentence(words: str) -> str:
+    return words if words.endswith(".") else f"{words}."

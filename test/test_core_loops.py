@@ -1,0 +1,388 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The inner loops: compiled against numpy, against differences, and against the closed form."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fden_ros import cli
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops, loops_in_numpy
+from fden_ros.core.estimation.loop_arguments import (
+    BY_COMPLIANCE,
+    BY_KNOT,
+    BY_LOG_G,
+    BY_LOG_GN,
+    RATES,
+    Column,
+    LawState,
+    ResponseState,
+    WalkState,
+)
+from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+
+SPACING = 0.77
+RATES_OF_KERNEL = np.exp(np.log(1e-6) + SPACING * np.arange(RATES))
+KNOTS = 7
+PRESS_BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
+
+needs_compiled = pytest.mark.skipif(loops.notice() is not None, reason="not compiled")
+
+
+def weights_of(alpha: float) -> Array:
+    """Of t^-alpha / Gamma(1 - alpha); then of slower and of faster exponentials."""
+    factor = SPACING * np.sin(np.pi * alpha) / np.pi
+    slow = RATES_OF_KERNEL[0] ** alpha / np.expm1(SPACING * alpha)
+    fast = RATES_OF_KERNEL[-1] ** (alpha - 1.0) / np.expm1(SPACING * (1.0 - alpha))
+    return factor * np.array([*RATES_OF_KERNEL**alpha, slow, fast])
+
+
+BASE = LawState(
+    linear_stiffness=1.0,
+    nonlinear_stiffness=8.0,
+    exponent=1.0,
+    is_one_sided=True,
+    compliance=0.0,
+    weights=weights_of(0.15),
+    bend=np.zeros(0),
+    last_knot=0.35,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A motion under a law, from steps of uneven durations."""
+
+    law: LawState
+    durations: Array
+    compressions: Array
+    surface: Array | None = None
+
+    def columns(self) -> list[Column]:
+        """Derivatives of every kind."""
+        size = self.compressions.size
+        found = [
+            Column(BY_LOG_G),
+            Column(BY_LOG_GN),
+            Column(BY_COMPLIANCE),
+            Column(motion=np.full(size, -1.0)),
+            Column(motion=np.gradient(self.compressions)),
+            Column(weights=(weights_of(0.150001) - weights_of(0.149999)) / 2e-6),
+            *(Column(BY_KNOT, knot) for knot in range(self.law.bend.size)),
+        ]
+        if self.surface is not None:
+            found.append(Column(surface=self.surface * np.cos(np.arange(size))))
+        return found
+
+
+def motion_of(*levels: float) -> tuple[Array, Array]:
+    """Ramps between levels and short holds at them, over uneven steps; durations and motion."""
+    random = np.random.default_rng(3)
+    durations, motion = [0.0], [levels[0]]
+    for level in levels[1:]:
+        steps = random.uniform(0.002, 0.03, 25)
+        durations += [*steps, 0.05, 0.4]
+        motion += [*(motion[-1] + (level - motion[-1]) * np.cumsum(steps) / steps.sum())]
+        motion += [level, level]
+    return np.array(durations), np.array(motion)
+
+
+PRESS = motion_of(-0.03, 0.3, 0.12, 0.25, -0.05, -0.02, 0.28)
+DIPS = motion_of(-0.01, 0.2, -0.02, -0.04, 0.22)
+FROM_CONTACT = motion_of(0.05, 0.2, 0.1)
+BEND = 0.2 * np.cos(np.arange(KNOTS))
+
+
+def surface_of(size: int) -> Array:
+    """A free surface that rises, stands and falls, from zero."""
+    return 0.15 * np.interp(np.arange(size), [0, 20, 90, 150, 170], [0, 0, 1, 0.4, 0.3])
+
+
+CASES = {
+    "touch and release": Case(BASE, *PRESS),
+    "free surface": Case(BASE, *PRESS, surface_of(PRESS[0].size)),
+    "sphere": Case(replace(BASE, exponent=1.5), *PRESS),
+    "two-sided": Case(replace(BASE, is_one_sided=False), *PRESS),
+    "compliance": Case(replace(BASE, compliance=0.05), *PRESS),
+    "compliance at a free surface": Case(
+        replace(BASE, compliance=0.05), *PRESS, surface_of(PRESS[0].size)
+    ),
+    "begins in contact": Case(replace(BASE, compliance=0.02), *FROM_CONTACT),
+    "bent": Case(replace(BASE, bend=BEND), *DIPS),
+    "bent beyond its last knot": Case(replace(BASE, bend=BEND, last_knot=0.1), *DIPS),
+    "bent sphere with compliance": Case(
+        replace(BASE, bend=BEND, exponent=1.5, compliance=0.05), *PRESS
+    ),
+    "bent, two-sided": Case(replace(BASE, bend=BEND, is_one_sided=False), *PRESS),
+    "beyond the largest exponent": Case(
+        replace(BASE, linear_stiffness=1e-26, nonlinear_stiffness=400.0), *PRESS
+    ),
+}
+by_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def either(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both kinds of loops, one after the other."""
+    if request.param == "numpy":
+        monkeypatch.setattr(loops, "_COMPILED", None)
+    elif loops.notice() is not None:
+        pytest.skip("not compiled")
+
+
+def response(
+    case: Case,
+    columns: list[Column],
+    respond: Callable[..., tuple[Array, Array]] = loops.respond,
+    cut: int = 0,
+) -> tuple[Array, Array, ResponseState]:
+    """The response to a case, in one call or in two that continue each other."""
+    state = ResponseState(len(columns))
+    by_step = loops_in_numpy.moments(case.durations, RATES_OF_KERNEL)
+    results = []
+    for part in (slice(0, cut), slice(cut, None)):
+        own = [
+            replace(
+                column,
+                motion=None if column.motion is None else column.motion[part],
+                surface=None if column.surface is None else column.surface[part],
+            )
+            for column in columns
+        ]
+        steps = case.durations[part], by_step[part]
+        surface = None if case.surface is None else case.surface[part]
+        results.append(
+            respond(
+                case.law, RATES_OF_KERNEL, steps, case.compressions[part], surface, own, state
+            )
+        )
+    stress, jacobian = zip(*results, strict=True)
+    return np.concatenate(stress), np.concatenate(jacobian, axis=1), state
+
+
+def assert_rows_agree(found: Array, expected: Array, tolerance: float) -> None:
+    """Rows agree to a part of the largest number of each."""
+    peaks = np.abs(expected).max(axis=-1, keepdims=True)
+    assert (np.abs(found - expected) <= tolerance * peaks).all()
+
+
+@needs_compiled
+def test_compiled_moments_are_those_of_numpy() -> None:
+    durations = np.array([0.0, 1e-6, 1e-3, 0.02, 1.0, 1e3])
+    found = loops.moments(durations, RATES_OF_KERNEL)
+    expected = loops_in_numpy.moments(durations, RATES_OF_KERNEL)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-300)
+
+
+def test_moments_are_the_integrals_of_the_kernel() -> None:
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    polynomials = np.array([np.ones(60), nodes, 1.5 * nodes**2 - 0.5])
+    for duration in (1e-3, 0.7, 1.4, 1.5, 20.0):
+        decay, *found = loops_in_numpy.moments(np.array([duration]), np.ones(RATES))[0, :, 0]
+        kernel = np.exp(-0.5 * duration * (1.0 - nodes))
+        assert decay == pytest.approx(np.exp(-duration), rel=1e-14)
+        np.testing.assert_allclose(found, polynomials @ (weights * kernel), atol=1e-13)
+
+
+@needs_compiled
+@by_case
+@pytest.mark.parametrize("cut", [0, 1, 60])
+def test_the_compiled_response_is_that_of_numpy(case: Case, cut: int) -> None:
+    compiled = response(case, case.columns(), cut=cut)
+    stress, jacobian, state = response(case, case.columns(), loops_in_numpy.respond, cut)
+    assert np.ptp(stress) > 0.0
+    assert_rows_agree(compiled[0], stress, 1e-12)
+    assert_rows_agree(compiled[1], jacobian, 1e-12)
+    assert_rows_agree(compiled[2].values, state.values, 1e-12)
+
+
+@by_case
+def test_a_response_in_two_calls_is_that_in_one(case: Case) -> None:
+    whole, parts = response(case, case.columns()), response(case, case.columns(), cut=40)
+    np.testing.assert_array_equal(parts[0], whole[0])
+    np.testing.assert_array_equal(parts[1], whole[1])
+
+
+def moved(case: Case, column: Column, change: float) -> Case:
+    """The case with what a column is by moved by `change`."""
+    law = case.law
+    if column.kind == BY_LOG_G:
+        law = replace(law, linear_stiffness=law.linear_stiffness * np.exp(change))
+    elif column.kind == BY_LOG_GN:
+        law = replace(law, nonlinear_stiffness=law.nonlinear_stiffness * np.exp(change))
+    elif column.kind == BY_COMPLIANCE:
+        law = replace(law, compliance=law.compliance + change)
+    elif column.kind == BY_KNOT:
+        law = replace(law, bend=law.bend + change * (np.arange(law.bend.size) == column.knot))
+    elif column.weights is not None:
+        law = replace(law, weights=law.weights + change * column.weights)
+    compressions, surface = case.compressions, case.surface
+    if column.motion is not None:
+        compressions = compressions + change * column.motion
+    if column.surface is not None and surface is not None:
+        surface = surface + change * column.surface
+    return replace(case, law=law, compressions=compressions, surface=surface)
+
+
+@by_case
+def test_derivatives_are_central_differences(case: Case) -> None:
+    # Where the response is curved in the step of a touch, its nodes move with the touch.
+    tolerance = 2e-3 if case.law.exponent != 1.0 or case.law.bend.size else 1e-7
+    columns, step = case.columns(), 1e-6
+    _, jacobian, _ = response(case, columns)
+    differences = [
+        response(moved(case, column, step), [])[0] - response(moved(case, column, -step), [])[0]
+        for column in columns
+    ]
+    assert_rows_agree(jacobian, np.array(differences) / (2.0 * step), tolerance)
+
+
+def test_the_slope_at_a_touch_does_not_depend_on_rounding(either: None) -> None:
+    law = replace(BASE, compliance=0.05)
+    for start in np.linspace(-0.02, -0.01, 40):
+        case = Case(law, np.array([0.0, 0.01, 0.01]), np.array([start, 0.01, 0.02]))
+        column = Column(motion=np.ones(3))
+        _, jacobian, _ = response(case, [column])
+        up, down = (response(moved(case, column, change), [])[0] for change in (1e-6, -1e-6))
+        assert_rows_agree(jacobian[0], (up - down) / 2e-6, 1e-6)
+
+
+def test_a_step_that_newton_first_takes_for_a_release_is_whole(either: None) -> None:
+    law = replace(BASE, compliance=0.2)
+    motion = np.array([0.0, 0.1, 0.3, 0.05, 0.05])
+    case = Case(law, np.array([0.0, 0.01, 0.01, 0.01, 0.01]), motion)
+    stress, *_ = response(case, [])
+    left = motion - law.compliance * stress
+    assert motion[3] < law.compliance * stress[2] and left[3] > 0.0
+    rigid, *_ = response(replace(case, law=BASE, compressions=left), [])
+    assert_rows_agree(stress, rigid, 1e-12)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_response_that_is_no_number_is_refused(number: float, either: None) -> None:
+    durations, motion = motion_of(-0.01, 0.2)
+    bent = replace(BASE, bend=BEND)
+    for law, bad in ((bent, 20), (replace(BASE, linear_stiffness=number), None)):
+        compressions = motion.copy()
+        if bad is not None:
+            compressions[bad] = number
+        with pytest.raises(FloatingPointError, match="not finite"):
+            response(Case(law, durations, compressions), [])
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.15, 0.4])
+def test_ramp_and_hold_are_those_of_the_closed_form(alpha: float, either: None) -> None:
+    times = np.unique([*np.linspace(0.0, 1.0, 201), *(1.0 + np.geomspace(1e-3, 100.0, 60))])
+    motion = 0.3 * np.minimum(times, 1.0)
+    law = replace(BASE, weights=weights_of(alpha))
+    stress, *_ = response(Case(law, np.diff(times, prepend=0.0), motion), [])
+    truth = stress_of_piecewise_linear_strain(
+        [0.0, 1.0, 200.0], [0.0, 0.3, 0.3], times, FdenModel(1.0, 8.0, alpha)
+    )
+    np.testing.assert_allclose(stress, truth, atol=1e-5 * truth.max())
+
+
+def test_loading_and_unloading_in_both_directions_is_that_of_the_closed_form(
+    either: None,
+) -> None:
+    corners, levels = [0.0, 0.5, 1.0, 1.6, 2.0], [0.0, 0.25, -0.2, 0.1, 0.1]
+    times = np.linspace(0.0, 2.0, 801)
+    law = replace(BASE, is_one_sided=False)
+    motion = np.interp(times, corners, levels)
+    stress, *_ = response(Case(law, np.diff(times, prepend=0.0), motion), [])
+    truth = stress_of_piecewise_linear_strain(corners, levels, times, FdenModel(1.0, 8.0, 0.15))
+    np.testing.assert_allclose(stress, truth, atol=1e-5 * truth.max())
+
+
+def walked_rows() -> tuple[Array, Array, Array, tuple[Array, Array], WalkState]:
+    """Rows, variances of their noise, gains, variances of the walks, and their state before."""
+    random = np.random.default_rng(7)
+    noise, *walks = random.uniform(0.5, 2.0, (3, 60))
+    state = WalkState(np.array([0.8, 0.1, 0.3]), np.zeros((2, 5)))
+    return random.normal(size=(60, 5)), noise, random.normal(size=60), (walks[0], walks[1]), state
+
+
+def test_whitening_is_that_by_the_covariance_of_all_measurements(either: None) -> None:
+    rows, noise, gain, walks, state = walked_rows()
+    stress, both, surface = state.covariance
+    first = np.minimum.outer(np.arange(60), np.arange(60))
+    covariance = (
+        np.diag(noise)
+        + (stress + np.cumsum(walks[0]))[first]
+        + np.outer(gain, gain) * (surface + np.cumsum(walks[1]))[first]
+        + both * np.add.outer(gain, gain)
+    )
+    root = np.linalg.cholesky(covariance)
+    expected = np.linalg.solve(root, rows)
+    log_determinant = loops.whiten(rows, noise, gain, walks, state)
+    np.testing.assert_allclose(rows, expected, atol=1e-12)
+    assert log_determinant == pytest.approx(2.0 * np.log(np.diag(root)).sum(), rel=1e-13)
+
+
+@needs_compiled
+def test_compiled_whitening_is_that_of_numpy() -> None:
+    rows, *given, state = walked_rows()
+    twin, *_, twin_state = walked_rows()
+    for part in (slice(0, 25), slice(25, 60)):
+        noise, gain, walks = given
+        own = noise[part], gain[part], (walks[0][part], walks[1][part])
+        found = loops.whiten(rows[part], *own, state)
+        assert found == pytest.approx(loops_in_numpy.whiten(twin[part], *own, twin_state))
+    assert_rows_agree(rows, twin, 1e-12)
+    assert_rows_agree(state.means, twin_state.means, 1e-12)
+    np.testing.assert_allclose(state.covariance, twin_state.covariance, rtol=1e-12)
+
+
+@needs_compiled
+def test_arrays_that_are_not_contiguous_are_refused() -> None:
+    rows, noise, gain, walks, state = walked_rows()
+    with pytest.raises(ValueError, match="contiguous"):
+        loops.whiten(rows[:, ::2], noise, gain, walks, state)
+
+
+def test_without_compiled_loops_a_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(loops, "_COMPILED", None)
+    assert "without its compiled part" in (loops.notice() or "")
+    with pytest.raises(SystemExit):
+        cli.main(["--version"])
+    assert loops.notice() in capsys.readouterr().out
+
+
+def test_a_replay_without_compiled_loops_says_so_and_estimates_the_same(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = str(PRESS_BAG / "identifier.yaml")
+    results = []
+    for library in (loops._COMPILED, None):
+        monkeypatch.setattr(loops, "_COMPILED", library)
+        assert cli.main(["replay", str(PRESS_BAG), "--config", config, "--json"]) == 0
+        printed = capsys.readouterr()
+        assert (loops.notice() or "") in printed.err
+        results.append(json.loads(printed.out)["contacts"][0])
+    assert "compiled" in printed.err
+    for name in ("g", "g_n", "alpha"):
+        assert results[1][name] == pytest.approx(results[0][name], rel=1e-6)
+
+
+def test_loops_that_are_older_than_their_source_are_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "_loops.c"
+    library = source.with_name("_loops" + EXTENSION_SUFFIXES[0])
+    source.touch()
+    library.touch()
+    os.utime(library, (1.0, 1.0))
+    monkeypatch.setattr(loops, "__file__", str(tmp_path / "loops.py"))
+    assert loops._library() is None
