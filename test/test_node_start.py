@@ -246,7 +246,9 @@ def test_the_doctor_says_what_a_node_hears_and_lacks_and_the_next_step() -> None
         thread = threading.Thread(target=feed)
         thread.start()
         try:
-            well = examine("/identifier")
+            for _ in range(5):  # a busy machine feeds late now and then
+                if (well := examine("/identifier")).is_well:
+                    break
         finally:
             stop.set()
             thread.join()

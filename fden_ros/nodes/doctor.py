@@ -10,13 +10,16 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import GetState
+from rclpy.client import Client
+from rclpy.executors import Executor
 
 from fden_ros.nodes.monitor import is_of
 from fden_ros.ros.plain_node import plain_node, spin_for
 
 #: Diagnostics come once a second; a problem is sure when it is in two of them [s].
 _LISTEN = 3.2
-_ANSWER = 5.0
+#: An answer is lost where the node has not found the client yet: asked this often, for so long [s].
+_ASKED, _ANSWER = 3, 3.0
 _ESTIMATE = "fden_msgs/msg/TissueEstimate"
 _PROBLEM = "problem "
 
@@ -102,12 +105,7 @@ def examine(identifier: str) -> Examination:
         node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 100)
         client = node.create_client(GetState, f"{identifier}/get_state")
         spin_for(executor, _LISTEN)
-        state = ""
-        if client.service_is_ready():
-            future = client.call_async(GetState.Request())
-            executor.spin_until_future_complete(future, timeout_sec=_ANSWER)
-            if future.done():
-                state = future.result().current_state.label
+        state = _state(client, executor)
         others = tuple(
             name.removesuffix("/estimate")
             for name, kinds in sorted(node.get_topic_names_and_types())
@@ -117,3 +115,15 @@ def examine(identifier: str) -> Examination:
     words = own[-1].message if own else ""
     values = {value.key: value.value for value in own[-1].values} if own else {}
     return Examination(identifier, state, words, values, others)
+
+
+def _state(client: Client, executor: Executor) -> str:
+    """Return the label of the state of a lifecycle node; empty where none answers."""
+    for _ in range(_ASKED):
+        if not client.service_is_ready():
+            return ""
+        future = client.call_async(GetState.Request())
+        executor.spin_until_future_complete(future, timeout_sec=_ANSWER)
+        if future.done():
+            return str(future.result().current_state.label)
+    return ""
