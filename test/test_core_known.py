@@ -21,7 +21,6 @@ from benchmark.measured import Test as Measured
 from benchmark.measured import identify as identify_measured
 from benchmark.measured import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
-from fden_ros.core.estimation.edge import weights_pile_up
 from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.remarks import remarks
@@ -179,20 +178,6 @@ def test_what_is_known_survives_the_message() -> None:
         one, other = sent.estimate, heard.estimate
         assert one is not None and other is not None
         assert (other.valid, other.known, other.at_edge) == (one.valid, one.known, one.at_edge)
-
-
-def test_a_flat_likelihood_is_no_edge_and_one_that_grows_to_the_end_is() -> None:
-    nodes = np.linspace(-2.0, 2.0, 41)
-    log_prior = -0.5 * (nodes / 0.92) ** 2
-    for log_likelihood, is_edge in (
-        (np.zeros(41), False),
-        (np.where(nodes < -1.0, 0.0, -1e3), False),  # Gn is not observable
-        (-4.0 * nodes, True),
-        (4.0 * nodes, True),
-        (-0.5 * (nodes / 0.2) ** 2, False),
-    ):
-        weights = np.exp(log_prior + log_likelihood - np.max(log_prior + log_likelihood))
-        assert weights_pile_up(weights / weights.sum(), log_prior) == is_edge
 
 
 def test_measured_beef_and_silicone_are_identified_without_a_setting() -> None:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import Outcome, assert_sound, outcome_of, shift, shift_recording
+from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 
 from fden_ros.core.contact.detector import ContactDetector
-from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.synchronize import Synchronizer
@@ -44,11 +44,11 @@ def breaks(
     return calls
 
 
-def of_first_site(after: int = 0) -> Callable[[StressEstimator], bool]:
+def of_first_site(after: int = 0) -> Callable[[PosteriorEstimator], bool]:
     """Of the estimator that was called first, from a number of calls on."""
-    seen: list[StressEstimator] = []
+    seen: list[PosteriorEstimator] = []
 
-    def when(estimator: StressEstimator) -> bool:
+    def when(estimator: PosteriorEstimator) -> bool:
         seen.append(estimator)
         return estimator is seen[0] and len(seen) > after
 
@@ -68,7 +68,7 @@ def clean() -> Outcome:
 def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
     monkeypatch: pytest.MonkeyPatch, clean: Outcome, name: str, after: int
 ) -> None:
-    breaks(monkeypatch, StressEstimator, name, of_first_site(after))
+    breaks(monkeypatch, PosteriorEstimator, name, of_first_site(after))
     s = shift()
     outcome = outcome_of(s.items, s.parameters)
     assert_sound(outcome.outputs)
@@ -88,7 +88,7 @@ def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
 
 
 def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch: pytest.MonkeyPatch) -> None:
-    breaks(monkeypatch, StressEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
     s = shift()
     # All at one place: the second and third contact are of the same site.
     items = [item._replace(position=None) for item in s.items]
@@ -104,20 +104,20 @@ def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch: pytest.MonkeyPa
     middle = next(k for k, item in enumerate(items) if s.second(item.stamp_ns) > 7.0)
     steps = [*items[:middle], Pipeline.reset, *items[middle:]]
     monkeypatch.undo()
-    breaks(monkeypatch, StressEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
     again = outcome_of(steps, parameters)
     assert again.summaries[1].converged and not again.summaries[1].flags
     assert not again.pipeline.is_failed
 
 
 def test_an_estimate_that_is_not_finite_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = StressEstimator.estimate
+    real = PosteriorEstimator.estimate
 
-    def estimate(self: StressEstimator) -> Any:
+    def estimate(self: PosteriorEstimator) -> Any:
         found = real(self)
         return found._replace(covariance=found.covariance * np.nan)
 
-    monkeypatch.setattr(StressEstimator, "estimate", estimate)
+    monkeypatch.setattr(PosteriorEstimator, "estimate", estimate)
     s = shift()
     outcome = outcome_of(s.items, s.parameters)
     assert_sound(outcome.outputs)
@@ -184,7 +184,7 @@ def test_replay_goes_on_with_the_next_site_warns_and_logs_the_traceback_once(
     parameters = read_parameter_file(bag / "identifier.yaml")
     whole = replay(bag, parameters)
     assert whole.failures == () and [c.site_id for c in whole.summaries] == [1, 2, 3]
-    breaks(monkeypatch, StressEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
     with caplog.at_level(logging.ERROR):
         result = replay(bag, parameters)
     failed = [c for c in result.summaries if c.flags & Flag.ESTIMATION_FAILED]
@@ -205,7 +205,7 @@ def test_batch_goes_on_and_says_so_in_the_bags_row(
     batch = pytest.importorskip("fden_ros.offline.batch")
     from fden_ros.recording.source import Selection
 
-    breaks(monkeypatch, StressEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
     parameters = read_parameter_file(bag / "identifier.yaml")
     record = batch.identify(str(bag), batch.Work(parameters, Selection()), "", None)
     assert record["error"] is None

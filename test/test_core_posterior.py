@@ -335,7 +335,7 @@ def test_the_boundary_strain_is_passed_with_the_probability_of_a_logarithm() -> 
 
 @pytest.mark.parametrize("name", ["ramp", "palpation", "robot_arm"])
 def test_the_pipeline_identifies_by_the_posterior(name: str) -> None:
-    contacts = contact_errors(load_scenario(name), 1000, estimator__observation="posterior")
+    contacts = contact_errors(load_scenario(name), 1000)
     assert all(contact.converged for contact in contacts)
     for contact in contacts:
         assert np.all(np.abs(contact.error) < 3.5 * np.array(contact.sd)), contact

@@ -17,14 +17,9 @@ from pipeline_helpers import feed, identified, items_of, summaries_of
 
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from fden_ros.cli import main
-from fden_ros.core.estimation.estimate import StateIndex
-from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
-from fden_ros.core.estimation.normal_equations import NormalEquations
-from fden_ros.core.estimation.rig import RigResponse
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.core.law.interpolation import LogStiffnessGrid
 from fden_ros.core.outputs import Flag, Phase, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
@@ -43,40 +38,6 @@ ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
 CONFIG = EstimatorConfig(uncertainty=ARM)
 GEOMETRY = FlatPunch(area=3.14e-4, thickness=0.02)
 NOISE_M, STEP, SIZE = 5e-6, 0.002, 5
-
-
-def responses(motion_m):
-    """Return the columns of every block of a motion whose displacement is noisy."""
-    noise = NOISE_M / GEOMETRY.length
-    rig = RigResponse(ARM, GEOMETRY, noise**2 * STEP)
-    found = []
-    for k, mean in enumerate(motion_m.reshape(-1, SIZE).mean(axis=1) / GEOMETRY.length):
-        block = Block(mean, 0.0, (k + 0.5) * SIZE * STEP, SIZE, SIZE * STEP, np.zeros(0))
-        found.append(rig.columns(block, np.zeros(3), 50.0, 1.0))
-    return rig, found
-
-
-def test_noise_of_a_resting_probe_says_nothing_of_delay_and_friction():
-    noise = NOISE_M * np.random.default_rng(0).standard_normal(5000)
-    rig, columns = responses(0.005 + noise)
-    for index in (StateIndex.DELAY, StateIndex.FRICTION):
-        assert not any(column[index] for column in columns)
-    assert not rig.has_reversed
-
-
-def test_force_that_bends_the_tool_follows_less_noise_the_longer_the_probe_holds_still():
-    """With the noise of 200 s in it a compliance is said to be many of its deviations off."""
-    noise = np.random.default_rng(3).standard_normal(6000)
-    rig = RigResponse(ARM, GEOMETRY, 0.0)
-    forces = []
-    for k, stress in enumerate((100.0 + noise).tolist()):
-        block = Block(0.1, 0.0, k / 30.0, 1, 1.0 / 30.0, np.zeros(0))
-        forces.append(rig.bend(0.1, 1e4))
-        rig.columns(block, np.zeros(3), 0.0, 1.0)
-        rig.follow(stress, 0.0)
-    late = GEOMETRY.stress_per_force * np.array(forces[3000:])
-    assert late == pytest.approx(100.0, abs=0.1)
-    assert np.abs(np.diff(late)).max() < 2e-3
 
 
 def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
@@ -103,54 +64,6 @@ def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
     early, late = held[900], held[-1]
     moved = (late.fractional_order - early.fractional_order) / early.deviations[2]
     assert abs(moved) < 0.3
-
-
-def test_a_delay_answers_to_the_mean_of_the_steps_before_and_after_a_block():
-    rig = RigResponse(ARM, GEOMETRY, 0.0)
-    steps = [0.0, 10.0, 30.0, 30.0, -40.0]
-    found = []
-    for k, step in enumerate(steps):
-        block = Block(0.01 * k, 0.0, 0.01 * k, SIZE, 0.01, np.zeros(0))
-        found.append(rig.columns(block, np.zeros(3), step, 1.0)[StateIndex.DELAY])
-        if k:
-            found[k - 1] += rig.late_delay
-    means = [5.0, 20.0, 30.0, -5.0]
-    assert found[:-1] == pytest.approx([ARM.delay_sd * mean / 0.01 for mean in means])
-
-
-@pytest.mark.parametrize("is_in_sums", [False, True])
-def test_a_block_that_is_amended_counts_as_if_it_had_come_so(is_in_sums):
-    rng = np.random.default_rng(3)
-    grid = LogStiffnessGrid(2.0, 0.5)
-
-    def equations():
-        return NormalEquations(grid, np.zeros(1), ("first", "second"))
-
-    law, free = rng.normal(size=(2, grid.nodes.size, 11)), rng.normal(size=(2, 11))
-    state = np.array([0.1, 2.0, 0.2, 0.0, 0.3, -0.4])
-    late, early = equations(), equations()
-    for sums, second in ((late, 1.0), (early, 1.5)):
-        for k in range(2):
-            linear = [2.0, second if k else 3.0]
-            noise = 0.5 + (0.25 if sums is early and k and not is_in_sums else 0.0)
-            sums.add(sums.respond(law[k], free[k], linear, 1.0), noise, 2)
-    if is_in_sums:
-        late.at_state(state)
-    late.amend_newest(0.0 if is_in_sums else 1.0, late.index("second"), 0.5)
-    assert late.at_state(state) == pytest.approx(early.at_state(state), rel=1e-9)
-    assert late.at_nodes(np.tile(state, (grid.nodes.size, 1))) == pytest.approx(
-        early.at_nodes(np.tile(state, (grid.nodes.size, 1))), rel=1e-9
-    )
-
-
-def test_friction_is_against_the_motion_and_uncertain_where_the_probe_turns():
-    way = np.concatenate([np.linspace(0.0, 0.005, 500), np.linspace(0.005, 0.0, 500)])
-    rig, columns = responses(way + NOISE_M * np.random.default_rng(1).standard_normal(1000))
-    friction = np.array([column[StateIndex.FRICTION] for column in columns])
-    size = ARM.friction_sd * GEOMETRY.stress_per_force
-    assert friction[5:95] == pytest.approx(size)
-    assert friction[105:] == pytest.approx(-size)
-    assert rig.has_reversed and rig.turn_variance == 0.0
 
 
 def test_knowledge_narrows_to_half_of_what_is_stated_and_forgets_what_another_rig_contradicts():

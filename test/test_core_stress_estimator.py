@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from benchmark.accuracy import CASES, Case, trial_of
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.stress_estimator import StressEstimator
+from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.law.geometry import PassThrough
 from fden_ros.core.outputs import Flag, TissueState
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
@@ -45,21 +45,20 @@ def estimator_of(
 ):
     prior = replace(LIVER, fractional_order=order, fractional_order_sd=order_sd)
     config = EstimatorConfig(prior, fractional_order_given=fractional_order_given)
-    estimator = StressEstimator(config, PassThrough(), NOISE, origin_sd)
+    estimator = PosteriorEstimator(config, PassThrough(), NOISE, origin_sd)
     estimator.begin_contact(bias_sd, 0.0)
     return estimator
 
 
-def fed(estimator, motion, stress, steps=None):
-    """Feed samples in blocks; return whether a mismatch was told.
-
-    After each, all work is done, or as many steps of it as are given.
-    """
+def fed(estimator, motion, stress):
+    """Feed samples in blocks; return whether a mismatch was told."""
     step = 1.0 / RATE
     for first in range(0, len(motion) - PER_BLOCK + 1, PER_BLOCK):
         block = slice(first, first + PER_BLOCK)
         for index in range(first, first + PER_BLOCK):
-            estimator.press(step if index else 0.0, float(motion[index]))
+            estimator.take(
+                step if index else 0.0, float(motion[index]), float(stress[index]), is_free=False
+            )
         time = (first + PER_BLOCK / 2) * step
         estimator.update(
             Block(
@@ -71,10 +70,6 @@ def fed(estimator, motion, stress, steps=None):
                 NO_INTEGRALS,
             )
         )
-        if steps is None:
-            estimator.relinearise()
-        else:
-            estimator.work_ahead(steps, begins=True)
     return estimator.is_mismatch
 
 
@@ -100,18 +95,6 @@ def error_of(estimate, truth):
     )
 
 
-@pytest.mark.parametrize("steps", [1, 7])
-def test_the_same_comes_of_work_however_much_of_it_is_done_before_the_next_block(steps):
-    time, motion, rate, top = ramp_and_hold()
-    stress = exact_stress(time, rate, top, FdenModel(520.0, 8.4, 0.2))
-    stress += NOISE * np.random.default_rng(1).standard_normal(time.size)
-    at_once, in_steps = (estimator_of(origin_sd=0.002, bias_sd=0.3) for _ in range(2))
-    fed(at_once, motion, stress)
-    fed(in_steps, motion, stress, steps)
-    in_steps.work_ahead(1000, begins=False)
-    assert repr(in_steps.estimate()) == repr(at_once.estimate())
-
-
 def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors():
     # error' P^-1 error / 3 has mean 1 and, over 40 contacts, a deviation of sqrt(2 / 120) = 0.13:
     # four of them. The bias of alpha is known to 0.0006 / sqrt(40) = 0.0001.
@@ -125,7 +108,7 @@ def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors()
         stress += bias + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of(origin_sd=0.002, bias_sd=0.3)
         alarms += fed(estimator, motion + origin, stress) or estimator.change_count > 0
-        estimator.relinearise(fully=True)
+        estimator.finish()
         estimate = estimator.estimate()
         assert estimate.converged
         error = error_of(estimate, truth)
@@ -147,7 +130,7 @@ def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges(
         stress = exact_stress(time, rate, top, FdenModel(*truth))
         estimator = estimator_of()
         fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-        estimator.relinearise(fully=True)
+        estimator.finish()
         estimate = estimator.estimate()
         assert not estimate.converged
         error = np.abs(error_of(estimate, truth))
@@ -166,7 +149,7 @@ def test_given_order_that_is_one_deviation_wrong_stays_within_the_interval():
         stress = exact_stress(time, rate, top, FdenModel(*truth))
         estimator = estimator_of(fractional_order_given=True, order=0.142, order_sd=0.011)
         fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-        estimator.relinearise(fully=True)
+        estimator.finish()
         estimate = estimator.estimate()
         assert estimate.fractional_order == 0.142
         error = np.abs(error_of(estimate, truth))[:2]
@@ -194,7 +177,7 @@ def test_step_of_stiffness_within_a_contact_is_followed_and_said(ratio):
         stress = fractional_derivative(phi, ORDER) + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of()
         mismatch = fed(estimator, motion, stress)
-        estimator.relinearise(fully=True)
+        estimator.finish()
         estimate = estimator.estimate()
         assert 1 <= estimator.change_count <= 2
         assert not mismatch
@@ -214,7 +197,7 @@ def test_wrong_model_is_told_and_does_not_converge_on_a_narrow_lie(kind):
         stress = 6000.0 * motion**1.8 * (1.0 + velocity)
     estimator = estimator_of()
     assert fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-    estimator.relinearise(fully=True)
+    estimator.finish()
     estimate = estimator.estimate()
     assert not estimate.converged
     # The parameters of a wrong model are known no better than before the touch.

@@ -174,7 +174,7 @@ def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on() -> None:
 
 
 BROKEN = """
-from fden_ros.core.estimation.stress_estimator import StressEstimator as Estimator
+from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator as Estimator
 real, seen = Estimator.update, []
 
 def update(self, block):

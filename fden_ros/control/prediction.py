@@ -17,7 +17,7 @@ solved for :math:`\Delta\varphi`.
 
 The interval is first-order: derivatives by (ln G, ln Gn, alpha, v) under the estimate's covariance
 and the variance of the last innovation. To it comes the variance by which what is left out may
-grow while the plan lasts (:mod:`fden_ros.core.estimation.unmodelled`): the relaxation by what the
+grow while the plan lasts (:mod:`fden_ros.control.unmodelled`): the relaxation by what the
 hold has shown of it.
 """
 
@@ -35,16 +35,19 @@ from scipy.linalg import solve_triangular
 
 from fden_ros.control.left_out import Slope
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, StateIndex
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
-from fden_ros.core.estimation.unmodelled import (
-    KERNEL_SHARE,
-    SURFACE_TIME,
+from fden_ros.control.unmodelled import (
     Growth,
     LoadingAge,
     model_error_variance,
     rig_error_variance,
+)
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import SURFACE_TIME
+from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.estimation.estimator_config import (
+    KERNEL_SHARE,
+    NOTHING_UNKNOWN,
+    Uncertainty,
 )
 from fden_ros.core.law.characteristic import (
     apparent_stiffness_factor,

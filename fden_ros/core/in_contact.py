@@ -21,10 +21,6 @@ from fden_ros.core.press import Press
 from fden_ros.core.site import Site
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
-#: Steps of the work between two blocks [1]: they are spread over the samples of a block. Two
-#: solutions and a step of the law's fit take no more but now and then; what is left then is done
-#: before the next estimate.
-_STEPS = 10
 #: Samples from before the detection of a touch are made up for within about this time [s].
 _CATCH_UP_TIME = 0.03
 
@@ -56,7 +52,7 @@ class InContact:
     def forget(self) -> None:
         """Forget the contact, and number the blocks anew."""
         self._behind: deque[Pair] = deque()  # samples that are not taken yet
-        self._pace = self._steps = 1
+        self._pace = 1
         self._sums.restart(0)
         self._phase.clear()
         self._blocks = 0
@@ -130,9 +126,6 @@ class InContact:
                 site.withdraw()
                 press.flags |= Flag.ORIGIN_UNCERTAIN
         learns = not press.has_ended
-        if learns and not is_silent:
-            # Only now: whoever waits for the last block's estimate has it already.
-            site.work_ahead(self._steps, begins=self._sums.is_empty)
         site.add(pair, compression, stress, is_free=is_free, learns=learns)
         moduli: Iterable[Output] = ()
         if self._meter is not None:
@@ -152,7 +145,6 @@ class InContact:
         block = site.block_of(means)
         fractional_stress = site.fractional_stress(block)
         self._blocks += 1
-        self._steps = math.ceil(_STEPS / means.size)
         innovation = None
         if site.is_learning and not press.has_ended:
             # Without contact the law does not hold.
@@ -171,8 +163,6 @@ class InContact:
         yield press.state(stamp_ns, signals, block.compression, phase, innovation)
         for answer in press.label(stamp_ns, self._blocks):
             yield press.classification(stamp_ns, answer)
-        if not press.has_ended:
-            site.work_ahead(self._steps, begins=True)
 
     def judge_units(
         self, stamp_ns: int, press: Press, site: Site, *, is_over: bool = False

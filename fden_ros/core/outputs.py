@@ -16,6 +16,7 @@ from fden_ros.core.estimation.complex_modulus import ComplexModulus
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
@@ -150,6 +151,7 @@ class ContactSummary:
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
     rig: RigKnowledge | None = None  #: with which the next site begins
+    law_curves: LawCurves | None = None  #: how the contact bends the law
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
     @property

@@ -19,9 +19,9 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,
 )
+from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.estimation.stress_estimator import StressEstimator
 from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
 from fden_ros.core.law.fractional_integral import FractionalIntegral
 from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
@@ -80,6 +80,8 @@ class Site:
         The history has been seen from the first touch, without a gap.
     estimate : Estimate or None
         The newest.
+    law_curves : LawCurves or None
+        How the newest contact that has ended bends the law.
     left : Position or None
         Where the probe was when the tissue was last on it.
     teaches_rig, teaches_motion, teaches_drift : bool
@@ -105,6 +107,7 @@ class Site:
         self.is_usable = True
         self.flags = flags
         self.estimate: Estimate | None = None
+        self.law_curves: LawCurves | None = None
         self._config = config
         self.known_rig = rig
         self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
@@ -272,9 +275,9 @@ class Site:
         count = 2 + math.ceil(math.log(end / first) / math.log(_REST_RATIO))
         elapsed = np.geomspace(first, end, count if first == _FIRST_REST else 2)
         steps = tuple(np.diff(elapsed, prepend=0.0).tolist())
-        free = self._integral.relax(steps)
+        self._integral.relax(steps)
         if self._estimator is not None and self.is_usable:
-            self._estimator.rest(steps, free[:, _NODES:])
+            self._estimator.rest(end)
         self.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
     # Samples
@@ -303,18 +306,13 @@ class Site:
         stamp_ns = pair.stamp_ns
         step = self.seconds_to(stamp_ns)
         estimator = self._estimator if learns and self.is_usable else None
-        if isinstance(estimator, PosteriorEstimator):
+        if estimator is not None:
             estimator.take(step, compression, stress, is_free=is_free)
-            estimator = None
-        if not is_free:
-            if step > 0.0:
+        if step > 0.0:
+            if is_free:
+                self._integral.advance(step, 0.0)
+            else:
                 self._integral.add(step, stress)
-            if estimator is not None:
-                estimator.press(step, compression, pair.surface / self._config.geometry.length)
-        elif step > 0.0:
-            free = self._integral.advance(step, 0.0)
-            if estimator is not None:
-                estimator.rest((step,), free[None, _NODES:])
         self.last_ns = stamp_ns
 
     def is_above_surface(self, step: float, compression: float) -> bool:
@@ -444,23 +442,16 @@ class Site:
         self.is_usable = False
         self.flags |= Flag.ORIGIN_UNCERTAIN
 
-    def work_ahead(self, steps: int, *, begins: bool) -> None:
-        """Do some steps of what takes long, while nobody waits for an estimate.
-
-        `begins`: a new block does.
-        """
-        if self._estimator is not None and self.is_usable:
-            self._estimator.work_ahead(steps, begins=begins)
-
     def end_contact(self) -> None:
         """Bring the estimate to its best at the end of a contact."""
         if self._estimator is not None and self.is_usable and self.estimate is not None:
-            self._estimator.relinearise(fully=True)
+            self._estimator.finish()
             self.refresh()
             self._newest_evidence = self._evidence_of_motion(self._estimator)
             if self._newest_evidence is not None:
                 self.doubt(Flag.NONE, self.known_rig.motion_factor(self._newest_evidence))
-            off = self._estimator.rig_deviations / _CONTRADICTION
+            self.law_curves = self._estimator.law_curves()
+            off = self._estimator.rig_misfit / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
@@ -517,10 +508,10 @@ def _new_estimator(
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
-        is_posterior = config.estimator.observation is Observation.POSTERIOR
-        kind = PosteriorEstimator if is_posterior else StressEstimator
         path_noise = noise.scaled(geometry.length)
-        return kind(config.estimator, geometry, noise_sd, origin_sd, path_noise, rig)
+        return PosteriorEstimator(
+            config.estimator, geometry, noise_sd, origin_sd, path_noise, rig
+        )
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

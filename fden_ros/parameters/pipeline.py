@@ -13,12 +13,12 @@ from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimator_config import (
+    KERNEL_SHARE,
     EstimatorConfig,
     Observation,
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.unmodelled import KERNEL_SHARE
 from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.frames import FramesConfig

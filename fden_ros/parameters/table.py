@@ -477,10 +477,9 @@ class EstimatorParameters:
 
     observation: str = text(
         "stress",
-        "What is observed: the stress; the fractional stress, the paper's way, which does not "
-        "learn alpha; or posterior: the stress, one posterior of a press for all unknowns, on "
-        "trial.",
-        choices=("stress", "fractional_stress", "posterior"),
+        "What is observed: the stress, or the fractional stress, the paper's way, which does not "
+        "learn alpha.",
+        choices=("stress", "fractional_stress"),
     )
 
 

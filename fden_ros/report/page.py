@@ -269,7 +269,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "place": place,
         "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
-        "law": law_picture(session, contact, summary),
+        "law": law_picture(summary),
         "test": contact.innovations.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
@@ -53,20 +54,20 @@ class Estimator(Protocol):
         """Changes of the tissue under the probe that were found."""
 
     @property
-    def rig_deviations(self) -> float:
-        """How far a contact that went in and out says the rig is from what is stated [1]."""
+    def rig_misfit(self) -> float:
+        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
 
-    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
-        """Take the motion of a sample in contact, `step` seconds after the last.
+    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
+        """Take a sample of a contact, `step` seconds after the last.
 
-        `surface` is what its measured place has taken off the compression [1].
+        `is_free`: the tissue is not on the probe, as far as is known.
         """
 
-    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
-        """Take steps in the air, with D^-alpha of the stress after each at the order nodes."""
+    def rest(self, duration: float) -> None:
+        """Let time [s] pass between two contacts."""
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
@@ -80,11 +81,11 @@ class Estimator(Protocol):
     def motion_evidence(self) -> list[float] | None:
         """Return the evidence of a contact for shares of the surface's stated motion, or None."""
 
+    def law_curves(self) -> LawCurves | None:
+        """Return how a contact bends the law, at its end; None: not known."""
+
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
 
-    def work_ahead(self, steps: int, *, begins: bool) -> None:
-        """Do some steps of solving anew, where that is due; `begins`: a new block does."""
-
-    def relinearise(self, *, fully: bool = False) -> None:
-        """Solve anew about the present state, when that is due; `fully`: now, at the end."""
+    def finish(self) -> None:
+        """Bring the estimate to its best at the end of a contact."""

@@ -112,7 +112,7 @@ class FractionalStressEstimator:
     is_mismatch = False
     is_doubtful = False
     change_count = 0
-    rig_deviations = 0.0
+    rig_misfit = 0.0
 
     def __init__(
         self,
@@ -129,20 +129,20 @@ class FractionalStressEstimator:
         """Start a contact; the drift is left out."""
         self._filter.begin_contact(bias_sd)
 
-    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
-        """Take a sample in contact."""
+    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
+        """Take a sample: the integrals of its block hold it."""
 
-    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
-        """Take steps in the air."""
+    def rest(self, duration: float) -> None:
+        """Let time pass: the integrals hold it."""
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
 
-    def work_ahead(self, steps: int, *, begins: bool) -> None:
+    def finish(self) -> None:
         """Return at once: an update of these filters leaves nothing to solve."""
 
-    def relinearise(self, *, fully: bool = False) -> None:
-        """Return at once: an update of these filters leaves nothing to solve."""
+    def law_curves(self) -> None:
+        """Return None: these filters know of no error of the law."""
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""

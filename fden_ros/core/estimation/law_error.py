@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,48 @@ _PLACES = 16
 _FROM_TIME, _FROM_STRAIN = 0.03, 0.1
 #: The loaded part of the characteristic is above this part of the largest strain [1].
 _LOADED = 0.7
+#: Points of a curve, and its first time, as part of the elapsed [1].
+_DRAWN, _FIRST_TIME = 40, 0.003
+
+
+class LawCurve(NamedTuple):
+    """The relative error of one part of the law where it was seen; each of shape (n,)."""
+
+    points: Array  #: times [s] or strains [1]
+    value: Array  #: logarithm of what the data want over the law [1]
+    sd: Array  #: its standard deviation [1]
+
+
+class LawCurves(NamedTuple):
+    """How a contact bends the law, beside the parameters that belong to it."""
+
+    kernel: LawCurve
+    characteristic: LawCurve
+    mean: Array  #: of (ln G, ln Gn, alpha), shape (3,)
+
+
+def law_curves(
+    mean: Array,
+    covariance: Array,
+    parts: tuple[slice, slice],
+    last_knot: float,
+    seen: tuple[float, float],
+) -> LawCurves:
+    """Return the law's errors as curves; parameters as those of :func:`law_error`."""
+    kernel, characteristic = parts
+    elapsed, strain = seen
+    times = np.geomspace(_FIRST_TIME * elapsed, elapsed, _DRAWN)
+    strains = np.linspace(0.0, strain, _DRAWN + 1)[1:]
+
+    def curve(points: Array, design: Array, part: slice) -> LawCurve:
+        spread = np.einsum("ij,jk,ik->i", design, covariance[part, part], design)
+        return LawCurve(points, design @ mean[part], np.sqrt(np.maximum(spread, 0.0)))
+
+    return LawCurves(
+        curve(times, _relaxation_errors(float(mean[ORDER]), times), kernel),
+        curve(strains, characteristic_splines(strains, last_knot), characteristic),
+        mean[: ORDER + 1].copy(),
+    )
 
 
 def law_error(
@@ -71,6 +114,15 @@ def law_error(
 
 def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
     """Return the kernel's error at times less its line in ln t, and the line's slope, by knots."""
+    errors = _relaxation_errors(order, times)
+    logs = np.log(times)
+    line = np.column_stack([np.ones(times.size), logs - logs.mean()])
+    fit = np.linalg.pinv(line)
+    return errors - line @ fit @ errors, fit[1] @ errors
+
+
+def _relaxation_errors(order: float, times: Array) -> Array:
+    """Return the relative error of the relaxation at times by the kernel's knots."""
     weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
     after = np.hstack(
         [
@@ -79,11 +131,8 @@ def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
             np.zeros((times.size, 1)),
         ]
     )
-    errors = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
-    logs = np.log(times)
-    line = np.column_stack([np.ones(times.size), logs - logs.mean()])
-    fit = np.linalg.pinv(line)
-    return errors - line @ fit @ errors, fit[1] @ errors
+    result: Array = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
+    return result
 
 
 def _root_mean_square(values: Array, covariance: Array) -> tuple[float, float]:

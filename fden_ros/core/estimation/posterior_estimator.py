@@ -24,7 +24,8 @@ from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.innovation_monitor import InnovationMonitor
-from fden_ros.core.estimation.law_error import law_error
+from fden_ros.core.estimation.law_error import LawCurves, law_curves, law_error
+from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.record import Points, Record, Sample, block_points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
@@ -62,6 +63,10 @@ _MISMATCH = 0.95
 #: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
 #: of the relaxation's order counts as this at least [1].
 _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
+#: Part of the variance of what is stated of a rig that a press tells at least [1].
+_LEAST_TOLD = 0.01
+#: What is known of a rig, by the names of its unknowns.
+RIG = ("delay", "friction")
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 _NOISELESS = PathNoise()
@@ -155,28 +160,45 @@ class PosteriorEstimator:
         return self._change_count
 
     @property
-    def rig_deviations(self) -> float:
-        """How far the press says the rig is from what is stated [1]."""
+    def rig_misfit(self) -> float:
+        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
         press = self._press
         if press is None or press.solution is None or press.posterior is None:
             return 0.0
-        off = 0.0
+        belief, off = press.posterior.belief, 0.0
         for k, unknown in enumerate(press.posterior.model.unknowns):
             if unknown.lifetime is Lifetime.RIG:
-                spread = 1.0 - press.solution.covariance[k, k]
-                off = max(off, abs(press.solution.mean[k]) / math.sqrt(max(spread, 0.01)))
+                before = 1.0 / belief.precision[k, k]
+                told = max(before - press.solution.covariance[k, k], _LEAST_TOLD * before)
+                off = max(off, abs(press.solution.mean[k] - belief.mean[k]) / math.sqrt(told))
         return off
 
     def motion_evidence(self) -> list[float] | None:
-        """Return nothing: the motion's scale is averaged over in every solution."""
-        return None
+        """Return the log evidence of the press for scales of the surface's stated motion.
+
+        The law counts as exact, so that all it leaves out counts as motion.
+        """
+        press, stated = self._press, self._stated_config.uncertainty.surface_motion_sd
+        if press is None or press.solution is None or press.posterior is None or not stated:
+            return None
+        now = self._config.uncertainty.surface_motion_sd
+        grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in SCALES]
+        return press.posterior.evidence(press.record.points(), press.solution.maximum, grid)
 
     def rig(self) -> RigKnowledge | None:
-        """Return nothing yet of the rig."""
-        return None
-
-    def work_ahead(self, steps: int, *, begins: bool) -> None:
-        """Do nothing: a solution is made at once."""
+        """Return what is known of the rig after the press; None where it tells nothing."""
+        press = self._press
+        if press is None or press.solution is None or press.posterior is None:
+            return None
+        names = [u.name for u in press.posterior.model.unknowns]
+        mean, covariance = self._known_rig.scaled(self._stated_config.uncertainty)
+        places = [(i, names.index(name)) for i, name in enumerate(RIG) if name in names]
+        if not places:
+            return None
+        own, found = (list(each) for each in zip(*places, strict=True))
+        mean[own] = press.solution.mean[found]
+        covariance[np.ix_(own, own)] = press.solution.covariance[np.ix_(found, found)]
+        return self._known_rig.taught(mean, covariance, self._stated_config)
 
     # Samples
 
@@ -214,13 +236,9 @@ class PosteriorEstimator:
             press.samples.append(sample)
             self._max_compression = max(self._max_compression, compression)
 
-    def press(self, step: float, compression: float, surface: float = 0.0) -> None:
-        """Not used: see :meth:`take`."""
-
-    def rest(self, steps: tuple[float, ...], free_responses: Array) -> None:
-        """Let time pass without a contact."""
-        del free_responses
-        self._time += sum(steps)
+    def rest(self, duration: float) -> None:
+        """Let time [s] pass between two contacts."""
+        self._time += duration
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""
@@ -358,15 +376,22 @@ class PosteriorEstimator:
         mean[: len(unknowns)] = [u.mean for u in unknowns]
         for k, unknown in enumerate(unknowns):
             precision[k, k] = 1.0 / unknown.unit**2 if unknown.unit else 1.0
-        carried = self._carried
-        if carried is None:
-            grid = scales_of(config.uncertainty)
-            return Posterior(
-                model, error_model, Belief(mean, precision), grid, has_field_prior=is_bent
-            )
-        belief, has_fields = _taken_over(carried, model, mean, precision)
-        grid = scales_of(config.uncertainty) if has_fields else carried_scales(config.uncertainty)
-        return Posterior(model, error_model, belief, grid, has_field_prior=has_fields)
+        names = [u.name for u in unknowns]
+        places = [(i, names.index(name)) for i, name in enumerate(RIG) if name in names]
+        if places:
+            own, found = (list(each) for each in zip(*places, strict=True))
+            rig_mean, rig_covariance = self._known_rig.scaled(self._stated_config.uncertainty)
+            mean[found] = rig_mean[own]
+            precision[np.ix_(found, found)] = np.linalg.inv(rig_covariance[np.ix_(own, own)])
+        grid, belief, has_fields = scales_of(config.uncertainty), Belief(mean, precision), is_bent
+        if self._carried is not None:
+            belief, has_fields = _taken_over(self._carried, model, mean, precision)
+            if not has_fields:
+                grid = carried_scales(config.uncertainty)
+        order_sd = config.prior.fractional_order_sd if config.fractional_order_given else 0.0
+        return Posterior(
+            model, error_model, belief, grid, has_field_prior=has_fields, order_sd=order_sd
+        )
 
     def _starts(self, posterior: Posterior, points: Points) -> list[Array]:
         found = []
@@ -382,10 +407,10 @@ class PosteriorEstimator:
             found.append(start)
         return found
 
-    def relinearise(self, *, fully: bool = False) -> None:
-        """Solve anew at the end of a contact."""
+    def finish(self) -> None:
+        """Solve anew at the end of a contact, from all starts."""
         press = self._press
-        if fully and press is not None and press.blocks >= _FIRST_SOLUTION:
+        if press is not None and press.blocks >= _FIRST_SOLUTION:
             self._solve(press, fully=True)
             self._compare(press)
 
@@ -425,13 +450,14 @@ class PosteriorEstimator:
         press = self._press
         if press is None or press.filter is None or press.posterior is None:
             return self._prior_estimate()
-        mean, full = _after_changes(
-            press.posterior.model, press.filter.mean, press.filter.covariance
-        )
+        solution = press.solution
+        assert solution is not None
+        full = press.filter.covariance
+        if solution.considered is not None:
+            full = full + solution.considered
+        mean, full = _after_changes(press.posterior.model, press.filter.mean, full)
         covariance = full[:3, :3].copy()
         covariance[:2, :2] += self._config.uncertainty.thickness_sd**2
-        if self._config.fractional_order_given:
-            covariance[ORDER, ORDER] = self._config.prior.fractional_order_sd**2
         covariance = 0.5 * (covariance + covariance.T)
         origin_sd = self._origin_sd * math.sqrt(max(float(full[ORIGIN, ORIGIN]), 0.0))
         origin = self._origin_sd * float(mean[ORIGIN])
@@ -440,8 +466,6 @@ class PosteriorEstimator:
         strain_sd = self._geometry.strain_slope(compression) * origin_sd
         deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         beyond = probability_beyond(strain, strain_sd, float(mean[LOG_GN]), float(deviations[1]))
-        solution = press.solution
-        assert solution is not None
         error = self._law_error(press, mean, full, strain)
         claims = claims_of(
             self._config,
@@ -466,6 +490,21 @@ class PosteriorEstimator:
             law_error=error,
             at_edge=claims.at_edge,
             is_order_contradicted=_is_contradicted(self._config, error),
+        )
+
+    def law_curves(self) -> LawCurves | None:
+        """Return how the press bends the law, at its end; None: the law is said to be exact."""
+        press = self._press
+        if press is None or press.solution is None or press.posterior is None:
+            return None
+        model, solution = press.posterior.model, press.solution
+        elapsed = self._time - press.start
+        strain = self._geometry.strain(max(self._max_compression, 0.0))
+        if not model.is_bent or strain <= 0.0 or elapsed <= 0.0:
+            return None
+        parts = model.kernel, model.characteristic
+        return law_curves(
+            solution.mean, solution.covariance, parts, model.last_knot, (elapsed, strain)
         )
 
     def _law_error(

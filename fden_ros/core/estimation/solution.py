@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +66,8 @@ _LARGEST_STEP = np.array([3.0, 0.7, 0.15])
 _DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
 #: Damping from which on a step is held up by a kink [1].
 _KINK_DAMPING = 0.1
+#: A smooth error of this scale [1] is none.
+_LEAST_SCALE = 1e-4
 #: Rounds of maximum and choice of the scales [1].
 _MOST_ROUNDS = 8
 #: Scales and modes less likely than the best by this logarithm do not count [1].
@@ -128,6 +130,8 @@ class Solution:
     walk : WalkState
         The walks at the end of the record: their means, for the residuals at the maximum and for
         the unknowns' columns, and their covariance, at the best scales.
+    considered : ndarray or None, shape (n, n)
+        What the uncertainty of an order that is not learned adds to the covariance.
     """
 
     maximum: Maximum
@@ -137,6 +141,7 @@ class Solution:
     log_evidence: float
     residuals: Array
     walk: WalkState
+    considered: Array | None = None
 
     @property
     def is_solved(self) -> bool:
@@ -189,6 +194,8 @@ class Posterior:
     grid : sequence of WeighedScales
     has_field_prior : bool
         The law's errors have the priors of the scales, not that of the belief.
+    order_sd : float
+        Standard deviation of an order that is not learned [1]; it counts in the others'.
     """
 
     def __init__(
@@ -199,7 +206,9 @@ class Posterior:
         grid: Sequence[WeighedScales],
         *,
         has_field_prior: bool,
+        order_sd: float = 0.0,
     ) -> None:
+        self._order_sd = order_sd
         self.model, self.error_model, self.belief, self.grid = model, errors, belief, grid
         self._has_field_prior = has_field_prior
         self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in model.unknowns])
@@ -398,7 +407,22 @@ class Posterior:
                 break
             seen.append(chosen)
             best = self.maximum(points, best.state, chosen)
-        return found
+        if not self._order_sd:
+            return found
+        return replace(found, considered=self._considered(points, found.maximum))
+
+    def _considered(self, points: Points, maximum: Maximum) -> Array:
+        """Return the covariance that the order's own adds (Schmidt and Kalman)."""
+        scales = maximum.scales
+        by_order = self.model.evaluate(points, maximum.state).jacobian[:, ORDER]
+        rows = np.column_stack([by_order, maximum.evaluation.jacobian])
+        white, _, _ = self.error_model.whitened(
+            rows, maximum.errors, scales.roughness, scales.motion
+        )
+        normal = white[:, 1:].T @ white[:, 1:] + self._precision(maximum.state, scales)
+        shift = -_solved(normal, white[:, 1:].T @ white[:, 0])
+        shift[ORDER] = 1.0
+        return self._order_sd**2 * np.outer(shift, shift)
 
     def _best(self, points: Points, starts: Sequence[Array], scales: Scales) -> Maximum:
         """Return the most likely maximum; while they are compared the errors are the same."""
@@ -469,6 +493,17 @@ class Posterior:
         assert best_walk is not None
         return self._mixture(maximum, members, best, residuals, best_walk)
 
+    def evidence(self, points: Points, maximum: Maximum, grid: Sequence[Scales]) -> list[float]:
+        """Return the log evidence of single scales, from the linearisation at a maximum."""
+        posterior = Posterior(
+            self.model, self.error_model, self.belief, (), has_field_prior=self._has_field_prior
+        )
+        found = []
+        for scales in grid:
+            posterior.grid = (WeighedScales(_floored(scales), 0.0),)
+            found.append(posterior._averaged(points, maximum).log_evidence)
+        return found
+
     def _mixture(
         self,
         maximum: Maximum,
@@ -501,6 +536,14 @@ class Posterior:
             residuals,
             walk,
         )
+
+
+def _floored(scales: Scales) -> Scales:
+    """Return scales of which the smooth errors have a prior of their own."""
+    return scales._replace(
+        kernel=max(scales.kernel, _LEAST_SCALE),
+        characteristic=max(scales.characteristic, _LEAST_SCALE),
+    )
 
 
 class _Member(NamedTuple):

@@ -32,19 +32,9 @@ import math
 from dataclasses import dataclass
 
 from fden_ros.core.estimation.estimator_config import Uncertainty
+from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
 from fden_ros.core.law.geometry import Geometry
 
-#: The kernel's relative error over that of the characteristic [1], as on beef: 0.05 against 0.2
-#: predict the hold of measured presses within their intervals.
-KERNEL_SHARE = 0.25
-#: Correlation length of the kernel's deviation in ln t [1]: two decades, found by the evidence of
-#: 99 measured presses of beef.
-KERNEL_LENGTH = 2.0 * math.log(10.0)
-#: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
-#: heartbeat: the hereditary form is no better.
-SURFACE_TIME = 0.25
-#: Speed at which friction has half its full square [m/s]: slower is a hold.
-FRICTION_SPEED = 5e-4
 #: Growth in one block that counts at most: of ln phi and of ln A [1]. More is the touch itself.
 _MOST_LOADING, _MOST_AGEING = 1.0, 2.0
 #: phi at G = 1 [1] below which a block is not loaded.
