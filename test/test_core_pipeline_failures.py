@@ -63,7 +63,7 @@ def clean() -> Outcome:
 
 @pytest.mark.parametrize(
     ("name", "after"),
-    [("begin_contact", 0), ("press", 9), ("update", 20), ("work_ahead", 30), ("estimate", 40)],
+    [("begin_contact", 0), ("take", 9), ("update", 20), ("finish", 0), ("estimate", 40)],
 )
 def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
     monkeypatch: pytest.MonkeyPatch, clean: Outcome, name: str, after: int

@@ -12,6 +12,8 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, characteristic_splines
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
@@ -46,15 +48,9 @@ class LawCurves(NamedTuple):
     mean: Array  #: of (ln G, ln Gn, alpha), shape (3,)
 
 
-def law_curves(
-    mean: Array,
-    covariance: Array,
-    parts: tuple[slice, slice],
-    last_knot: float,
-    seen: tuple[float, float],
-) -> LawCurves:
+def law_curves(solution: Solution, model: PressModel, seen: tuple[float, float]) -> LawCurves:
     """Return the law's errors as curves; parameters as those of :func:`law_error`."""
-    kernel, characteristic = parts
+    mean, covariance = solution.mean, solution.covariance
     elapsed, strain = seen
     times = np.geomspace(_FIRST_TIME * elapsed, elapsed, _DRAWN)
     strains = np.linspace(0.0, strain, _DRAWN + 1)[1:]
@@ -64,33 +60,25 @@ def law_curves(
         return LawCurve(points, design @ mean[part], np.sqrt(np.maximum(spread, 0.0)))
 
     return LawCurves(
-        curve(times, _relaxation_errors(float(mean[ORDER]), times), kernel),
-        curve(strains, characteristic_splines(strains, last_knot), characteristic),
+        curve(times, _relaxation_errors(float(mean[ORDER]), times), model.kernel),
+        curve(strains, characteristic_splines(strains, model.last_knot), model.characteristic),
         mean[: ORDER + 1].copy(),
     )
 
 
-def law_error(
-    mean: Array,
-    covariance: Array,
-    parts: tuple[slice, slice],
-    last_knot: float,
-    seen: tuple[float, float],
-) -> LawError:
+def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) -> LawError:
     """Return root mean squares of the errors over what was seen, with their standard deviations.
 
     Parameters
     ----------
-    mean, covariance : ndarray, shapes (n,), (n, n)
-        Of the unknowns.
-    parts : tuple of slice
-        Of the kernel's error and of the characteristic's among them.
-    last_knot : float
-        Strain of the last knot [1].
+    solution : Solution
+    model : PressModel
+        Of which it is a solution.
     seen : tuple of float
         Time since the touch [s], and largest strain [1].
     """
-    kernel, characteristic = parts
+    kernel, characteristic = model.kernel, model.characteristic
+    mean, covariance = solution.mean, solution.covariance
     elapsed, strain = seen
     times = np.geomspace(_FROM_TIME * elapsed, elapsed, _PLACES)
     design, slope = _relaxation_functionals(float(mean[ORDER]), times)
@@ -99,7 +87,7 @@ def law_error(
     own = np.zeros(mean.size)
     own[ORDER], own[kernel] = 1.0, -slope
     strains = np.linspace(_FROM_STRAIN * strain, strain, _PLACES)
-    curve = characteristic_splines(strains, last_knot)
+    curve = characteristic_splines(strains, model.last_knot)
     off = curve @ mean[characteristic]
     off_covariance = curve @ covariance[characteristic, characteristic] @ curve.T
     loaded = strains >= _LOADED * strain

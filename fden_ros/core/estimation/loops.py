@@ -189,7 +189,7 @@ def _at(array: Array | NDArray[np.int32] | None) -> ctypes.c_void_p | None:
         return None
     if not array.flags.c_contiguous or array.dtype not in (np.float64, np.int32):
         raise ValueError("the compiled loops take contiguous arrays of float64 and int32")
-    return ctypes.c_void_p(array.ctypes.data)
+    return ctypes.c_void_p(array.__array_interface__["data"][0])
 
 
 def _stacked(arrays: list[Array | None]) -> tuple[NDArray[np.int32], Array | None]:

@@ -48,11 +48,12 @@ from fden_ros.core.law.relaxation import StressMoments
 from fden_ros.core.streams.samples import PathNoise
 
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
-#: grown by these factors [1], some 40 times a contact; between two the filter is off by half
+#: grown by these factors [1], some 25 times a contact; between two the filter is off by half
 #: a standard deviation.
-_TIME_RATIO, _DEPTH_RATIO = 1.15, 1.08
-#: Blocks before the first solution [1].
-_FIRST_SOLUTION = 4
+_TIME_RATIO, _DEPTH_RATIO = 1.25, 1.12
+#: Blocks before the first solution, and until which it is sought from all starts, each time that
+#: their number has doubled [1].
+_FIRST_SOLUTION, _LAST_STARTS = 4, 32
 #: Starts of ln Gn, about the prior's mean in its standard deviations [1].
 _STARTS = (-0.8, 0.8)
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
@@ -82,11 +83,12 @@ class _Press:
         self.samples: list[Sample] = []
         self.last = start
         self.is_pressed = False
-        self.blocks = 0
+        self.blocks = self.blocks_at_starts = 0
         self.solution: Solution | None = None
         self.posterior: Posterior | None = None
         self.filter: PressFilter | None = None
         self.solved_at = (0.0, 0.0)
+        self.law_error: LawError | None = None
         self.changes: list[Unknown] = []
         self.is_contradicted = False
         self.looked_at = -math.inf
@@ -333,15 +335,15 @@ class PosteriorEstimator:
             tracked = np.insert(tracked, [known] * (len(posterior.model.unknowns) - known), 0.0)
             if press.posterior.model.last_knot != posterior.model.last_knot:
                 tracked[posterior.model.characteristic] = 0.0
-        if tracked is None or fully or press.blocks < 3 * _FIRST_SOLUTION:
+        is_early = 2 * press.blocks_at_starts <= press.blocks <= _LAST_STARTS
+        if tracked is None or fully or is_early:
+            press.blocks_at_starts = press.blocks
             starts = self._starts(posterior, points)
             starts += [tracked] if tracked is not None else []
-            scales = _middle(posterior)
+            press.solution = posterior.solution(points, starts, _middle(posterior))
         else:
             assert press.solution is not None
-            starts = [tracked]
-            scales = press.solution.maximum.scales
-        press.solution = posterior.solution(points, starts, scales)
+            press.solution = posterior.tracked(points, tracked, press.solution)
         press.posterior = posterior
         press.filter = PressFilter(press.solution, posterior.model, posterior.error_model)
         press.last = float(points.times[-1])
@@ -350,6 +352,7 @@ class PosteriorEstimator:
             monitor.add(residual)
         press.is_contradicted = monitor.mismatch_count > 0
         press.solved_at = self._time - press.start, press.record.max_compression
+        press.law_error = self._law_error(press)
 
     def _posterior(
         self, press: _Press, more: tuple[Unknown, ...] = (), kind: type[PressModel] = PressModel
@@ -466,7 +469,7 @@ class PosteriorEstimator:
         strain_sd = self._geometry.strain_slope(compression) * origin_sd
         deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         beyond = probability_beyond(strain, strain_sd, float(mean[LOG_GN]), float(deviations[1]))
-        error = self._law_error(press, mean, full, strain)
+        error = press.law_error
         claims = claims_of(
             self._config,
             Evidence(
@@ -495,27 +498,26 @@ class PosteriorEstimator:
     def law_curves(self) -> LawCurves | None:
         """Return how the press bends the law, at its end; None: the law is said to be exact."""
         press = self._press
-        if press is None or press.solution is None or press.posterior is None:
+        seen = self._seen(press) if press is not None else None
+        if press is None or press.solution is None or press.posterior is None or seen is None:
             return None
-        model, solution = press.posterior.model, press.solution
-        elapsed = self._time - press.start
-        strain = self._geometry.strain(max(self._max_compression, 0.0))
-        if not model.is_bent or strain <= 0.0 or elapsed <= 0.0:
-            return None
-        parts = model.kernel, model.characteristic
-        return law_curves(
-            solution.mean, solution.covariance, parts, model.last_knot, (elapsed, strain)
-        )
+        return law_curves(press.solution, press.posterior.model, seen)
 
-    def _law_error(
-        self, press: _Press, mean: Array, covariance: Array, strain: float
-    ) -> LawError | None:
-        assert press.posterior is not None
-        model, elapsed = press.posterior.model, self._time - press.start
-        if not model.is_bent or strain <= 0.0 or elapsed <= 0.0:
+    def _law_error(self, press: _Press) -> LawError | None:
+        seen = self._seen(press)
+        if press.solution is None or press.posterior is None or seen is None:
             return None
-        parts = model.kernel, model.characteristic
-        return law_error(mean, covariance, parts, model.last_knot, (elapsed, strain))
+        return law_error(press.solution, press.posterior.model, seen)
+
+    def _seen(self, press: _Press) -> tuple[float, float] | None:
+        """Return the time since the touch [s] and the largest strain [1]; None: nothing."""
+        if press.posterior is None or not press.posterior.model.is_bent:
+            return None
+        assert press.solution is not None
+        origin = self._origin_sd * float(press.solution.mean[ORIGIN])
+        strain = self._geometry.strain(max(self._max_compression - origin, 0.0))
+        elapsed = self._time - press.start
+        return (elapsed, strain) if strain > 0.0 and elapsed > 0.0 else None
 
     def _prior_estimate(self) -> Estimate:
         prior = self._config.prior

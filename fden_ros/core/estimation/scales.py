@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from fden_ros.core.estimation.estimator_config import Uncertainty
@@ -64,6 +65,16 @@ def scales_of(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
         scales = Scales(kernel * unit, characteristic * unit, roughness * unit, motion)
         found.append(WeighedScales(scales, -0.5 * (i - j) ** 2))
     return tuple(found)
+
+
+def beside(grid: Sequence[WeighedScales], best: Scales) -> tuple[WeighedScales, ...]:
+    """Return the places of a grid that are next to one, in each scale."""
+    near = []
+    for k, value in enumerate(best):
+        values = sorted({weighed.scales[k] for weighed in grid})
+        at = values.index(value)
+        near.append(values[max(at - 1, 0) : at + 2])
+    return tuple(w for w in grid if all(x in n for x, n in zip(w.scales, near, strict=True)))
 
 
 def carried_scales(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:

@@ -30,7 +30,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Errors
 from fden_ros.core.estimation.loop_arguments import ResponseState, WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.scales import Scales, WeighedScales
+from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
 from fden_ros.core.estimation.unknowns import (
     CHARACTERISTIC_KNOTS,
     KERNEL_KNOTS,
@@ -50,6 +50,8 @@ _MOST_STEPS, _MOST_TRIES = 60, 8
 _CONVERGED = 1e-4
 #: The same where rounding lets no step lower it [1].
 _NEARLY_CONVERGED = 1e-3
+#: The same while the record grows [1].
+_NEARLY_FOUND = 2e-3
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
 #: the distance [1], so that both cannot take turns.
 _QUICK_STEPS, _FOLLOWING = 5, 0.5
@@ -247,8 +249,12 @@ class Posterior:
             found.jacobian[:, : self._fixed.size][:, self._fixed] = 0.0
         return found
 
-    def maximum(self, points: Points, start: Array, scales: Scales) -> Maximum:
+    def maximum(
+        self, points: Points, start: Array, scales: Scales, converged: float = _CONVERGED
+    ) -> Maximum:
         """Return the maximum that a start leads to.
+
+        `converged`: it is found where a step would lower minus twice the log posterior by less.
 
         Raises
         ------
@@ -259,10 +265,10 @@ class Posterior:
         at = start  # where the variances are taken; it follows the state
         found = self._evaluate(points, state)
         is_solved = is_at_kink = False
-        tried, searches = 0, _MOST_SEARCHES
+        tried, searches = 0, _MOST_SEARCHES if converged == _CONVERGED else 0
         for count in range(_MOST_STEPS):
-            at = at + (state - at) * (1.0 if count < _QUICK_STEPS else _FOLLOWING)
-            stress = self.model.stress(points, at)
+            at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
+            stress = found.stress if at is state else self.model.stress(points, at)
             errors = self.error_model.errors(points, at, stress)
             precision = self._precision(at, scales)
             rows = np.column_stack([points.stresses - found.stress, found.jacobian])
@@ -277,17 +283,17 @@ class Posterior:
             behind = state - at
             gain = float(towards @ _solved(normal, towards))
             left = gain + float(behind @ normal @ behind)
-            if left < _CONVERGED and is_at_kink and searches:
+            if left < converged and is_at_kink and searches:
                 searches -= 1
                 before = state
                 state = self._along_kink(points, state, free, held, scales, errors, precision)
                 found = self._evaluate(points, state)
                 if state is not before:
                     continue
-            if left < _CONVERGED:
+            if left < converged:
                 is_solved = True
                 break
-            if gain < 0.1 * _CONVERGED:
+            if gain < 0.1 * converged:
                 continue
             if tried > _MOST_STEPS:
                 break
@@ -297,7 +303,8 @@ class Posterior:
             tried += tries
             if taken is None:
                 # A sample at the surface: its stress begins there, and so does its derivative.
-                is_solved, is_at_kink = is_at_kink and left < _NEARLY_CONVERGED, True
+                is_solved = is_at_kink and left < max(_NEARLY_CONVERGED, converged)
+                is_at_kink = True
                 damping = _DAMPING
                 if is_solved:
                     break
@@ -411,6 +418,27 @@ class Posterior:
             return found
         return replace(found, considered=self._considered(points, found.maximum))
 
+    def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
+        """Return the posterior from the state of one of a shorter record, in less time.
+
+        The maximum is found to a twentieth of a standard deviation, and only the scales beside the
+        best one before are weighed; where another is better now, all are.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is not finite at the state.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            scales = max(before.scales, key=lambda s: before.scales[s])
+            best = self.maximum(points, state, scales, _NEARLY_FOUND)
+            found = self._averaged(points, best, beside(self.grid, scales))
+            if max(found.scales, key=lambda s: found.scales[s]) != scales:
+                found = self._averaged(points, best)
+        if not self._order_sd:
+            return found
+        return replace(found, considered=self._considered(points, found.maximum))
+
     def _considered(self, points: Points, maximum: Maximum) -> Array:
         """Return the covariance that the order's own adds (Schmidt and Kalman)."""
         scales = maximum.scales
@@ -459,15 +487,17 @@ class Posterior:
         misfit = white[:, 0] @ white[:, 0] + off @ precision @ off
         return -0.5 * float(misfit + log_det + np.linalg.slogdet(normal)[1])
 
-    def _averaged(self, points: Points, maximum: Maximum) -> Solution:
-        """Return the mixture over the scales, from one linearisation."""
+    def _averaged(
+        self, points: Points, maximum: Maximum, grid: Sequence[WeighedScales] = ()
+    ) -> Solution:
+        """Return the mixture over the scales of a grid, by default all, from one linearisation."""
         rows = np.column_stack(
             [points.stresses - maximum.evaluation.stress, maximum.evaluation.jacobian]
         )
         priors = self._priors(maximum.state)
         off = self.belief.mean - maximum.state
         groups: dict[tuple[float, float], list[WeighedScales]] = {}
-        for weighed in self.grid:
+        for weighed in grid or self.grid:
             groups.setdefault(weighed.scales[2:], []).append(weighed)
         members: list[_Member] = []
         best_walk, best, residuals = None, -math.inf, rows[:, 0]
