@@ -56,7 +56,9 @@ def change_of(
     if state.size != without.model.size:
         return None
     count, now = len(without.model.unknowns), float(points.times[-1])
-    alone = without.solution(points, [state], scales).log_evidence
+    alone = without.solution(points, [state], scales)
+    if not alone.is_solved:
+        return None
     best, gain = None, _THRESHOLD
 
     def look(ago: float) -> None:
@@ -67,8 +69,8 @@ def change_of(
         start = np.insert(state, count, 0.0)
         found = with_change(unknown).solution(points, [start], scales)
         is_large = abs(found.mean[count]) > _LEAST_STEP
-        if is_large and found.log_evidence - alone > gain:
-            best, gain = unknown, found.log_evidence - alone
+        if is_large and found.is_solved and found.log_evidence - alone.log_evidence > gain:
+            best, gain = unknown, found.log_evidence - alone.log_evidence
 
     for ago in _AGO:
         look(ago)

@@ -25,6 +25,7 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.innovation_monitor import InnovationMonitor
 from fden_ros.core.estimation.law_error import LawCurves, law_curves, law_error
+from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.record import Points, Record, Sample, block_points
@@ -84,7 +85,7 @@ class _Press:
         self.last = start
         self.is_pressed = False
         self.blocks = self.blocks_at_starts = 0
-        self.solution: Solution | None = None
+        self.modes: Modes | None = None
         self.posterior: Posterior | None = None
         self.filter: PressFilter | None = None
         self.solved_at = (0.0, 0.0)
@@ -92,6 +93,16 @@ class _Press:
         self.changes: list[Unknown] = []
         self.is_contradicted = False
         self.looked_at = -math.inf
+
+    @property
+    def solutions(self) -> tuple[Solution, ...]:
+        """About the maxima of the posterior, best first."""
+        return self.modes.solutions if self.modes is not None else ()
+
+    @property
+    def solution(self) -> Solution | None:
+        """About the best maximum; None: not solved yet."""
+        return self.modes.best if self.modes is not None else None
 
 
 class PosteriorEstimator:
@@ -269,14 +280,7 @@ class PosteriorEstimator:
         self._sample_count += block.size
         innovation = Innovation(0.0, block.stress, 0.0, max(self._noise_sd**2, 1e-300))
         if press.filter is not None and press.samples:
-            found = press.filter.step(block_points(press.samples, press.last))
-            press.last = press.samples[-1].time
-            innovation = Innovation(
-                self._elastic(block.compression),
-                found.prediction,
-                found.innovation,
-                found.variance,
-            )
+            innovation = self._filtered(press, press.filter, block.compression)
         press.samples.clear()
         press.blocks += 1
         off = innovation.innovation**2 > (SUSPICIOUS**2) * innovation.variance
@@ -286,6 +290,20 @@ class PosteriorEstimator:
         elif self._is_due(press):
             self._solve(press)
         return innovation
+
+    def _filtered(self, press: _Press, own_filter: PressFilter, compression: float) -> Innovation:
+        """Let the filter take the samples of a block."""
+        points = block_points(press.samples, press.last)
+        press.last = press.samples[-1].time
+        try:
+            found = own_filter.step(points)
+            elastic = self._elastic(compression)
+        except (FloatingPointError, OverflowError):
+            # Too far from the last solution: the next one is due now.
+            press.solved_at = 0.0, 1e-9
+            stress = float(points.stresses[0])
+            return Innovation(0.0, stress, 0.0, max(self._noise_sd**2, 1e-300))
+        return Innovation(elastic, found.prediction, found.innovation, found.variance)
 
     def _finds_change(self, press: _Press) -> bool:
         """Whether the tissue has changed under the probe; then the change is an unknown more."""
@@ -326,33 +344,44 @@ class PosteriorEstimator:
         points = press.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
-        posterior = self._posterior(press)
-        tracked = None
-        if press.solution is not None:
-            assert press.posterior is not None
-            tracked = press.solution.maximum.state.copy()
-            known = len(press.posterior.model.unknowns)
-            tracked = np.insert(tracked, [known] * (len(posterior.model.unknowns) - known), 0.0)
-            if press.posterior.model.last_knot != posterior.model.last_knot:
-                tracked[posterior.model.characteristic] = 0.0
+        posterior, strain = self._posterior(press), self._largest_strain(press)
+        tracked = [(self._grown(press, s, posterior), s) for s in press.solutions]
         is_early = 2 * press.blocks_at_starts <= press.blocks <= _LAST_STARTS
-        if tracked is None or fully or is_early:
+        if not tracked or fully or is_early:
             press.blocks_at_starts = press.blocks
-            starts = self._starts(posterior, points)
-            starts += [tracked] if tracked is not None else []
-            press.solution = posterior.solution(points, starts, _middle(posterior))
+            starts = [state for state, _ in tracked] + self._starts(posterior, points)
+            press.modes = find_modes(posterior, points, starts, _middle(posterior), strain)
         else:
-            assert press.solution is not None
-            press.solution = posterior.tracked(points, tracked, press.solution)
+            press.modes = follow_modes(posterior, points, tracked, strain)
         press.posterior = posterior
-        press.filter = PressFilter(press.solution, posterior.model, posterior.error_model)
+        best = press.modes.best
+        press.filter = PressFilter(best, posterior.model, posterior.error_model)
         press.last = float(points.times[-1])
         monitor = InnovationMonitor()
-        for residual in press.solution.residuals.tolist():
+        for residual in best.residuals.tolist():
             monitor.add(residual)
         press.is_contradicted = monitor.mismatch_count > 0
         press.solved_at = self._time - press.start, press.record.max_compression
         press.law_error = self._law_error(press)
+
+    @staticmethod
+    def _grown(press: _Press, solution: Solution, posterior: Posterior) -> Array:
+        """Return the state of a solution for a posterior that may have more unknowns."""
+        assert press.posterior is not None
+        before, now = press.posterior.model, posterior.model
+        known = len(before.unknowns)
+        more = len(now.unknowns) - known
+        state = np.insert(solution.maximum.state, [known] * more, 0.0)
+        if before.last_knot != now.last_knot:
+            state[now.characteristic] = 0.0
+        return state
+
+    def _largest_strain(self, press: _Press) -> float:
+        """Return the largest strain of a site, from the newest origin [1]."""
+        origin = 0.0
+        if press.solution is not None:
+            origin = self._origin_sd * float(press.solution.mean[ORIGIN])
+        return self._geometry.strain(max(self._max_compression - origin, 0.0))
 
     def _posterior(
         self, press: _Press, more: tuple[Unknown, ...] = (), kind: type[PressModel] = PressModel
@@ -437,12 +466,12 @@ class PosteriorEstimator:
         press, self._press = self._press, None
         if press is None or press.solution is None or press.posterior is None:
             return
+        assert press.modes is not None
         model = press.posterior.model
         self._carried = (
             model.unknowns,
             model.last_knot,
-            press.solution.mean,
-            press.solution.covariance,
+            *press.modes.mixed(press.solution.mean, press.solution.covariance),
             model.is_bent,
         )
 
@@ -454,11 +483,9 @@ class PosteriorEstimator:
         if press is None or press.filter is None or press.posterior is None:
             return self._prior_estimate()
         solution = press.solution
-        assert solution is not None
-        full = press.filter.covariance
-        if solution.considered is not None:
-            full = full + solution.considered
-        mean, full = _after_changes(press.posterior.model, press.filter.mean, full)
+        assert press.modes is not None and solution is not None
+        mean, full = press.modes.mixed(press.filter.mean, press.filter.covariance)
+        mean, full = _after_changes(press.posterior.model, mean, full)
         covariance = full[:3, :3].copy()
         covariance[:2, :2] += self._config.uncertainty.thickness_sd**2
         covariance = 0.5 * (covariance + covariance.T)
@@ -513,10 +540,7 @@ class PosteriorEstimator:
         """Return the time since the touch [s] and the largest strain [1]; None: nothing."""
         if press.posterior is None or not press.posterior.model.is_bent:
             return None
-        assert press.solution is not None
-        origin = self._origin_sd * float(press.solution.mean[ORIGIN])
-        strain = self._geometry.strain(max(self._max_compression - origin, 0.0))
-        elapsed = self._time - press.start
+        strain, elapsed = self._largest_strain(press), self._time - press.start
         return (elapsed, strain) if strain > 0.0 and elapsed > 0.0 else None
 
     def _prior_estimate(self) -> Estimate:

@@ -18,6 +18,7 @@ alone.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -70,6 +71,8 @@ _DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
 _KINK_DAMPING = 0.1
 #: A smooth error of this scale [1] is none.
 _LEAST_SCALE = 1e-4
+#: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
+_SAME = 1e-3
 #: Rounds of maximum and choice of the scales [1].
 _MOST_ROUNDS = 8
 #: Scales and modes less likely than the best by this logarithm do not count [1].
@@ -211,6 +214,7 @@ class Posterior:
         order_sd: float = 0.0,
     ) -> None:
         self._order_sd = order_sd
+        self._held: int | None = None
         self.model, self.error_model, self.belief, self.grid = model, errors, belief, grid
         self._has_field_prior = has_field_prior
         self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in model.unknowns])
@@ -276,6 +280,9 @@ class Posterior:
             off = self.belief.mean - state
             normal = white[:, 1:].T @ white[:, 1:] + precision
             towards = white[:, 1:].T @ white[:, 0] + precision @ off
+            if self._held is not None:
+                normal[self._held], normal[:, self._held] = 0.0, 0.0
+                normal[self._held, self._held], towards[self._held] = 1.0, 0.0
             misfit = float(white[:, 0] @ white[:, 0] + off @ precision @ off)
             free, held = normal, self.model.touch_gradient(points, state)
             if is_at_kink:
@@ -393,7 +400,7 @@ class Posterior:
     # Evidence
 
     def solution(self, points: Points, starts: Sequence[Array], scales: Scales) -> Solution:
-        """Return the posterior, the best of the maxima that the starts lead to.
+        """Return the posterior about the best of the maxima that the starts lead to.
 
         Raises
         ------
@@ -402,10 +409,33 @@ class Posterior:
         """
         # A step too far overflows; it is not taken.
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._solved_from(points, starts, scales)
+            return self._refined(points, self._maxima(points, starts, scales)[0])
 
-    def _solved_from(self, points: Points, starts: Sequence[Array], scales: Scales) -> Solution:
-        best = self._best(points, starts, scales)
+    def solutions(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Solution]:
+        """Return the posterior about each of the maxima that the starts lead to.
+
+        Raises
+        ------
+        FloatingPointError
+            If no start has a finite stress.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = self._maxima(points, starts, scales)
+            apart = [
+                m
+                for k, m in enumerate(found)
+                if all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
+            ]
+            return [self._refined(points, maximum) for maximum in apart]
+
+    def held(self, place: int) -> Posterior:
+        """Return the posterior given the unknown at a place."""
+        other = copy.copy(self)
+        other._held = place
+        return other
+
+    def _refined(self, points: Points, best: Maximum) -> Solution:
+        """Return the solution about a maximum once the scales are the best there."""
         seen = [best.scales]
         for _ in range(_MOST_ROUNDS):
             found = self._averaged(points, best)
@@ -452,8 +482,8 @@ class Posterior:
         shift[ORDER] = 1.0
         return self._order_sd**2 * np.outer(shift, shift)
 
-    def _best(self, points: Points, starts: Sequence[Array], scales: Scales) -> Maximum:
-        """Return the most likely maximum; while they are compared the errors are the same."""
+    def _maxima(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Maximum]:
+        """Return the maxima, best first; while they are compared the errors are the same."""
         maxima = []
         for start in starts:
             try:
@@ -463,17 +493,18 @@ class Posterior:
         if not maxima:
             raise FloatingPointError("the stress is not finite at any start")
         if len(maxima) == 1:
-            return maxima[0]
+            return maxima
         reference = maxima[0]
         for _ in maxima:
-            evidence = [self._log_evidence(points, m, reference.errors) for m in maxima]
-            best = maxima[int(np.argmax(evidence))]
-            if best is reference:
+            evidence = [self.log_evidence(points, m, reference.errors) for m in maxima]
+            order = np.argsort(evidence)[::-1].tolist()
+            if maxima[order[0]] is reference:
                 break
-            reference = best
-        return reference
+            reference = maxima[order[0]]
+        return [maxima[k] for k in order]
 
-    def _log_evidence(self, points: Points, maximum: Maximum, errors: Errors) -> float:
+    def log_evidence(self, points: Points, maximum: Maximum, errors: Errors) -> float:
+        """Return the log evidence about a maximum, with the errors of a state to compare by."""
         scales = maximum.scales
         rows = np.column_stack(
             [points.stresses - maximum.evaluation.stress, maximum.evaluation.jacobian]
@@ -510,6 +541,9 @@ class Posterior:
             precisions = np.array([priors.precision(w.scales) for w in group])
             pulls = precisions @ off
             normals, gradients = data + precisions, towards + pulls
+            if self._held is not None:
+                normals[:, self._held], normals[:, :, self._held] = 0.0, 0.0
+                normals[:, self._held, self._held], gradients[:, self._held] = 1.0, 0.0
             unit = 1.0 / np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
             factors = np.linalg.cholesky(normals * unit[:, :, None] * unit[:, None, :])
             halves = np.linalg.solve(factors, (unit * gradients)[:, :, None])[:, :, 0]

@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""A posterior of several modes.
+
+- Starts may lead to maxima that are apart. Each that is likely is kept and followed.
+- Below the boundary strain 1/Gn the law is linear, and the likelihood says nothing of Gn. A
+  posterior near there is one mode beyond the boundary, and the prior of ln Gn cut off at
+  :math:`b = -\ln x_{max}`. With the likelihood L(b) of a linear law its weight is
+
+.. math:: L(b) \int_{-\infty}^{b} p(l)\, dl .
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
+from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.unknowns import LAW, LOG_GN
+
+#: Maxima less likely than the best by this logarithm do not count [1].
+_NEGLIGIBLE = 7.0
+#: Maxima closer than this many standard deviations are one [1].
+_SAME = 0.2
+#: Beyond the boundary by this many standard deviations of ln Gn nothing is cut off [1]: Laplace's
+#: is the slope there, and twice the distance is not beyond.
+_CLEAR = 12.0
+#: ln Gn of a linear law is below the boundary by this [1].
+_BELOW = 1e-3
+
+
+class Member(NamedTuple):
+    """One mode as a Gaussian."""
+
+    weight: float
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The modes of a posterior.
+
+    Attributes
+    ----------
+    solutions : tuple of Solution
+        About its maxima, the likeliest first.
+    weight : float
+        Of the first.
+    others : tuple of Member
+        All modes but the first.
+    """
+
+    solutions: tuple[Solution, ...]
+    weight: float = 1.0
+    others: tuple[Member, ...] = ()
+
+    @property
+    def best(self) -> Solution:
+        """The likeliest maximum's."""
+        return self.solutions[0]
+
+    def mixed(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """Return the moments of all modes, where those of the first have gone on to these."""
+        best = self.best
+        if best.considered is not None:
+            covariance = covariance + best.considered
+        if not self.others:
+            return mean, covariance
+        shift = mean - best.mean
+        members = [Member(self.weight, mean, covariance)]
+        members += [m._replace(mean=m.mean + shift) for m in self.others]
+        middle = np.sum([m.weight * m.mean for m in members], axis=0)
+        spread = np.zeros_like(covariance)
+        for member in members:
+            off = member.mean - middle
+            spread += member.weight * (member.covariance + np.outer(off, off))
+        return middle, spread
+
+
+def find_modes(
+    posterior: Posterior, points: Points, starts: Sequence[Array], scales: Scales, strain: float
+) -> Modes:
+    """Return the modes that starts lead to.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    points : Points
+    starts : sequence of ndarray, shape (n,)
+    scales : Scales
+        To begin with.
+    strain : float
+        Largest strain of the record [1].
+
+    Raises
+    ------
+    FloatingPointError
+        If the stress is not finite at any start.
+    """
+    return _weighed(posterior, points, posterior.solutions(points, starts, scales), strain)
+
+
+def follow_modes(
+    posterior: Posterior,
+    points: Points,
+    before: Sequence[tuple[Array, Solution]],
+    strain: float,
+) -> Modes:
+    """Return the modes that those of a shorter record, with their states by now, lead to."""
+    found = [posterior.tracked(points, state, solution) for state, solution in before]
+    return _weighed(posterior, points, found, strain)
+
+
+def _weighed(
+    posterior: Posterior, points: Points, found: Sequence[Solution], strain: float
+) -> Modes:
+    """Return the modes that are apart, weighed by their evidence under the same errors."""
+    if len(found) == 1:
+        return _with_linear(posterior, points, Modes((found[0],)), strain)
+    errors = found[0].maximum.errors
+    evidence = np.array([posterior.log_evidence(points, s.maximum, errors) for s in found])
+    kept: list[tuple[float, Solution]] = []
+    for k in np.argsort(-evidence):
+        likely = float(evidence[k] - evidence.max())
+        if likely > -_NEGLIGIBLE and all(_are_apart(found[k], s) for _, s in kept):
+            kept.append((math.exp(likely), found[k]))
+    total = sum(weight for weight, _ in kept)
+    others = tuple(Member(w / total, s.mean, s.covariance) for w, s in kept[1:])
+    modes = Modes(tuple(s for _, s in kept), kept[0][0] / total, others)
+    return _with_linear(posterior, points, modes, strain)
+
+
+def _are_apart(one: Solution, other: Solution) -> bool:
+    law = slice(0, len(LAW))
+    sd = np.sqrt(np.maximum(other.covariance.diagonal()[law], 1e-300))
+    return bool(np.max(np.abs(one.mean - other.mean)[law] / sd) > _SAME)
+
+
+def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Modes:
+    """Return the modes with that of a law that is linear over the record."""
+    best = modes.best
+    sd = math.sqrt(max(float(best.covariance[LOG_GN, LOG_GN]), 0.0))
+    if strain <= 0.0 or sd == 0.0:
+        return modes
+    boundary = -math.log(strain)
+    beyond = (float(best.mean[LOG_GN]) - boundary) / sd
+    if beyond > _CLEAR:
+        return modes
+    state = best.maximum.state.copy()
+    state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
+    linear = posterior.held(LOG_GN).tracked(points, state, best)
+    mean = float(posterior.belief.mean[LOG_GN])
+    width = 1.0 / math.sqrt(float(posterior.belief.precision[LOG_GN, LOG_GN]))
+    place = (boundary - mean) / width
+    gain = linear.log_evidence - best.log_evidence + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
+    gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
+    if beyond < 0.0 and best.maximum.state[LOG_GN] < boundary:
+        gain = math.inf
+    weight = 1.0 if gain > 300.0 else modes.weight * math.exp(gain)
+    weight = weight / (1.0 + weight) if gain <= 300.0 else 1.0
+    # Moments of the prior cut off at the boundary.
+    ratio = math.exp(-0.5 * place**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(place)))
+    moments, covariance = linear.mean.copy(), linear.covariance.copy()
+    moments[LOG_GN] = mean - width * ratio
+    covariance[LOG_GN], covariance[:, LOG_GN] = 0.0, 0.0
+    covariance[LOG_GN, LOG_GN] = width**2 * max(1.0 - ratio * (place + ratio), 1e-6)
+    rest = 1.0 - weight
+    others = tuple(m._replace(weight=rest * m.weight) for m in modes.others)
+    return Modes(
+        modes.solutions, rest * modes.weight, (*others, Member(weight, moments, covariance))
+    )
