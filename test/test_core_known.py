@@ -192,11 +192,9 @@ def test_measured_beef_and_silicone_are_identified_without_a_setting() -> None:
     assert np.mean([estimate.knows(0) for estimate in found["silicone"]]) >= 0.8
 
 
-@pytest.mark.parametrize(("toe", "is_known"), [(0.0, True), (0.5, False)])
-def test_alpha_is_known_only_where_the_fit_of_the_relaxation_wants_the_same(
-    toe: float, is_known: bool
-) -> None:
-    """A curve that is stiffer at small strain, as beef's, makes of an alpha of 0.3 one of 0.39."""
+@pytest.mark.parametrize("toe", [0.0, 0.5])
+def test_alpha_is_that_of_the_relaxation_whatever_the_curve(toe: float) -> None:
+    """A curve stiffer at small strain, as beef's, would make of an alpha of 0.3 one of 0.39."""
     times, fine = np.arange(0.0, 16.0, 0.1), np.arange(0.0, 16.005, 0.01)
     strains = 0.08 * np.minimum(fine, 4.0)
     law = np.where(strains < 0.125, strains, 0.125 * np.exp(8.0 * strains - 1.0))
@@ -208,5 +206,5 @@ def test_alpha_is_known_only_where_the_fit_of_the_relaxation_wants_the_same(
     test = Measured("simulated", "beef", times, forces, depths, 0.02)
     estimate, _, summary = identify_measured(test)
     assert summary is not None and estimate.converged and not summary.flags
-    assert estimate.knows(2) == is_known
-    assert (abs(estimate.fractional_order - 0.3) < 2.5 * estimate.fractional_order_sd) == is_known
+    assert estimate.knows(2)
+    assert abs(estimate.fractional_order - 0.3) < 2.5 * estimate.fractional_order_sd

@@ -393,7 +393,7 @@ def test_an_open_contact_is_reported_once_at_the_end_with_all_that_was_learned()
     assert result.outputs[-1] is cut
     assert cut.converged and not is_wrong(cut, data.site)
     last = states_in(result, 2)[-1]
-    assert sd_of(cut) == pytest.approx(sd_of(last), rel=1e-3)
+    assert sd_of(cut) == pytest.approx(sd_of(last), rel=1e-2)
     repeated = outcome(data, [*items, Pipeline.finish, Pipeline.finish, Pipeline.reset])
     assert pickle.dumps(repeated.outputs) == pickle.dumps(result.outputs)
 

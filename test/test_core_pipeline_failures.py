@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import Outcome, assert_sound, outcome_of, shift, shift_recording
-from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 
 from fden_ros.core.contact.detector import ContactDetector
+from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.synchronize import Synchronizer

@@ -25,8 +25,9 @@ _THRESHOLD = 10.6
 _LEAST_STEP = 0.15
 #: Times before now at which the change may have been [s].
 _AGO = (0.03, 0.06, 0.12, 0.24)
-#: Factors of the best of these at which it is looked for more closely [1].
-_CLOSER = (0.7, 0.85, 1.2, 1.45)
+#: Distances from the best of these, over the time since, at which it is looked for more closely
+#: [1].
+_CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
 #: An innovation beyond this many standard deviations asks for a look [1].
 SUSPICIOUS = 3.5
 #: Least time between two looks [s].
@@ -52,30 +53,31 @@ def change_of(
     with_change : callable
         Returns the posterior with one more unknown, behind those that are not of the law's errors.
     """
-    state, scales = solution.maximum.state, solution.maximum.scales
-    if state.size != without.model.size:
+    state = solution.maximum.state
+    if state.size != without.model.size or not solution.is_solved:
         return None
     count, now = len(without.model.unknowns), float(points.times[-1])
-    alone = without.solution(points, [state], scales)
-    if not alone.is_solved:
-        return None
+    alone = without.tracked(points, state, solution).log_evidence
     best, gain = None, _THRESHOLD
 
-    def look(ago: float) -> None:
+    def look(since: float) -> None:
         nonlocal best, gain
-        if now - ago <= points.times[0]:
+        if not points.times[0] < since < now:
             return
-        unknown = change_since(now - ago)
+        unknown = change_since(since)
         start = np.insert(state, count, 0.0)
-        found = with_change(unknown).solution(points, [start], scales)
+        found = with_change(unknown).tracked(points, start, solution)
         is_large = abs(found.mean[count]) > _LEAST_STEP
-        if is_large and found.is_solved and found.log_evidence - alone.log_evidence > gain:
-            best, gain = unknown, found.log_evidence - alone.log_evidence
+        if is_large and found.log_evidence - alone > gain:
+            best, gain = unknown, found.log_evidence - alone
 
     for ago in _AGO:
-        look(ago)
-    if best is not None and best.since is not None:
-        middle = now - best.since
-        for factor in _CLOSER:
-            look(factor * middle)
+        look(now - ago)
+    if best is None or best.since is None:
+        return None
+    width = now - best.since
+    for closer in _CLOSER:
+        middle = best.since
+        look(middle - closer * width)
+        look(middle + closer * width)
     return best

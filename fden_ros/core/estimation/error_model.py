@@ -145,6 +145,12 @@ class ErrorModel:
         corner = (_CORNER * points.bends * points.steps * slope * factor * step**-order) ** 2
         by_block = np.maximum(corner[points.first], corner[points.last])
         by_block[1:] += by_block[:-1].copy()
+        for value, unknown in zip(state, self._model.unknowns, strict=False):
+            if unknown.since is not None:
+                # A block that the change cuts may have had it for all or none of its time.
+                cut = points.middles - 0.5 * points.durations <= unknown.since
+                cut &= unknown.since < points.middles + points.durations
+                by_block += cut * (value * points.mean(elastic * factor * step**-order)) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
         before = before or Loading(float(points.times[0]), floor, 0.0)
         seconds = np.diff(points.middles, prepend=before.time)

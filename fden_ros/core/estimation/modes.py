@@ -29,11 +29,16 @@ from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
 #: Maxima less likely than the best by this logarithm do not count [1].
 _NEGLIGIBLE = 7.0
+#: Modes that are followed [1].
+_MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
 _SAME = 0.2
 #: Beyond the boundary by this many standard deviations of ln Gn nothing is cut off [1]: Laplace's
 #: is the slope there, and twice the distance is not beyond.
-_CLEAR = 12.0
+_CLEAR = 8.0
+#: Above the boundary by less than this a law is as good as linear, and one that bends begins so
+#: far above it [1].
+_NEAR, _BENT = 0.05, 0.3
 #: ln Gn of a linear law is below the boundary by this [1].
 _BELOW = 1e-3
 
@@ -117,7 +122,16 @@ def follow_modes(
     strain: float,
 ) -> Modes:
     """Return the modes that those of a shorter record, with their states by now, lead to."""
-    found = [posterior.tracked(points, state, solution) for state, solution in before]
+    boundary = -math.log(strain) if strain > 0.0 else math.inf
+    found = []
+    for state, solution in before:
+        found.append(posterior.tracked(points, state, solution))
+        if state[LOG_GN] < boundary + _NEAR and not posterior.is_known(LOG_GN):
+            # Of a linear law no derivative leads to a bend.
+            bent = state.copy()
+            bent[LOG_GN] = boundary + _BENT
+            found.append(posterior.tracked(points, bent, solution))
+    found.sort(key=lambda s: -s.log_evidence)
     return _weighed(posterior, points, found, strain)
 
 
@@ -130,10 +144,16 @@ def _weighed(
     errors = found[0].maximum.errors
     evidence = np.array([posterior.log_evidence(points, s.maximum, errors) for s in found])
     kept: list[tuple[float, Solution]] = []
+    boundary = -math.log(strain) if strain > 0.0 else math.inf
+    has_linear = False
     for k in np.argsort(-evidence):
         likely = float(evidence[k] - evidence.max())
-        if likely > -_NEGLIGIBLE and all(_are_apart(found[k], s) for _, s in kept):
+        is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
+        if likely < -_NEGLIGIBLE or len(kept) == _MOST or (is_linear and has_linear):
+            continue
+        if all(_are_apart(found[k], s) for _, s in kept):
             kept.append((math.exp(likely), found[k]))
+            has_linear |= is_linear
     total = sum(weight for weight, _ in kept)
     others = tuple(Member(w / total, s.mean, s.covariance) for w, s in kept[1:])
     modes = Modes(tuple(s for _, s in kept), kept[0][0] / total, others)
@@ -158,11 +178,13 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
         return modes
     state = best.maximum.state.copy()
     state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
-    linear = posterior.held(LOG_GN).tracked(points, state, best)
+    scales = max(best.scales, key=lambda s: best.scales[s])
+    linear = posterior.given(LOG_GN, points, state, scales)
     mean = float(posterior.belief.mean[LOG_GN])
     width = 1.0 / math.sqrt(float(posterior.belief.precision[LOG_GN, LOG_GN]))
     place = (boundary - mean) / width
-    gain = linear.log_evidence - best.log_evidence + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
+    there = posterior.evidence(points, best.maximum, [scales])[0]
+    gain = linear.log_evidence - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
     if beyond < 0.0 and best.maximum.state[LOG_GN] < boundary:
         gain = math.inf

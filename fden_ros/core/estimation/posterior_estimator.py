@@ -489,6 +489,11 @@ class PosteriorEstimator:
         covariance = full[:3, :3].copy()
         covariance[:2, :2] += self._config.uncertainty.thickness_sd**2
         covariance = 0.5 * (covariance + covariance.T)
+        if press.is_contradicted and not press.posterior.model.is_bent:
+            # Parameters of a law that the data contradict are known no better than before.
+            covariance = np.diag(
+                np.maximum(covariance.diagonal(), self._config.prior.deviations**2)
+            )
         origin_sd = self._origin_sd * math.sqrt(max(float(full[ORIGIN, ORIGIN]), 0.0))
         origin = self._origin_sd * float(mean[ORIGIN])
         compression = max(self._max_compression - origin, 0.0)

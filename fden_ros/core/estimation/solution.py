@@ -305,7 +305,12 @@ class Posterior:
             if tried > _MOST_STEPS:
                 break
             taken, damping, tries = self._step(
-                points, state, (normal, towards, misfit, damping), scales, errors, precision
+                points,
+                state,
+                (normal, free.diagonal(), towards, misfit, damping),
+                scales,
+                errors,
+                precision,
             )
             tried += tries
             if taken is None:
@@ -357,18 +362,18 @@ class Posterior:
         self,
         points: Points,
         state: Array,
-        equations: tuple[Array, Array, float, float],
+        equations: tuple[Array, Array, Array, float, float],
         scales: Scales,
         errors: Errors,
         precision: Array,
     ) -> tuple[tuple[Array, Evaluation, float] | None, float, int]:
         """Return the first damped step that lowers the misfit, or None; damping and tries.
 
-        `equations`: normal matrix, gradient, misfit and damping.
+        `equations`: normal matrix, what is damped of it, gradient, misfit and damping.
         """
-        normal, towards, misfit, damping = equations
+        normal, damped, towards, misfit, damping = equations
         for tries in range(1, _MOST_TRIES + 1):
-            step = _solved(normal + damping * np.diag(normal.diagonal()), towards)
+            step = _solved(normal + damping * np.diag(damped), towards)
             taken = self._try(points, state, step, scales, errors, precision)
             if taken is not None and taken[2] <= misfit:
                 return taken, damping, tries
@@ -421,18 +426,19 @@ class Posterior:
         """
         with np.errstate(over="ignore", invalid="ignore"):
             found = self._maxima(points, starts, scales)
+            errors = found[0].errors
+            evidence = [self.log_evidence(points, m, errors) for m in found]
             apart = [
                 m
                 for k, m in enumerate(found)
-                if all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
+                if evidence[k] > evidence[0] - _NEGLIGIBLE
+                and all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
             ]
             return [self._refined(points, maximum) for maximum in apart]
 
-    def held(self, place: int) -> Posterior:
-        """Return the posterior given the unknown at a place."""
-        other = copy.copy(self)
-        other._held = place
-        return other
+    def is_known(self, place: int) -> bool:
+        """Whether the unknown at a place is none."""
+        return bool(self._fixed[place])
 
     def _refined(self, points: Points, best: Maximum) -> Solution:
         """Return the solution about a maximum once the scales are the best there."""
@@ -468,6 +474,20 @@ class Posterior:
         if not self._order_sd:
             return found
         return replace(found, considered=self._considered(points, found.maximum))
+
+    def given(self, place: int, points: Points, state: Array, scales: Scales) -> Solution:
+        """Return the posterior given the unknown at a place, at one place of the grid.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is not finite at the state.
+        """
+        other = copy.copy(self)
+        other._held = place
+        with np.errstate(over="ignore", invalid="ignore"):
+            best = other.maximum(points, state, scales, _NEARLY_FOUND)
+            return other._averaged(points, best, (WeighedScales(scales, 0.0),))
 
     def _considered(self, points: Points, maximum: Maximum) -> Array:
         """Return the covariance that the order's own adds (Schmidt and Kalman)."""
