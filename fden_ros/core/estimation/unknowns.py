@@ -22,6 +22,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -206,6 +207,29 @@ def change_since(time: float) -> Unknown:
     return Unknown(f"change_{time!r}", 0.0, 1.0, Lifetime.CONTACT, since=time)
 
 
+# Columns: the change by one standard deviation.
+
+
+def _shift(size: float, points: Points) -> Array:
+    return np.full(points.times.size, size)
+
+
+def _late(delay: float, points: Points) -> Array:
+    result: Array = delay * points.speeds
+    return result
+
+
+def _friction(stress: float, length: float, points: Points) -> Array:
+    speed = length * points.mean(points.speeds)
+    result: Array = stress * speed / np.hypot(speed, FRICTION_SPEED)
+    return result
+
+
+def _drift(slope: float, points: Points) -> Array:
+    result: Array = slope * (points.middles - points.times[0])
+    return result
+
+
 def unknowns_of(
     config: EstimatorConfig, geometry: Geometry, origin_sd: float, drift_sd: float
 ) -> tuple[Unknown, ...]:
@@ -225,33 +249,26 @@ def unknowns_of(
     order_sd = 0.0 if config.fractional_order_given else prior.fractional_order_sd
     site, rig = Lifetime.SITE, Lifetime.RIG
 
-    def friction(points: Points) -> Array:
-        speed = length * points.mean(points.speeds)
-        result: Array = speed / np.hypot(speed, FRICTION_SPEED)
-        return per_force * unsure.friction_sd * result
-
     found = (
         Unknown("log_g", prior.mean[0], prior.linear_stiffness_log_sd, site, BY_LOG_G),
         Unknown("log_gn", prior.mean[1], prior.nonlinear_stiffness_log_sd, site, BY_LOG_GN),
         Unknown("order", prior.fractional_order, order_sd, site),
-        Unknown(
-            "origin", 0.0, origin_sd, site, motion=lambda p: np.full(p.times.size, -origin_sd)
-        ),
+        Unknown("origin", 0.0, origin_sd, site, motion=partial(_shift, -origin_sd)),
         Unknown("compliance", 0.0, unsure.compliance_sd, rig, BY_COMPLIANCE),
-        Unknown("delay", 0.0, unsure.delay_sd, rig, motion=lambda p: unsure.delay_sd * p.speeds),
+        Unknown("delay", 0.0, unsure.delay_sd, rig, motion=partial(_late, unsure.delay_sd)),
         Unknown(
             "friction",
             config.friction / unsure.friction_sd if unsure.friction_sd else 0.0,
             unsure.friction_sd,
             rig,
-            stress=friction,
+            stress=partial(_friction, per_force * unsure.friction_sd, length),
         ),
         Unknown(
             "drift",
             0.0,
             drift_sd,
             Lifetime.CONTACT,
-            stress=lambda p: drift_sd * (p.middles - p.times[0]),
+            stress=partial(_drift, drift_sd),
         ),
     )
     # The first four are always there, so that they have a place; what has no prior is known.
