@@ -71,6 +71,8 @@ _LEAST_TOLD = 0.01
 RIG = ("delay", "friction")
 #: A change is placed anew once it was seen for this time [s], within this time [s].
 _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
+#: An innovation beyond this many standard deviations is not explained [1].
+_SURPRISE = 5.0
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 _NOISELESS = PathNoise()
@@ -154,6 +156,7 @@ class PosteriorEstimator:
         self._max_compression = 0.0
         self._sample_count = 0
         self._change_count = 0
+        self._is_surprised = False
         self._mismatch_probability = 0.0
 
     # What others ask
@@ -171,9 +174,11 @@ class PosteriorEstimator:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the newest solution was not found."""
+        """Whether the newest solution was not found, or the newest block is not explained."""
         press = self._press
-        return press is not None and press.solution is not None and not press.solution.is_solved
+        if press is None or press.solution is None:
+            return False
+        return self._is_surprised or not press.solution.is_solved
 
     @property
     def change_count(self) -> int:
@@ -291,10 +296,11 @@ class PosteriorEstimator:
             innovation = self._filtered(press, press.filter, block.compression)
         press.samples.clear()
         press.blocks += 1
-        off = innovation.innovation**2 > (SUSPICIOUS**2) * innovation.variance
+        off = innovation.normalized_squared > SUSPICIOUS**2
+        self._is_surprised = innovation.normalized_squared > _SURPRISE**2
         is_time = self._time - press.looked_at > LOOK_PERIOD
-        if press.filter is not None and off and is_time and self._finds_change(press):
-            self._solve(press, fully=True)
+        if press.filter is not None and off and is_time:
+            self._solve(press, fully=self._finds_change(press))
         elif self._is_due(press):
             self._solve(press)
         return innovation
@@ -311,7 +317,6 @@ class PosteriorEstimator:
             press.solved_at = 0.0, 1e-9
             stress = float(points.stresses[0])
             return Innovation(0.0, stress, 0.0, max(self._noise_sd**2, 1e-300))
-        press.monitor.add(found.innovation / math.sqrt(found.variance))
         return Innovation(elastic, found.prediction, found.innovation, found.variance)
 
     def _finds_change(self, press: _Press) -> bool:
@@ -358,7 +363,8 @@ class PosteriorEstimator:
             return
         press.is_placed = True
         assert solution is not None
-        points, state = press.record.points(), solution.maximum.state
+        points = press.record.points()
+        state = self._grown(press, solution, self._posterior(press))
         *before, newest = press.changes
 
         def evidence_of(change: Unknown) -> float:
@@ -373,15 +379,18 @@ class PosteriorEstimator:
         points = press.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
-        posterior, strain = self._posterior(press), self._largest_strain(press)
+        posterior = self._posterior(press)
         tracked = [(self._grown(press, s, posterior), s) for s in press.solutions]
         is_early = 2 * press.blocks_at_starts <= press.blocks <= _LAST_STARTS
-        if not tracked or fully or is_early:
-            press.blocks_at_starts = press.blocks
-            starts = [state for state, _ in tracked] + self._starts(posterior, points)
-            press.modes = find_modes(posterior, points, starts, _middle(posterior), strain)
-        else:
-            press.modes = follow_modes(posterior, points, tracked, strain)
+        try:
+            press.modes = self._modes(
+                press, points, posterior, tracked, fully=fully or is_early or not tracked
+            )
+        except (FloatingPointError, np.linalg.LinAlgError):
+            if press.modes is None:
+                raise
+            self._is_surprised = True
+            return
         press.posterior = posterior
         best = press.modes.best
         press.filter = PressFilter(best, posterior.model, posterior.error_model)
@@ -391,6 +400,26 @@ class PosteriorEstimator:
             press.monitor.add(residual)
         press.solved_at = self._time - press.start, press.record.max_compression
         press.law_error = self._law_error(press)
+
+    def _modes(
+        self,
+        press: _Press,
+        points: Points,
+        posterior: Posterior,
+        tracked: list[tuple[Array, Solution]],
+        *,
+        fully: bool,
+    ) -> Modes:
+        """Return the modes; `fully`: from all starts, not only from the last ones."""
+        strain = self._largest_strain(press)
+        if not fully:
+            try:
+                return follow_modes(posterior, points, tracked, strain)
+            except (FloatingPointError, OverflowError, np.linalg.LinAlgError):
+                pass  # the record has grown beyond where the last solution has numbers
+        press.blocks_at_starts = press.blocks
+        starts = [state for state, _ in tracked] + self._starts(posterior, points)
+        return find_modes(posterior, points, starts, _middle(posterior), strain)
 
     @staticmethod
     def _grown(press: _Press, solution: Solution, posterior: Posterior) -> Array:

@@ -434,11 +434,22 @@ class Posterior:
                 if evidence[k] > evidence[0] - _NEGLIGIBLE
                 and all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
             ]
-            return [self._refined(points, maximum) for maximum in apart]
+            return self._all_refined(points, apart)
 
     def is_known(self, place: int) -> bool:
         """Whether the unknown at a place is none."""
         return bool(self._fixed[place])
+
+    def _all_refined(self, points: Points, maxima: Sequence[Maximum]) -> list[Solution]:
+        found: list[Solution] = []
+        for maximum in maxima:
+            try:
+                found.append(self._refined(points, maximum))
+            except (FloatingPointError, np.linalg.LinAlgError):
+                continue
+        if not found:
+            raise FloatingPointError("no maximum has a finite evidence")
+        return found
 
     def _refined(self, points: Points, best: Maximum) -> Solution:
         """Return the solution about a maximum once the scales are the best there."""
@@ -574,7 +585,8 @@ class Posterior:
             members += map(_Member, evidence, [w.scales for w in group], factors, halves, unit)
             if evidence.max() > best:
                 best, best_walk, residuals = float(evidence.max()), walk, white[:, 0]
-        assert best_walk is not None
+        if best_walk is None:
+            raise FloatingPointError("no scale of the errors has a finite evidence")
         return self._mixture(maximum, members, best, residuals, best_walk)
 
     def evidence(self, points: Points, maximum: Maximum, grid: Sequence[Scales]) -> list[float]:
