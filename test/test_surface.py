@@ -171,7 +171,7 @@ def test_a_force_waits_for_its_surface_and_is_counted_where_none_comes() -> None
 
 @examples(50)
 @given(seed=st.integers(0, 2**32 - 1), jump=st.integers(-900, 900))
-def test_pairs_and_noise_do_not_depend_on_how_three_streams_are_interleaved(seed: int, jump: int) -> None:
+def test_pairs_and_noise_do_not_depend_on_the_order_of_three_streams(seed: int, jump: int) -> None:
     chance = random.Random(seed)
     # Stamps that come too late, too early or again, and a clock of the surface that jumps.
     force, displacement, surface = (
