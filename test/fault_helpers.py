@@ -96,6 +96,22 @@ def shift(seed: int = 3) -> Shift:
     )
 
 
+@functools.cache
+def first_press(seed: int = 3) -> Shift:
+    """The shift up to half a second after its first contact."""
+    whole = shift(seed)
+    end_ns = whole.at(whole.press(0)[1] + 0.5)
+    items = tuple(item for item in whole.items if item.stamp_ns < end_ns)
+    return replace(whole, items=items, contacts=whole.contacts[:1])
+
+
+@functools.cache
+def undisturbed(make: Callable[[], Shift] = shift) -> Outcome:
+    """What the pipeline makes of a shift without a fault."""
+    s = make()
+    return outcome_of(s.items, s.parameters)
+
+
 def bouncing() -> list[Item]:
     """A probe that bounces on a fourth site, twenty times in two seconds."""
     press = Palpation(2.0, 0.06, 0.0, retract_rate=2.0, presses=20, lift_m=4e-4, pause_s=0.01)

@@ -19,7 +19,8 @@ from rclpy.executors import SingleThreadedExecutor
 
 ROOT = Path(__file__).parent.parent
 PARAMETERS = ROOT / "config" / "tissue_simulator.yaml"
-
+#: How long a condition is waited for, on a machine that does much else beside [s].
+LIMIT = 60.0
 
 #: What stops the identifier that tests share: another one would have its name.
 SHARED: list[Callable[[], None]] = []
@@ -61,7 +62,7 @@ class Ears:
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
 
-    def wait_for(self, condition: Callable[[], Any], what: str, timeout: float = 60.0) -> Any:
+    def wait_for(self, condition: Callable[[], Any], what: str, timeout: float = LIMIT) -> Any:
         """Spin until `condition` holds; return its value."""
         end = time.monotonic() + timeout
         while not (value := condition()):
@@ -113,7 +114,7 @@ def process_of(command: list[str]) -> Iterator[subprocess.Popen[str]]:
             process.send_signal(signal.SIGCONT)
             process.send_signal(signal.SIGINT)
         try:
-            output, _ = process.communicate(timeout=15.0)
+            output, _ = process.communicate(timeout=LIMIT)
         except subprocess.TimeoutExpired:
             process.kill()
             output, _ = process.communicate()

@@ -20,12 +20,13 @@ from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from live_helpers import SHARED, Ears, command_of, process_of
+from live_helpers import LIMIT, SHARED, Ears, command_of, process_of
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from fden_ros.nodes.player import Player
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
 from fden_ros.ros.messages import to_stamp
 
@@ -36,6 +37,8 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+#: No sample comes too late for its partner, whichever stream a busy machine holds up.
+PATIENT = {"synchronize.window": 60.0}
 #: Nothing may be lost where every number is compared.
 LOSSLESS: dict[str, Any] = {
     f"qos_overrides./{topic}.subscription.{policy}": value
@@ -45,10 +48,9 @@ LOSSLESS: dict[str, Any] = {
     "qos_overrides./identifier/estimate.publisher.depth": 10000,
     "qos_overrides./identifier/classification.publisher.depth": 1000,
 }
-TIMEOUT = 40.0
 
 
-def wait_for(condition: Callable[[], Any], what: str, timeout: float = TIMEOUT) -> Any:
+def wait_for(condition: Callable[[], Any], what: str, timeout: float = LIMIT) -> Any:
     """Wait until `condition` holds; return its value."""
     end = time.monotonic() + timeout
     while not (value := condition()):
@@ -62,19 +64,23 @@ class Remote(Ears):
 
     def __init__(self, name: str = NAME) -> None:
         self.name = name
+        self._clients: dict[str, Any] = {}
 
-    def call(
-        self, kind: Any, service: str, request: Any = None, timeout: float = TIMEOUT
-    ) -> Any:
+    def call(self, kind: Any, service: str, request: Any = None) -> Any:
         """Call a service of the identifier and return its response."""
-        client = self.node.create_client(kind, f"{self.name}/{service}")
-        try:
-            self.wait_for(client.service_is_ready, f"service {service}")
-            future = client.call_async(request or kind.Request())
-            self.wait_for(future.done, f"an answer of {service}", timeout)
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+        client = self._clients.get(service)
+        if client is None:
+            client = self._clients[service] = self._client(kind, service)
+            # The node loses an answer to a client that it has not found yet, and finds them in
+            # order: once it answers the newest, it knows them all.
+            self.state()
+        self.wait_for(client.service_is_ready, f"service {service}")
+        future = client.call_async(request or kind.Request())
+        self.wait_for(future.done, f"an answer of {service}")
+        return future.result()
+
+    def _client(self, kind: Any, service: str) -> Any:
+        return self.node.create_client(kind, f"{self.name}/{service}")
 
     def change_state(self, transition: int) -> bool:
         """Run a lifecycle transition; return whether it succeeded."""
@@ -83,12 +89,23 @@ class Remote(Ears):
 
     def state(self) -> str:
         """Return the lifecycle state's label."""
-        for _ in range(8):
+        client = self._client(GetState, "get_state")
+        asked: list[Any] = []
+        again = 0.0
+
+        def answers() -> list[Any]:
+            nonlocal again
             # A node that has ended is still known for a while, and does not answer.
-            with contextlib.suppress(AssertionError):
-                answer = self.call(GetState, "get_state", timeout=5.0)
-                return str(answer.current_state.label)
-        raise AssertionError(f"{self.name} does not answer")
+            if time.monotonic() > again and client.service_is_ready():
+                asked.append(client.call_async(GetState.Request()))
+                again = time.monotonic() + 2.0
+            return [future.result() for future in asked if future.done()]
+
+        try:
+            answer = self.wait_for(answers, f"an answer of {self.name}")[0]
+            return str(answer.current_state.label)
+        finally:
+            self.node.destroy_client(client)
 
 
 class Bench(Remote):
@@ -105,11 +122,12 @@ class Bench(Remote):
         self.moduli: list[ComplexModulus] = []
         self.diagnostics: list[DiagnosticArray] = []
         for kind, topic, heard, qos in (
-            (TissueEstimate, f"{name}/estimate", self.estimates, RELIABLE),
             (TissueClassification, f"{name}/classification", self.classifications, LATCHED),
             (PalpationSummary, f"{name}/palpation", self.summaries, LATCHED),
             (ComplexModulus, f"{name}/complex_modulus", self.moduli, RELIABLE),
             (DiagnosticArray, "/diagnostics", self.diagnostics, RELIABLE),
+            # The last: who sends estimates here has found the others too.
+            (TissueEstimate, f"{name}/estimate", self.estimates, RELIABLE),
         ):
             self.node.create_subscription(kind, topic, heard.append, qos)
         self.force = self.node.create_publisher(WrenchStamped, "/force", RELIABLE)
@@ -117,14 +135,8 @@ class Bench(Remote):
         return self
 
     def wait_until_connected(self) -> None:
-        """Wait until the identifier's publishers know this node's subscriptions."""
-        topics = ("estimate", "classification", "palpation")
-        self.wait_for(
-            lambda: all(self.node.count_publishers(f"{self.name}/{topic}") for topic in topics),
-            "the identifier's publishers",
-        )
-        # The other side's match is reported nowhere.
-        self.spin_for(0.5)
+        """Wait until an active identifier's publishers know this node's subscriptions."""
+        self.wait_for(lambda: self.estimates, "an estimate before the first sample")
 
     def wait_until_heard(self) -> None:
         """Wait until the identifier subscribes to the inputs."""
@@ -157,6 +169,14 @@ class Bench(Remote):
         """Return the level of the newest diagnostics."""
         level: bytes = self.diagnostics[-1].status[0].level
         return level
+
+
+def play(bag: Path, rate: float = 8.0, **options: Any) -> None:
+    """Play a bag to who listens, until everything is received."""
+    with Player(bag, rate=rate, **options) as player:
+        player.wait_for_subscribers(timeout_s=LIMIT)
+        player.play()
+        assert player.wait_until_acknowledged(LIMIT)
 
 
 #: Of a probe, where no file states one.
@@ -206,7 +226,7 @@ class Shared:
     def stop(self) -> None:
         """End it."""
         self._process.send_signal(signal.SIGINT)
-        self._process.wait(15.0)
+        self._process.wait(LIMIT)
 
     def poll(self) -> int | None:
         """Return the exit code, None while it runs."""
@@ -234,21 +254,27 @@ class Shared:
 
     def end(self) -> None:
         """Deactivate it and clean up."""
+        before = self._deactivations()
         with Remote() as remote:
-            _clean_up(remote)
-        # Lines come through a pipe.
-        time.sleep(0.1)
+            if _clean_up(remote):
+                # Lines come through a pipe.
+                wait_for(lambda: self._deactivations() > before, "the last line of the log")
         self.output = "".join(self._lines)
         print(self.output)
 
 
-def _clean_up(remote: Remote) -> None:
-    for state, transition in (
-        ("active", Transition.TRANSITION_DEACTIVATE),
-        ("inactive", Transition.TRANSITION_CLEANUP),
-    ):
-        if remote.state() == state:
-            assert remote.change_state(transition)
+    def _deactivations(self) -> int:
+        return sum("deactivated: silent" in line for line in list(self._lines))
+
+
+def _clean_up(remote: Remote) -> bool:
+    """Bring it to where it begins; return whether it was active."""
+    was_active = remote.state() == "active"
+    if was_active:
+        assert remote.change_state(Transition.TRANSITION_DEACTIVATE)
+    if remote.state() == "inactive":
+        assert remote.change_state(Transition.TRANSITION_CLEANUP)
+    return was_active
 
 
 @contextlib.contextmanager
@@ -258,7 +284,8 @@ def active(
     """Have the shared identifier active with parameters, over those of a file, without losses."""
     values = dict(read_parameter_file(file).as_dict()) if file is not None else dict(PUNCH)
     shared = Shared.get()
-    shared.begin({**values, **(parameters or {})})
+    # Its first word comes early: who waits until it is heard does not wait long.
+    shared.begin({"stale_timeout": 0.1, **values, **(parameters or {})})
     try:
         yield shared
     finally:

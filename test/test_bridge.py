@@ -9,7 +9,8 @@ import contextlib
 import itertools
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fden_msgs.msg import TissueEstimate
-from live_helpers import Ears, node_process
+from live_helpers import LIMIT, Ears, node_process
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -153,7 +154,14 @@ CARTESIAN = {
     "pd_gains.trans_z.p": 0.05,
     "pd_gains.trans_z.d": 0.005,
 }
-SETTINGS = {"safe_stiffness": SAFE, "bandwidth": BANDWIDTH, "softening_rate": 20.0}
+#: Nothing is lost or unreachable because the machine does something else.
+SETTINGS = {
+    "safe_stiffness": SAFE,
+    "bandwidth": BANDWIDTH,
+    "softening_rate": 20.0,
+    "deadline": 2.0,
+    "timeout": 10.0,
+}
 
 
 class World:
@@ -185,6 +193,15 @@ class World:
             for topic, message in messages.of(state, "probe"):
                 if topic.message_type is TissueEstimate:
                     self.estimates.publish(message)
+
+    def hold(self, state: TissueState, is_done: Callable[[], object], what: str) -> None:
+        """Publish a state again and again, as of later and later, until something is so."""
+        end = time.monotonic() + LIMIT
+        while not is_done():
+            assert time.monotonic() < end, what
+            state = replace(state, stamp_ns=state.stamp_ns + 10_000_000)
+            self.play([state])
+            self.spin(time.monotonic() + 0.01)
 
     def said(self) -> list[str]:
         return [message.data for message in self.gains]
@@ -242,12 +259,13 @@ def test_an_admittance_controller_follows_the_tissue_and_is_safe_on_loss(press: 
         scene.play(press.states)
         scene.ears.wait_for(lambda: scene.said()[-1] == "safe", "the loss")
         # The bridge may have begun before the controller could be reached.
-        said = itertools.dropwhile(lambda word: word == "unreachable", scene.said())
-        assert list(said) == ["safe", "live", "safe"]
+        said = [word for word, _ in itertools.groupby(scene.said()) if word != "unreachable"]
+        assert said[:2] == ["safe", "live"]
         live = [values[name] for _, values in controller.heard if values[name][2] != safe]
         softest = min(one[2] for one in live)
         expected = [admittance_ratio(stiffness_of(state)) for state in converged(press)]
         assert min(expected) == pytest.approx(softest, rel=0.05)
+        assert softest >= min(expected)
         assert softest < 0.8 * safe
         assert all(one[:2] + one[3:] == [1.1, 1.2, 1.4, 1.5, 1.6] for one in live)
         scene.ears.wait_for(lambda: controller.value(name)[2] == pytest.approx(safe), "safety")
@@ -268,30 +286,35 @@ def test_a_cartesian_controller_is_left_with_the_safe_gains_when_the_bridge_ends
         scene.ears.wait_for(lambda: controller.heard, "the first gains")
         assert controller.value(name) == 0.05
         # Up to the middle of the hold, and not beyond: the bridge ends while the gains are live.
-        states = [s for s in press.states if s.stamp_ns <= converged(press)[-1].stamp_ns]
-        scene.play(states[: len(states) * 3 // 4])
+        known = converged(press)
+        middle = known[len(known) // 2]
+        scene.play([s for s in press.states if s.stamp_ns <= middle.stamp_ns])
+        tissue = stiffness_of(middle)
+        right = pytest.approx(0.05 * (500.0 + SAFE) / (500.0 + tissue), rel=0.05)
+        scene.hold(middle, lambda: controller.value(name) == right, "the gains of the tissue")
         assert scene.said()[-1] == "live"
         live = controller.value(name)
-        tissue = stiffness_of(converged(press)[len(converged(press)) // 2])
-        assert live == pytest.approx(0.05 * (500.0 + SAFE) / (500.0 + tissue), rel=0.05)
         assert controller.value("pd_gains.trans_z.d") == pytest.approx(0.1 * live)
         assert controller.value("pd_gains.trans_x.p") == 0.07
         process.send_signal(signal.SIGINT)
         scene.ears.wait_for(lambda: process.poll() is not None, "the end of the bridge")
-        assert controller.value(name) == 0.05
+        scene.ears.wait_for(lambda: controller.value(name) == 0.05, "the safe gains")
     assert process.returncode == 0
 
 
 def test_by_default_it_sets_nothing(press: Press) -> None:
     with world(CARTESIAN) as (scene, _):
-        scene.play(press.states[:-100])
-        assert scene.said() == ["off"]
+        known = converged(press)
+        middle = known[len(known) // 2]
+        scene.play([s for s in press.states if s.stamp_ns <= middle.stamp_ns])
+        softens = lambda: min(m.data for m in scene.stiffness) < 0.8 * SAFE  # noqa: E731
+        scene.hold(middle, softens, "the stiffness of the tissue")
+        scene.ears.wait_for(lambda: scene.said() == ["off"], "that it sets nothing")
         assert not scene.controller.heard
-        assert min(m.data for m in scene.stiffness) < 0.8 * SAFE
 
 
 def test_a_controller_that_refuses_or_is_not_there_is_said_in_one_line() -> None:
-    target = {"controller": "admittance", "target": "controller"}
+    target = {"controller": "admittance", "target": "controller", "timeout": 3.0}
     with world(ADMITTANCE, **target) as (scene, process):
         scene.ears.wait_for(lambda: scene.controller.heard, "the first gains")
         scene.controller.largest = 0.1
@@ -302,8 +325,10 @@ def test_a_controller_that_refuses_or_is_not_there_is_said_in_one_line() -> None
         scene.ears.wait_for(lambda: scene.said()[-1] == "unreachable", "the missing answer")
         scene.executor.add_node(scene.controller)
         scene.ears.wait_for(lambda: scene.said()[-1] == "safe", "the answer")
-    assert process.output.count("refuses the gains: Value") == 1
-    assert process.output.count("does not answer") == 1
+        said = scene.said()
+    # Once each, but where a busy machine has answered late in between.
+    assert 1 <= process.output.count("does not answer") <= said.count("unreachable") + 1
+    assert 1 <= process.output.count("refuses the gains: Value") <= said.count("unreachable")
     with world({**ADMITTANCE, "admittance.stiffness": [0.0] * 6}, **target) as (scene, process):
         scene.ears.wait_for(lambda: scene.said()[-1:] == ["refused"], "the refusal")
     assert process.output.count("admittance.stiffness of the axis is 0") == 1
@@ -321,7 +346,7 @@ def test_a_controller_that_refuses_or_is_not_there_is_said_in_one_line() -> None
 )
 def test_a_wrong_parameter_ends_it_with_one_line(given: dict[str, Any], words: str) -> None:
     with node_process("bridge", given) as process:
-        assert process.wait(30.0) == 1
+        assert process.wait(LIMIT) == 1
     lines = process.output.strip().splitlines()
     assert len(lines) == 1 and words in lines[0]
 

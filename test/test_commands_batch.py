@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, WrenchStamped
+from live_helpers import LIMIT
+from ros_helpers import wait_for
 
 from fden_ros.cli import main
 from fden_ros.errors import InputError
@@ -108,7 +110,7 @@ class Cluster:
             process.terminate()
         for process in (*self.workers, self.scheduler):
             try:
-                process.wait(20)
+                process.wait(LIMIT)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -137,11 +139,11 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(
         if progress.done == 4:
             cluster.workers[0].send_signal(signal.SIGKILL)
 
-    with Client(scheduler_file=str(cluster.file), timeout=60, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=60)
+    with Client(scheduler_file=str(cluster.file), timeout=LIMIT, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=LIMIT)
         progress = batch.run(bags, work, results, client, report)
-        assert cluster.workers[0].wait(10) == -signal.SIGKILL
-        assert len(client.scheduler_info()["workers"]) == 1
+        assert cluster.workers[0].wait(LIMIT) == -signal.SIGKILL
+        wait_for(lambda: len(client.scheduler_info()["workers"]) == 1, "the worker's end")
         address = client.scheduler.address
     assert [p.done for p in seen] == list(range(1, 26))
     assert (progress.done, progress.skipped, progress.broken) == (25, 0, 1)

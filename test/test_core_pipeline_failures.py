@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, assert_sound, outcome_of, shift, shift_recording
+from fault_helpers import Outcome, assert_sound, outcome_of, shift, shift_recording, undisturbed
 
 from fden_ros.core.contact.detector import ContactDetector
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
@@ -55,10 +55,9 @@ def of_first_site(after: int = 0) -> Callable[[PosteriorEstimator], bool]:
     return when
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def clean() -> Outcome:
-    s = shift()
-    return outcome_of(s.items, s.parameters)
+    return undisturbed()
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ from fault_helpers import (
     lies_of,
     outcome_of,
     shift,
+    undisturbed,
 )
 from frame_helpers import FRAMES, Place, arm, transforms
 from pipeline_helpers import Item, feed
@@ -406,10 +407,9 @@ ROWS = [
 ]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def clean() -> Outcome:
-    s = shift()
-    return outcome_of(s.items, s.parameters)
+    return undisturbed()
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)

@@ -23,6 +23,7 @@ from fault_helpers import outcome_of, shift
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
+from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
@@ -106,8 +107,8 @@ def live() -> Iterator[Live]:
             assert all(map(math.isfinite, floats_of(message)))
     assert "Traceback" not in process.output
     # Throttled: one line in ten seconds, whatever comes.
-    lines = process.output.splitlines()
-    assert sum("samples rejected in the last second" in line for line in lines) < 30
+    said = process.output.count("samples rejected in the last second")
+    assert said < 3 + len(bench.diagnostics) / 5
 
 
 @contextlib.contextmanager
@@ -151,7 +152,7 @@ def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> 
         )
         process.send_signal(number)
         bench.wait_for(lambda: bench.summaries, "the summary of the open contact")
-        assert process.wait(15.0) == 0
+        assert process.wait(LIMIT) == 0
     assert not bench.summaries[0].complete
 
 
@@ -279,11 +280,11 @@ def test_transitions_in_any_order_from_another_thread_a_thousand_times() -> None
     threads = [threading.Thread(target=target) for target in (spin, feed, change)]
     for thread in threads:
         thread.start()
-    threads[2].join(120.0)
+    threads[2].join(10.0 * LIMIT)
     finished = not threads[2].is_alive()
     stop.set()
     for thread in threads[:2]:
-        thread.join(20.0)
+        thread.join(LIMIT)
     try:
         assert finished and not errors
         label = node._state_machine.current_state[1]

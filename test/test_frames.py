@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, outcome_of, shift, turn_of
+from fault_helpers import Outcome, first_press, outcome_of, turn_of, undisturbed
 from fden_msgs.msg import TissueEstimate
 from frame_helpers import (
     FRAMES,
@@ -29,7 +29,7 @@ from frame_helpers import (
     write_bag,
 )
 from pipeline_helpers import FORCE
-from ros_helpers import Bench, active
+from ros_helpers import PATIENT, Bench, active, play
 from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.cli import main
@@ -38,7 +38,6 @@ from fden_ros.core.streams.rotation import Transform, angle, slerp
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.errors import InputError
-from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.offline.session import gather
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
@@ -78,23 +77,22 @@ def test_transforms_chain_as_scipys_rotations_do() -> None:
 
 def run(samples: Iterable[Any], **parameters: Any) -> Outcome:
     own = {name.replace("__", "."): value for name, value in parameters.items()}
-    return outcome_of(samples, shift().parameters | FRAMES | own)
+    return outcome_of(samples, first_press().parameters | FRAMES | own)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def still() -> Outcome:
-    s = shift()
-    return outcome_of(s.items, s.parameters)
+    return undisturbed(first_press)
 
 
 @pytest.fixture(scope="module")
 def turning() -> Outcome:
-    return run(arm(shift()))
+    return run(arm(first_press()))
 
 
 def assert_alike(found: Outcome, expected: Outcome) -> None:
     """As the probe that does not turn, by a third of a standard deviation."""
-    assert len(found.summaries) == len(expected.summaries) == 3
+    assert len(found.summaries) == len(expected.summaries) == 1
     for a, b in zip(found.summaries, expected.summaries, strict=True):
         assert a.estimate is not None and b.estimate is not None
         assert a.converged and a.complete and a.flags == b.flags
@@ -118,7 +116,7 @@ def test_the_touch_is_where_the_tip_of_the_arm_is(turning: Outcome) -> None:
 
 
 def test_without_frames_the_turning_force_is_wrong(still: Outcome) -> None:
-    s = shift()
+    s = first_press()
     items = list(s.items)
     sensed = {one.stamp_ns: one.force[2] for one in forces(s)}
     wrong = outcome_of(
@@ -134,7 +132,7 @@ def test_without_frames_the_turning_force_is_wrong(still: Outcome) -> None:
 
 
 def test_a_displacement_topic_beside_the_frames_turns_the_force_alone(still: Outcome) -> None:
-    s = shift()
+    s = first_press()
     moved = [item for item in s.items if item.stream != 0]
     samples = sorted([*arm(s), *moved], key=lambda one: one.stamp_ns)
     assert_alike(run(samples, displacement__message="pose"), still)
@@ -144,7 +142,7 @@ def test_the_weight_of_a_tool_that_turns_is_taken_off_along_the_axis_of_the_base
     still: Outcome,
 ) -> None:
     """A torque: the weight's own is that of its lever, which turns."""
-    s = shift()
+    s = first_press()
     mass, centre = 0.2, np.array([0.01, 0.0, 0.05])
     turned = []
     for one in forces(s):
@@ -162,7 +160,7 @@ def test_the_weight_of_a_tool_that_turns_is_taken_off_along_the_axis_of_the_base
     for one in [*statics(), *stamped]:
         one(_Bare(synchronizer))  # type: ignore[arg-type]
     values_of = {item.stamp_ns: item.value for item in s.items if item.stream == 0}
-    assert len(pairs) > 3000
+    assert len(pairs) > 900
     assert max(abs(pair.force - values_of[pair.stamp_ns]) for pair in pairs) < 1e-3
 
 
@@ -185,7 +183,7 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
     turning: Outcome,
 ) -> None:
     """Each link is a stream of its own; a window that holds everything."""
-    s, chance = shift(), random.Random(5)
+    s, chance = first_press(), random.Random(5)
     moving = transforms(s)
     left = [
         list(statics()),
@@ -204,7 +202,7 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
 
 
 def test_static_transforms_outlive_a_reset() -> None:
-    s = shift()
+    s = first_press()
     samples: list[Any] = arm(s)
     middle = len(samples) // 3
     outcome = run([*samples[:middle], lambda p: p.reset(), *samples[middle:]])
@@ -212,8 +210,10 @@ def test_static_transforms_outlive_a_reset() -> None:
 
 
 def test_a_tare_counts_along_the_axis_of_the_base() -> None:
+    samples: list[Any] = arm(first_press())
+    middle = len(samples) // 3
     outcome = run(
-        [*arm(shift())[:2000], lambda p: p.tare(), *arm(shift())[2000:]],
+        [*samples[:middle], lambda p: p.tare(), *samples[middle:]],
         force__measure_bias=False,
         force__threshold=0.02,
     )
@@ -221,20 +221,20 @@ def test_a_tare_counts_along_the_axis_of_the_base() -> None:
 
 
 def test_frames_that_no_transform_connects_are_named() -> None:
-    s = shift()
+    s = first_press()
     samples = [one for one in arm(s) if getattr(one, "child", "") != "flange"]
-    outcome = run(samples)
+    outcome = run(samples, synchronize__window=1.0)
     assert outcome.pipeline.pair_count == 0
     assert "no chain of transforms leads from sensor to base" in outcome.pipeline.transform_problem
     assert "camera, flange, link" in outcome.pipeline.transform_problem
-    assert outcome.pipeline.rejected["force.no_transform"] > 1000
+    assert outcome.pipeline.rejected["force.no_transform"] > 800
     assert outcome.pipeline._synchronizer.waiting < 10_000
 
 
 def test_a_frame_that_gets_another_parent_is_counted_and_stays_where_it_was(
     turning: Outcome,
 ) -> None:
-    s = shift()
+    s = first_press()
     stray = place(s.items[500].stamp_ns, "elsewhere", "flange", *TIP)
     outcome = run(sorted([*arm(s), stray], key=lambda one: one.stamp_ns))
     assert outcome.pipeline.rejected["transform.other_parent"] == 1
@@ -253,11 +253,7 @@ def test_a_displacement_by_transforms_needs_both_frames() -> None:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first press."""
-    s = shift()
-    _, end = s.press(0)
-    samples = [one for one in arm(s) if one.stamp_ns < s.at(end + 0.5)]
-    return write_bag(tmp_path_factory.mktemp("arm") / "bag", samples)
+    return write_bag(tmp_path_factory.mktemp("arm") / "bag", arm(first_press()))
 
 
 def outputs_of(bag: Path) -> tuple[Replay, list[bytes]]:
@@ -312,12 +308,9 @@ def live_of(bench: Bench) -> list[bytes]:
 
 def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
     _, expected = outputs_of(bag)
-    with Bench() as bench, active(file=bag / PARAMETER_FILE):
+    with Bench() as bench, active(PATIENT, file=bag / PARAMETER_FILE):
         bench.wait_until_connected()
-        with Player(bag, rate=2.0, remap={"/ft/wrench": "/force"}) as player:
-            player.wait_for_subscribers()
-            player.play()
-            player.wait_until_acknowledged()
+        play(bag, remap={"/ft/wrench": "/force"})
         bench.wait_for(lambda: len(live_of(bench)) >= len(expected), "all outputs")
     assert sorted(live_of(bench)) == sorted(expected)
 
@@ -333,7 +326,7 @@ def test_a_report_shows_force_and_displacement_along_their_axes(bag: Path) -> No
     _, least, largest = session.force.arrays(session.start_ns)
     truth = [
         item.value
-        for item in shift().items
+        for item in first_press().items
         if item.stream == FORCE and item.stamp_ns <= session.end_ns
     ]
     assert largest.max() == pytest.approx(max(truth), rel=0.01)
@@ -345,10 +338,12 @@ def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
     with Bench() as bench, active(FRAMES) as node:
         now = iter(range(START_NS, 2 * START_NS, 4_000_000))
         bench.wait_for(
-            lambda: bench.publish(next(now), 0.0, 0.0) or len(bench.diagnostics) >= 4,
-            "four diagnostics",
+            lambda: (
+                bench.publish(next(now), 0.0, 0.0)
+                or sum(words in array.status[0].message for array in bench.diagnostics) >= 3
+            ),
+            "three looks that say so",
         )
-        assert words in bench.diagnostic()["message"]
     assert any("[WARN]" in line and words in line for line in node.output.splitlines())
 
 

@@ -16,9 +16,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueClassification, TissueEstimate
 from lifecycle_msgs.msg import Transition
+from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from ros_helpers import LOSSLESS, Bench, active, identifier
+from ros_helpers import LOSSLESS, PATIENT, Bench, active, identifier, play
 from std_srvs.srv import Trigger
 
 from fden_ros.core.outputs import (
@@ -28,7 +29,6 @@ from fden_ros.core.outputs import (
     Output,
     TissueState,
 )
-from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import PARAMETERS, Parameters, read_parameter_file
 from fden_ros.recording.cdr import serialize
@@ -41,8 +41,6 @@ from fden_ros.simulation.trajectory import Sinusoid
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 STEP_NS = 2_000_000
-#: A message that shared memory has no room for comes with the next heartbeat, up to 3 s later [s].
-LATEST = 5.0
 
 
 def inputs_of(bag: Path) -> dict[str, str]:
@@ -55,12 +53,9 @@ def inputs_of(bag: Path) -> dict[str, str]:
     }
 
 
-def play(bag: Path, rate: float, **options: Any) -> None:
+def play_inputs(bag: Path, **options: Any) -> None:
     remap = inputs_of(bag)
-    with Player(bag, rate=rate, remap=remap, topics=list(remap), **options) as player:
-        player.wait_for_subscribers()
-        player.play()
-        player.wait_until_acknowledged()
+    play(bag, remap=remap, topics=list(remap), **options)
 
 
 def truth_of(bag: Path) -> dict[str, Any]:
@@ -113,7 +108,6 @@ def as_many(messages: list[Any], count: int) -> list[Any] | None:
 def test_live_equals_replay_bit_for_bit(made: Any, kinds: Any, tmp_path: Path) -> None:
     bag = GOLDEN / made if isinstance(made, str) else made(tmp_path / "bag")
     expected: dict[type, list[bytes]] = {kind: [] for kind in kinds}
-    rate = 4.0 if made is continuous else 2.0
 
     def keep(output: Output, frame: str) -> None:
         # The last place of a path ends with the node, when nobody listens any more.
@@ -124,10 +118,10 @@ def test_live_equals_replay_bit_for_bit(made: Any, kinds: Any, tmp_path: Path) -
     replay(bag, parameters_of(bag), on_output=keep)
     with (
         Bench() as bench,
-        active({"synchronize.window": LATEST * rate}, file=bag / PARAMETER_FILE),
+        active(PATIENT, file=bag / PARAMETER_FILE),
     ):
         bench.wait_until_connected()
-        play(bag, rate)
+        play_inputs(bag)
         heard = {
             TissueState: bench.estimates,
             Classification: bench.classifications,
@@ -231,7 +225,7 @@ def test_a_bad_parameter_at_start_ends_the_node_with_a_line_that_names_it(
     parameters: dict[str, Any], words: str
 ) -> None:
     with identifier({"autostart": True, **parameters}) as node:
-        assert node.wait(30.0) == 1
+        assert node.wait(LIMIT) == 1
     assert words in node.output
     assert "Traceback" not in node.output
 
@@ -301,8 +295,8 @@ def test_tare_and_reset_work_in_the_air_and_are_refused_elsewhere() -> None:
 
 def test_classification_and_summaries_reach_those_who_come_late() -> None:
     bag = GOLDEN / "golden_press"
-    with active(file=bag / PARAMETER_FILE):
-        play(bag, 3.0)
+    with active(PATIENT, file=bag / PARAMETER_FILE):
+        play_inputs(bag)
         with Bench() as bench:
             bench.wait_for(lambda: len(bench.summaries) == 2, "the latched summaries")
             # A loaded machine may still be at the end of the bag.
@@ -319,13 +313,13 @@ def test_use_sim_time_follows_the_clock_of_the_player() -> None:
     bag = GOLDEN / "golden_press"
     with (
         Bench() as bench,
-        active({"use_sim_time": True}, file=bag / PARAMETER_FILE),
+        active({"use_sim_time": True, **PATIENT}, file=bag / PARAMETER_FILE),
     ):
         bench.wait_for(
             lambda: "nothing publishes /clock" in bench.diagnostic().get("message", ""),
             "the words on the missing clock",
         )
-        play(bag, 2.0, clock_hz=100.0)
+        play_inputs(bag, clock_hz=100.0)
         bench.wait_for(lambda: len(bench.summaries) == 2, "the summaries")
         bench.wait_for(
             lambda: any(
@@ -340,12 +334,12 @@ def test_at_the_level_of_debug_the_log_says_what_the_node_decides() -> None:
     bag = GOLDEN / "golden_press"
     with Bench() as bench:
         with identifier(
-            {"autostart": True, "hardware_id": "FT-0815", **LOSSLESS},
+            {"autostart": True, "hardware_id": "FT-0815", **LOSSLESS, **PATIENT},
             file=bag / PARAMETER_FILE,
             first="import sys\nsys.argv += ['--log-level', 'identifier:=debug']",
         ) as node:
             bench.wait_until_connected()
-            play(bag, 4.0)
+            play_inputs(bag)
             bench.wait_for(lambda: len(bench.summaries) >= 2, "every summary")
             bench.wait_for(lambda: bench.diagnostics, "diagnostics")
         assert bench.diagnostics[-1].status[0].hardware_id == "FT-0815"

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from live_helpers import Ears
+from live_helpers import LIMIT, Ears
 
 pytest.importorskip("launch_ros", reason="ros2 launch is not to be had as a wheel")
 pytest.importorskip("ros2launch", reason="ros2 launch is not to be had as a wheel")
@@ -38,7 +38,7 @@ def launched(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
         try:
-            output, _ = process.communicate(timeout=30.0)
+            output, _ = process.communicate(timeout=LIMIT)
         finally:
             process.kill()
         process.output = output  # type: ignore[attr-defined]
@@ -81,7 +81,7 @@ def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(
         path.write_text(text)
     # With respawn too: a node that refuses its file must not be started again and again.
     with launched(f"parameters:={path}", "respawn:=true") as launch:
-        assert launch.wait(60.0) == 1
+        assert launch.wait(LIMIT) == 1
     assert launch.output.count(words) == 1
     assert "process started" not in launch.output and "Traceback" not in launch.output
 

@@ -280,7 +280,7 @@ def test_file_that_is_not_there_is_refused(
     # Here as a process of its own.
     program = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"]
     done = subprocess.run(
-        [*program, "--params-file", str(path)], capture_output=True, text=True, timeout=30.0
+        [*program, "--params-file", str(path)], capture_output=True, text=True
     )
     assert done.returncode == 1
     assert done.stdout + done.stderr == f"identifier: {words}\n"

@@ -13,7 +13,7 @@ import pickle
 import random
 
 import pytest
-from fault_helpers import WARNING_FLAGS, outcome_of, shift
+from fault_helpers import WARNING_FLAGS, shift, undisturbed
 from pipeline_helpers import Item
 from test_faults import ROWS
 
@@ -59,7 +59,7 @@ class Emitter:
 def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds: int) -> None:
     s = shift()
     duration = s.second(s.items[-1].stamp_ns) + 0.5
-    clean = outcome_of(s.items, s.parameters).summaries[-1]
+    clean = undisturbed().summaries[-1]
     assert clean.estimate is not None
     emitter = Emitter()
     pipeline = Pipeline(pipeline_config(check(s.parameters)), emitter)

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from live_helpers import Ears, node_process
+from live_helpers import LIMIT, Ears, node_process
 from sensor_msgs.msg import JointState
 
 from fden_ros.errors import InputError
@@ -139,7 +139,7 @@ def test_the_node_publishes_as_a_driver_does_and_takes_commands() -> None:
             ears.wait_for(command.get_subscription_count, "the simulator's subscription")
             command.publish(JointState(name=["z"], position=[0.004]))
             ears.wait_for(lambda: poses[-1].pose.position.z > 0.0039, "the commanded depth")
-            assert forces[-1].wrench.force.z > 0.05
+            ears.wait_for(lambda: forces[-1].wrench.force.z > 0.05, "the force there")
             command.publish(JointState(name=["x"], position=[0.01]))
             ears.wait_for(lambda: poses[-1].pose.position.x > 0.0099, "the commanded place")
             command.publish(JointState(name=["z"], position=[0.0], velocity=[0.0]))
@@ -154,7 +154,7 @@ def test_the_node_publishes_as_a_driver_does_and_takes_commands() -> None:
 
 def test_a_wrong_parameter_ends_the_node_in_one_line() -> None:
     with node_process("tissue_simulator", {"force.rate": 5000.0}) as simulator:
-        assert simulator.wait(30.0) == 1
+        assert simulator.wait(LIMIT) == 1
     assert (
         simulator.output.strip().splitlines()[-1].endswith("it must be above 0 and at most 1000")
     )

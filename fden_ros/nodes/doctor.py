@@ -18,7 +18,7 @@ from fden_ros.ros.plain_node import plain_node, spin_for
 
 #: Diagnostics come once a second; a problem is sure when it is in two of them [s].
 _LISTEN = 3.2
-#: An answer is lost where the node has not found the client yet: asked this often, for so long [s].
+#: An answer is lost where the node has not found the client yet: asked so often, for so long [s].
 _ASKED, _ANSWER = 3, 3.0
 _ESTIMATE = "fden_msgs/msg/TissueEstimate"
 _PROBLEM = "problem "

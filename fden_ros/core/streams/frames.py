@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
+from fden_ros.core.streams.join import Around, Join, JoinLimits, Passed
 from fden_ros.core.streams.rotation import (
     Quaternion,
     Transform,
@@ -127,7 +127,7 @@ class Frames:
         self._unresolved: deque[tuple[Sample, Pair]] = deque()
         self._since_ns = 0
         #: The newest displacements, one between any two transforms.
-        self.passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self.passed = Passed()
 
     @property
     def waiting(self) -> int:
@@ -284,7 +284,8 @@ class Frames:
             # One per transform, for its noise.
             if waiting.since_ns != self._since_ns:
                 self._since_ns = waiting.since_ns
-                self.passed.append(Sample(pair.epoch, pair.stamp_ns, displacement))
+                key = pair.epoch, pair.stamp_ns
+                self.passed.add(key, Sample(*key, displacement))
         self._on_pair(force, pair)
 
     def _along(self, force: Vector, turn: Quaternion) -> float:

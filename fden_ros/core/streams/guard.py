@@ -184,7 +184,7 @@ class StreamGuard:
         for sample in samples:
             for judged, reason in self._values.judge(sample):
                 if reason is None:
-                    accepted.append(judged)
+                    accepted.append(judged._replace(resolution=self.resolution))
                 else:
                     self.reject(reason)
         return tuple(accepted)

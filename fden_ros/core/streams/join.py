@@ -23,6 +23,8 @@ NOISE_SAMPLES = 256
 #: In a slow stream samples up to 2 usual steps of the leading stream apart are interpolated
 #: between, and a sample waits for up to 4 usual steps of its stream.
 _GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
+#: More samples than the pairs of a window leave behind.
+_MOST_AHEAD = 65_536
 
 Payload = TypeVar("Payload")
 
@@ -87,6 +89,32 @@ class JoinLimits:
     gap: str
 
 
+class Passed:
+    """The newest samples of a stream that the pairs so far have left behind.
+
+    Pairs that wait for yet another stream leave samples behind too: those count from when the
+    pair is made, so that what is known at a pair does not depend on how long it waited.
+
+    Attributes
+    ----------
+    samples : deque of Sample
+        The last 256.
+    """
+
+    def __init__(self) -> None:
+        self.samples: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
+
+    def add(self, key: tuple[int, int], sample: Sample) -> None:
+        """Take a sample that was left behind by the leading sample of this epoch and stamp."""
+        self._ahead.append((key, sample))
+
+    def until(self, key: tuple[int, int]) -> None:
+        """Count what was left behind up to this epoch and stamp, of which a pair is made."""
+        while self._ahead and self._ahead[0][0] <= key:
+            self.samples.append(self._ahead.popleft()[1])
+
+
 class Join(Generic[Payload]):
     """Match samples of a leading stream with those of a following one around their stamps.
 
@@ -98,8 +126,8 @@ class Join(Generic[Payload]):
     on_match : callable
         Called with each leading sample, its payload, and the :class:`Around` of the other stream,
         in order.
-    passed : deque of Sample, optional
-        The newest samples of the following stream that nothing waits for any more; added to.
+    passed : Passed, optional
+        The samples of the following stream that nothing waits for any more; added to.
     """
 
     def __init__(
@@ -108,7 +136,7 @@ class Join(Generic[Payload]):
         lead_guard: StreamGuard,
         follow_guard: StreamGuard,
         on_match: Callable[[Sample, Payload, Around], None],
-        passed: deque[Sample] | None = None,
+        passed: Passed | None = None,
     ) -> None:
         self._limits = limits
         self._lead_guard, self._follow_guard = lead_guard, follow_guard
@@ -147,7 +175,7 @@ class Join(Generic[Payload]):
             while len(following) > 1 and following[1][:2] <= key:
                 passed = following.popleft()
                 if self._passed is not None:
-                    self._passed.append(passed)
+                    self._passed.add(key, passed)
             before = following[0]
             if before[:2] > key:
                 self._reject_oldest(self._limits.unpaired)

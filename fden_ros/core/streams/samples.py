@@ -49,6 +49,7 @@ class Sample(NamedTuple):
     load: float = 0.0  #: force on the sensor that is not the tissue's: the tool's weight [N]
     usual_ns: float = 0.0  #: usual step of its stream before it [ns]; 0: not known
     turn: Quaternion | None = None  #: of a transform, or of the probe
+    resolution: float = 0.0  #: step in which the values of its stream came so far; 0: continuous
 
 
 class Pair(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 
 from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits
+from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits, Passed
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import (
     NANOSECONDS,
@@ -111,8 +111,7 @@ class Synchronizer:
             is_vector=config.tool_path is not None,
         )
         self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
-        self._passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
-        self._surfaces_passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._passed, self._surfaces_passed = Passed(), Passed()
         self._displacements = Join[None](
             self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
             self.force_guard,
@@ -166,10 +165,10 @@ class Synchronizer:
         From the distances of the last 256 samples from the lines between their neighbours, or from
         the steps in which they come; 0 while there are fewer than 32. Transforms add theirs.
         """
-        noise = _noise_of(self._passed, self.displacement_guard.resolution)
+        noise = _noise_of(self._passed.samples)
         if self.frames is not None:
-            noise = ReadingNoise(noise.white + _noise_of(self.frames.passed).white)
-        return PathNoise(noise, _noise_of(self._surfaces_passed, self.surface_guard.resolution))
+            noise = ReadingNoise(noise.white + _noise_of(self.frames.passed.samples).white)
+        return PathNoise(noise, _noise_of(self._surfaces_passed.samples))
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -246,14 +245,22 @@ class Synchronizer:
         if self._config.takes_surface:
             self._surfaces.lead(force, pair)
         else:
-            self._on_pair(pair)
+            self._make(pair)
 
     def _on_surface(self, _: Sample, pair: Pair, around: Around) -> None:
         place = around.value
-        self._on_pair(pair._replace(displacement=pair.displacement - place, surface=place))
+        self._make(pair._replace(displacement=pair.displacement - place, surface=place))
+
+    def _make(self, pair: Pair) -> None:
+        key = (pair.epoch, pair.stamp_ns)
+        self._passed.until(key)
+        self._surfaces_passed.until(key)
+        if self.frames is not None:
+            self.frames.passed.until(key)
+        self._on_pair(pair)
 
 
-def _noise_of(samples: deque[Sample], resolution: float = 0.0) -> ReadingNoise:
+def _noise_of(samples: deque[Sample]) -> ReadingNoise:
     if len(samples) < NOISE_SAMPLES // 8:
         return ReadingNoise()
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
@@ -263,6 +270,7 @@ def _noise_of(samples: deque[Sample], resolution: float = 0.0) -> ReadingNoise:
     apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
     scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
     deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+    resolution = samples[-1].resolution
     rounding = _ROUNDING_VARIANCE * resolution**2
     white = max(deviation**2, rounding) * float(np.median(step))
     return ReadingNoise(white, resolution if rounding > deviation**2 else 0.0)
