@@ -108,7 +108,7 @@ def touches():
     [
         (CASES["undisturbed"], False),
         (replace(CASES["undisturbed"], delay_s=0.02), None),
-        (replace(CASES["friction_20mN"], disturbances=Disturbances(friction_n=0.08)), True),
+        (replace(CASES["friction_20mN"], disturbances=Disturbances(friction_n=0.12)), True),
     ],
     ids=["as stated", "delay", "friction"],
 )

@@ -23,7 +23,6 @@ from benchmark.laws import (
     run_trial,
 )
 from fden_ros.control.left_out import Hold
-from fden_ros.control.live_tissue import Refusal
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.law.geometry import FlatPunch
@@ -55,7 +54,7 @@ def by_name(name: str) -> Case:
 def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
     name: str, rig: str
 ) -> None:
-    """Or nothing is predicted, since the law is said not to hold."""
+    """Or nothing is predicted: what is no FDEN is not known, or said not to follow the law."""
     made = [
         prediction
         for seed in range(40, 48)
@@ -63,8 +62,7 @@ def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
         if prediction.moment in IN_THE_HOLD
     ]
     predicted = [prediction.inside for prediction in made if not prediction.refusal]
-    told = [prediction for prediction in made if prediction.refusal == Refusal.REJECTED.name]
-    assert len(predicted) + len(told) >= 3
+    assert len(made) >= 3
     assert np.count_nonzero(predicted) >= 0.9 * len(predicted)
 
 

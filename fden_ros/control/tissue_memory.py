@@ -42,7 +42,7 @@ class TissueMemory:
         middle = 0.5 * math.log(_LOWEST_GN * _HIGHEST_GN)
         self._geometry = geometry
         self._grid = LogStiffnessGrid(middle, math.log(_HIGHEST_GN) - middle)
-        self._basis = StressBasis(geometry, self._grid.nodes, np.zeros(1))
+        self._basis = StressBasis(geometry, self._grid.nodes)
         self._integral = FractionalIntegral(order_nodes())
         self._in_order = order_interpolation()
         self._hold = Hold()

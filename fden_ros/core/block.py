@@ -60,11 +60,6 @@ class BlockSums:
         self.clear()
         self._end_ns = stamp_ns
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether the next sample begins a block."""
-        return self._count == 0
-
     def passes(self, stamp_ns: int) -> bool:
         """Whether a block's duration has passed without samples; if so the next begins."""
         if stamp_ns - self._end_ns < self._duration_ns:

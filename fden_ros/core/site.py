@@ -509,9 +509,7 @@ def _new_estimator(
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
         path_noise = noise.scaled(geometry.length)
-        return PosteriorEstimator(
-            config.estimator, geometry, noise_sd, origin_sd, path_noise, rig
-        )
+        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, path_noise, rig)
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

@@ -96,6 +96,7 @@ class _Press:
         self.law_error: LawError | None = None
         self.changes: list[Unknown] = []
         self.is_placed = True
+        self.is_lost = False  # the newest solution was not found
         self.monitor = InnovationMonitor()
         self.looked_at = -math.inf
 
@@ -178,7 +179,7 @@ class PosteriorEstimator:
         press = self._press
         if press is None or press.solution is None:
             return False
-        return self._is_surprised or not press.solution.is_solved
+        return self._is_surprised or press.is_lost or not press.solution.is_solved
 
     @property
     def change_count(self) -> int:
@@ -206,6 +207,8 @@ class PosteriorEstimator:
         """
         press, stated = self._press, self._stated_config.uncertainty.surface_motion_sd
         if press is None or press.solution is None or press.posterior is None or not stated:
+            return None
+        if press.is_lost:
             return None
         now = self._config.uncertainty.surface_motion_sd
         grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in SCALES]
@@ -389,8 +392,9 @@ class PosteriorEstimator:
         except (FloatingPointError, np.linalg.LinAlgError):
             if press.modes is None:
                 raise
-            self._is_surprised = True
+            press.is_lost = True
             return
+        press.is_lost = False
         press.posterior = posterior
         best = press.modes.best
         press.filter = PressFilter(best, posterior.model, posterior.error_model)
@@ -564,7 +568,7 @@ class PosteriorEstimator:
             mean[:3],
             deviations,
             beyond,
-            solution.is_solved,
+            solution.is_solved and not press.is_lost,
             origin_sd * math.exp(mean[LOG_GN]),
             is_contradicted,
         )

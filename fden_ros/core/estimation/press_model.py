@@ -21,7 +21,6 @@ from fden_ros.core.estimation.unknowns import (
     LOG_G,
     LOG_GN,
     ORDER,
-    ORIGIN,
     Unknown,
     characteristic_splines,
 )
@@ -292,10 +291,6 @@ class PressModel:
         splines = characteristic_splines(strains, self.last_knot)
         bend = np.exp(splines @ state[self.characteristic])
         return found.value * bend, slope * bend
-
-    def at_origin(self, state: Array) -> float:
-        """Return the strain origin as compression [1]."""
-        return float(state[ORIGIN]) * self.unknowns[ORIGIN].sd
 
 
 def _order(state: Array) -> float:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Interpolation between nodes: polynomials in alpha and ln Gn, the law itself in the origin."""
+"""Interpolation between nodes: polynomials in alpha and ln Gn."""
 
 from __future__ import annotations
 
@@ -12,16 +12,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 #: Distance of the nodes of ln Gn [1], and the number of them that serve one value [1]: between
-#: the nodes the stress is interpolated to 2e-5 at strains of 0.3 (test_core_stress_basis).
+#: the nodes the stress is interpolated to 2e-5 at strains of 0.3.
 LOG_SPACING = 0.1
 STENCIL = 8
-_ALL = slice(None)
-#: Gn times the farthest node of the strain origin [1]: there the response is up to e^5 times that
-#: at 0. With e^15 rounding made up the evidence of the largest Gn.
-_MOST_ORIGIN_EXPONENT = 5.0
 
 
 class Lagrange:
@@ -83,55 +78,6 @@ def _powers_of_chebyshev(size: int) -> Array:
     return powers
 
 
-class OriginInterpolation:
-    r"""Interpolation in the strain origin o between nodes -r, 0 and r, one for each node of ln Gn.
-
-    Below the boundary strain the law's response is linear in o, beyond it goes as
-    :math:`e^{-G_n o}`: through the nodes goes the curve of 1, o and that exponential. (A parabola
-    is as good while :math:`G_n r` is small. Where noise hides the touch r is so large that a
-    parabola fits the data at its node o = 0 only, which was then the origin to 1e-5.)
-
-    Parameters
-    ----------
-    origins : ndarray, shape (3,)
-        (-r, 0, r) [1]; or (0,), where it is known.
-    log_gn_nodes : ndarray, shape (nodes,)
-        Nodes of ln Gn.
-    """
-
-    def __init__(self, origins: Array, log_gn_nodes: Array) -> None:
-        self._is_known = origins.size == 1
-        self._reach = reach = float(origins[-1]) or 1.0
-        self._gn = np.minimum(np.exp(log_gn_nodes), MAX_EXPONENT / reach)
-        self._linear = np.sinh(self._gn * reach) / reach
-        #: Of the curve 1 at both outer nodes and 0 with no slope of the two at the middle one.
-        self._scale = 0.5 / np.sinh(0.5 * self._gn * reach) ** 2
-
-    def __call__(self, origin: float | Array, nodes: slice = _ALL) -> tuple[Array, Array]:
-        """Return the weight of each node at an origin and its derivative, shape (nodes, m).
-
-        Parameters
-        ----------
-        origin : float or ndarray, shape (nodes,)
-        nodes : slice
-            Nodes of ln Gn that are asked for.
-        """
-        gn = self._gn[nodes]
-        if self._is_known:
-            return np.ones((gn.size, 1)), np.zeros((gn.size, 1))
-        exponent = np.minimum(-gn * origin, MAX_EXPONENT)
-        scale, linear = self._scale[nodes], self._linear[nodes]
-        curve = scale * (np.expm1(exponent) + linear * origin)
-        slope = scale * (linear - gn * np.exp(exponent))
-        weights, slopes = np.empty((gn.size, 3)), np.empty((gn.size, 3))
-        line = 0.5 / self._reach
-        weights[:, 1], slopes[:, 1] = 1.0 - curve, -slope
-        for column, side in ((0, -line), (2, line)):
-            weights[:, column] = 0.5 * curve + side * origin
-            slopes[:, column] = 0.5 * slope + side
-        return weights, slopes
-
-
 class LogStiffnessGrid:
     """Uniform nodes of ln Gn, with local interpolation between them.
 
@@ -158,11 +104,6 @@ class LogStiffnessGrid:
     def highest(self) -> float:
         """Largest node."""
         return float(self.nodes[-1])
-
-    @property
-    def widest_origin(self) -> float:
-        """Farthest strain origin at which the response is known [1]."""
-        return _MOST_ORIGIN_EXPONENT * math.exp(-self.highest)
 
     def stencil(self, value: float) -> tuple[int, Array, Array]:
         """Return the first node used at `value`, the weights and their slopes, shape (8,)."""

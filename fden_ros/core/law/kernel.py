@@ -145,14 +145,6 @@ def order_interpolation() -> Lagrange:
 
 
 @functools.cache
-def integral_weights() -> Array:
-    """Return the weights for D^-alpha at every order node, shape (11, 76)."""
-    weights = np.vstack([kernel_weights(order) for order in order_nodes()])
-    weights.flags.writeable = False
-    return weights
-
-
-@functools.cache
 def derivative_weights() -> Array:
     """Return the weights for D^alpha at every order node, shape (11, 76)."""
     weights = np.vstack([kernel_weights(1.0 - order) for order in order_nodes()])
