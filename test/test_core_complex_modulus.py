@@ -12,8 +12,8 @@ import sys
 import numpy as np
 import pytest
 
-from fden_ros.core.estimation import complex_modulus
-from fden_ros.core.estimation.complex_modulus import (
+from fden_ros.core.oscillation import complex_modulus
+from fden_ros.core.oscillation.complex_modulus import (
     ComplexModulusMeter,
     modulus_of_springpot,
 )

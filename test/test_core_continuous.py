@@ -26,8 +26,8 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.local_stiffness import LocalStiffness
-from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
+from fden_ros.core.oscillation.local_stiffness import LocalStiffness
+from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 

@@ -91,7 +91,7 @@ def ratios(name, numbers):
 
 
 def test_a_surface_that_moves_far_more_than_is_stated_is_no_silent_error():
-    """Breathing of 1 mm is smooth: ln G, ln Gn and alpha follow it, 2.7 standard deviations off."""
+    """Breathing of 1 mm is smooth: the parameters follow it, 2.7 standard deviations off."""
     assert np.all(np.abs(ratios("breathing_1mm", range(8))) < 5.0)
 
 

@@ -19,10 +19,10 @@ import math
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.complex_modulus import ComplexModulus
-from fden_ros.core.estimation.local_stiffness import Stiffness
-from fden_ros.core.estimation.palpation import Palpated
-from fden_ros.core.estimation.palpation_meter import Measured, PalpationMeter
+from fden_ros.core.oscillation.complex_modulus import ComplexModulus
+from fden_ros.core.oscillation.local_stiffness import Stiffness
+from fden_ros.core.oscillation.palpation import Palpated
+from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
 from fden_ros.core.outputs import (
     ApparentStiffness,
     ContactSummary,

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimator_config import Observation
+from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.outputs import Flag, Output
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.press import Press

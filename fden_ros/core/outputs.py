@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
-from fden_ros.core.estimation.complex_modulus import ComplexModulus
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
@@ -20,6 +19,7 @@ from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.oscillation.complex_modulus import ComplexModulus
 from fden_ros.core.streams.samples import Position
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from fden_ros.core.estimation.palpation import Palpated
+from fden_ros.core.oscillation.palpation import Palpated
 from fden_ros.core.outputs import Flag
 from fden_ros.core.streams.samples import Pair, Position
 

@@ -13,9 +13,9 @@ from fden_ros.core.block import Means
 from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.outputs import (
     WITHHELD,
     ApparentStiffness,

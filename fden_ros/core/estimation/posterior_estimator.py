@@ -23,7 +23,6 @@ from fden_ros.core.estimation.estimate import Estimate, LawError
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.innovation_monitor import InnovationMonitor
 from fden_ros.core.estimation.law_error import LawCurves, law_curves, law_error
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.motion_scale import SCALES
@@ -43,6 +42,7 @@ from fden_ros.core.estimation.unknowns import (
     strain_range,
     unknowns_of,
 )
+from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import StressMoments
@@ -97,13 +97,8 @@ class _Press:
         self.changes: list[Unknown] = []
         self.is_placed = True
         self.is_lost = False  # the newest solution was not found
-        self.monitor = InnovationMonitor()
+        self.is_contradicted = False  # by the residuals of the newest solution
         self.looked_at = -math.inf
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Whether innovations since the touch are larger or slower than the model explains."""
-        return self.monitor.mismatch_count > 0
 
     @property
     def solutions(self) -> tuple[Solution, ...]:
@@ -399,9 +394,7 @@ class PosteriorEstimator:
         best = press.modes.best
         press.filter = PressFilter(best, posterior.model, posterior.error_model)
         press.last = float(points.times[-1])
-        press.monitor = InnovationMonitor()
-        for residual in best.residuals.tolist():
-            press.monitor.add(residual)
+        press.is_contradicted = contradicts(best.residuals)
         press.solved_at = self._time - press.start, press.record.max_compression
         press.law_error = self._law_error(press)
 

@@ -24,9 +24,9 @@ from scipy.special import digamma
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged, determined
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
-from fden_ros.core.estimation.local_stiffness import Stiffness
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
 from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
+from fden_ros.core.oscillation.local_stiffness import Stiffness
 
 #: k' lies above 0 by this many standard deviations [1] where the probe is on something.
 _PRESENT = 5.0

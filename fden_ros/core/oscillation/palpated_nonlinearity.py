@@ -25,9 +25,9 @@ import numpy as np
 from scipy.special import ive
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.complex_modulus import Phasors
 from fden_ros.core.estimation.estimator_config import Uncertainty
-from fden_ros.core.estimation.palpation import Palpated
+from fden_ros.core.oscillation.complex_modulus import Phasors
+from fden_ros.core.oscillation.palpation import Palpated
 
 #: Harmonics that are looked at [1].
 HARMONICS = (1.0, 2.0, 3.0)

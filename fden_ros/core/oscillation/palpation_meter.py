@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fden_ros.core.estimation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.local_stiffness import LocalStiffness
-from fden_ros.core.estimation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
-from fden_ros.core.estimation.palpation import Palpated, palpated, with_nonlinearity
-from fden_ros.core.estimation.palpation_frequency import PalpationFrequency
+from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
+from fden_ros.core.oscillation.local_stiffness import LocalStiffness
+from fden_ros.core.oscillation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
+from fden_ros.core.oscillation.palpation import Palpated, palpated, with_nonlinearity
+from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
 #: Periods of a window [1], and harmonics that are fitted beside the trend: with one period, or
 #: without the second harmonic, the harmonics of a nonlinear tissue pass for trend.
