@@ -160,6 +160,7 @@ def floats(data: bytes) -> np.ndarray:
     return np.frombuffer(data[-24:], dtype="<f8")
 
 
+@pytest.mark.statistics
 def test_estimates_hold_against_the_truth_over_several_seeds(tmp_path: Path) -> None:
     """Sum of squared normalised errors: chi-squared, within its 0.1 to 99.9 % range times 1.3.
 
