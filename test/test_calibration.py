@@ -164,7 +164,7 @@ def tones(
     return Samples(times, force), Samples(times + delay, depth)
 
 
-@pytest.mark.parametrize("seeds", counts(4, 20))
+@pytest.mark.parametrize("seeds", counts(8, 20))
 @pytest.mark.parametrize("share", [1.0, 1.6, 2.5])
 def test_a_phase_beyond_that_of_the_slope_is_not_told_from_a_delay(
     share: float, seeds: int

