@@ -13,7 +13,9 @@ many, with those constants.
 from __future__ import annotations
 
 import os
+from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 #: By how much the number of examples grows in a search; 0: no search.
@@ -23,6 +25,16 @@ SEARCH = int(os.environ.get("FDEN_SEARCH", "0"))
 def examples(count: int) -> settings:
     """Return settings for so many examples, more of them in a search."""
     return settings(max_examples=count * max(SEARCH, 1))
+
+
+def first(*seeds: int) -> list[Any]:
+    """Return the parameters of a test on the first seed in each run, on all by make statistics."""
+    return [seeds[0], *(pytest.param(seed, marks=pytest.mark.statistics) for seed in seeds[1:])]
+
+
+def counts(each_run: int, full: int) -> list[Any]:
+    """Return the numbers of seeds in each run, and by make statistics."""
+    return [each_run, pytest.param(full, marks=pytest.mark.statistics)]
 
 
 def load_profile() -> None:

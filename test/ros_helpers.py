@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import functools
 import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,20 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from fden_ros.core.outputs import (
+    Classification,
+    ContactSummary,
+    DynamicModulus,
+    Output,
+    TissueState,
+)
 from fden_ros.nodes.player import Player
+from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
+from fden_ros.recording.cdr import serialize
+from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.ros.messages import to_stamp
+from fden_ros.ros.topics import OutputMessages
 
 NAME = "/identifier"
 RELIABLE = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
@@ -177,6 +189,50 @@ def play(bag: Path, rate: float = 8.0, **options: Any) -> None:
         player.wait_for_subscribers(timeout_s=LIMIT)
         player.play()
         assert player.wait_until_acknowledged(LIMIT)
+
+
+def replayed(
+    bag: Path, kinds: Sequence[type], **options: Any
+) -> tuple[Replay, dict[type, list[bytes]]]:
+    """Replay a bag; return the result, and by kind the messages of its outputs in their order."""
+    messages: dict[type, list[bytes]] = {kind: [] for kind in kinds}
+
+    def keep(output: Output, frame: str) -> None:
+        # The last place of a path ends with the node, when nobody listens any more.
+        if type(output) in messages and getattr(output, "complete", True):
+            _, message = next(OutputMessages().of(output, frame))
+            messages[type(output)].append(serialize(message))
+
+    parameters = read_parameter_file(bag / PARAMETER_FILE)
+    return replay(bag, parameters, on_output=keep, **options), messages
+
+
+def assert_live_equals_replay(bag: Path, kinds: Sequence[type], **options: Any) -> Replay:
+    """Play a bag, with `options` of the player, to the node; it says what a replay gives."""
+    result, expected = replayed(bag, kinds)
+    with Bench() as bench, active(PATIENT, file=bag / PARAMETER_FILE):
+        bench.wait_until_connected()
+        play(bag, **options)
+        heard = {
+            TissueState: bench.estimates,
+            Classification: bench.classifications,
+            ContactSummary: bench.summaries,
+            DynamicModulus: bench.moduli,
+        }
+        for kind, messages in expected.items():
+            assert messages
+            live = bench.wait_for(
+                functools.partial(_as_many, heard[kind], len(messages)), f"every {kind.__name__}"
+            )
+            assert [serialize(message) for message in live] == messages, kind
+    return result
+
+
+def _as_many(messages: list[Any], count: int) -> list[Any] | None:
+    """Those that hold a number, once there are as many."""
+    stale = TissueEstimate.STATUS_STALE
+    found = [m for m in messages if getattr(m, "status", None) != stale]
+    return found if len(found) >= count else None
 
 
 #: Of a probe, where no file states one.

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from property_helpers import counts
 
 from fden_ros.cli import main
 from fden_ros.configure.oscillations import Samples, find_delay, find_oscillations
@@ -61,9 +62,10 @@ def test_delay_and_alpha_are_told_apart_by_two_frequencies(delay):
     assert not result.warnings
 
 
-def test_deviation_that_is_told_holds_the_truth():
+@pytest.mark.parametrize("seeds", counts(3, 8))
+def test_deviation_that_is_told_holds_the_truth(seeds):
     normalized = []
-    for seed in range(8):
+    for seed in range(seeds):
         result = find_delay(*samples_of(recorded(seed=seed)))
         assert result.delay == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
         normalized.append((result.delay - 0.012) / result.delay_sd)
@@ -162,10 +164,13 @@ def tones(
     return Samples(times, force), Samples(times + delay, depth)
 
 
+@pytest.mark.parametrize("seeds", counts(8, 20))
 @pytest.mark.parametrize("share", [1.0, 1.6, 2.5])
-def test_a_phase_beyond_that_of_the_slope_is_not_told_from_a_delay(share: float) -> None:
+def test_a_phase_beyond_that_of_the_slope_is_not_told_from_a_delay(
+    share: float, seeds: int
+) -> None:
     errors = []
-    for seed in range(20):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         slope, delay = rng.uniform(0.08, 0.25), rng.uniform(-0.005, 0.02)
         phase = share * 0.5 * math.pi * slope

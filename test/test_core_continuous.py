@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from property_helpers import counts, first
 from scipy.signal import fftconvolve
 
 from fden_ros.core import (
@@ -132,7 +133,7 @@ def known_places(outputs):
 
 
 @functools.cache
-def errors(profile: str, is_rigid: bool, seeds: int = 12) -> np.ndarray:
+def errors(profile: str, is_rigid: bool, seeds: int) -> np.ndarray:
     """Errors of dF/dd and alpha over their deviations, shape (places, 2)."""
     found = []
     for seed in range(seeds):
@@ -159,16 +160,20 @@ CONDITIONS = [
 ]
 
 
+@pytest.mark.parametrize("seeds", counts(3, 12))
 @pytest.mark.parametrize(("profile", "is_rigid"), CONDITIONS)
-def test_deviations_hold_along_the_path(profile, is_rigid):
-    found = errors(profile, is_rigid)
-    assert len(found) > 12 * 15
+def test_deviations_hold_along_the_path(profile, is_rigid, seeds):
+    found = errors(profile, is_rigid, seeds)
+    assert len(found) > 15 * seeds
     rms = np.sqrt(np.mean(found**2, axis=0))
-    assert np.all(rms > 0.6) and np.all(rms < 1.4), rms
+    # The places of one record have errors in common.
+    low, high = (0.6, 1.4) if seeds == 12 else (0.3, 2.0)
+    assert np.all(rms > low) and np.all(rms < high), rms
 
 
+@pytest.mark.statistics
 def test_intervals_of_95_percent_hold_in_90_to_99():
-    found = np.concatenate([errors(*condition) for condition in CONDITIONS])
+    found = np.concatenate([errors(*condition, 12) for condition in CONDITIONS])
     share = np.mean(np.abs(found) < 1.96, axis=0)
     assert np.all(share > 0.9) and np.all(share < 0.99), share
 
@@ -241,9 +246,10 @@ def nonlinear_places(record: Palpated, **values):
     return [one.estimate for one in places if one.estimate.valid & shown], len(places)
 
 
-def test_gn_beyond_the_boundary_is_told_with_intervals_that_hold():
+@pytest.mark.parametrize("seeds", counts(4, 24))
+def test_gn_beyond_the_boundary_is_told_with_intervals_that_hold(seeds):
     told, count, last = 0, 0, []
-    for seed in range(24):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         truth, is_rigid = rng.uniform(6.0, 14.0), bool(seed % 2)
         depth = 1.0 / truth + 0.1 + rng.uniform(0.0, 0.05)
@@ -253,25 +259,25 @@ def test_gn_beyond_the_boundary_is_told_with_intervals_that_hold():
         # Of one record all have an error in common.
         for one in estimates[-1:]:
             last.append((one.log_nonlinear_stiffness - math.log(truth)) / one.deviations[1])
-    assert told > 0.2 * count and len(last) > 16
+    assert told > 0.2 * count and len(last) > 2 * seeds / 3
     assert np.mean(np.abs(last) < 1.96) > 0.85
     assert 0.4 < math.sqrt(np.mean(np.square(last))) < 1.4
 
 
+@pytest.mark.parametrize("seed", first(0, 1, 2))
 @pytest.mark.parametrize("law", ["linear", "quadratic", "power"])
-def test_gn_is_not_told_where_the_harmonics_are_not_those_of_the_law(law):
-    for seed in range(3):
-        estimates, count = nonlinear_places(nonlinear(seed, 8.0, 0.25, law=law), **RIGID)
-        assert count > 30 and not estimates
+def test_gn_is_not_told_where_the_harmonics_are_not_those_of_the_law(law, seed):
+    estimates, count = nonlinear_places(nonlinear(seed, 8.0, 0.25, law=law), **RIGID)
+    assert count > 30 and not estimates
 
 
+@pytest.mark.parametrize("seed", first(0, 1, 2))
 @pytest.mark.parametrize("depth", [0.06, 0.125, 0.16])
-def test_a_stroke_that_passes_the_boundary_tells_no_wrong_gn(depth):
+def test_a_stroke_that_passes_the_boundary_tells_no_wrong_gn(depth, seed):
     """Half way at 0.125; where the surface comes by as much, the stroke is beyond for a while."""
-    for seed in range(3):
-        estimates, count = nonlinear_places(nonlinear(seed, 8.0, depth), **RIGID)
-        errors = [(e.log_nonlinear_stiffness - math.log(8.0)) / e.deviations[1] for e in estimates]
-        assert count > 30 and all(abs(error) < 3.0 for error in errors)
+    estimates, count = nonlinear_places(nonlinear(seed, 8.0, depth), **RIGID)
+    errors = [(e.log_nonlinear_stiffness - math.log(8.0)) / e.deviations[1] for e in estimates]
+    assert count > 30 and all(abs(error) < 3.0 for error in errors)
 
 
 def test_the_complex_modulus_is_the_stiffness_by_the_geometry():
@@ -379,7 +385,7 @@ def test_a_failure_ends_one_place_and_the_next_is_identified(monkeypatch):
     assert len([one for one in known_places(outputs) if one.site_id > failed[0].site_id]) > 10
 
 
-@pytest.mark.parametrize("seed", [4, 5, 6, 7])
+@pytest.mark.parametrize("seed", first(4, 5, 6, 7))
 def test_the_default_mode_claims_nothing_of_a_probe_that_taps_as_it_slides(seed):
     """It begins in contact, and is free of the tissue for a fifth of each period."""
     record = palpated(seed, "constant", frequency=1.0, duration=20.0)

@@ -9,8 +9,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from pipeline_helpers import summaries_of
+from property_helpers import first
 
 from benchmark import exact
 from benchmark.presses import CASES, trial_of
@@ -99,69 +101,73 @@ def press(
     return off, summary
 
 
-def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples() -> None:
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples(
+    seed: int,
+) -> None:
     """Of 970 Pa at the end of the ramp 350 are left after 40 s, under a noise of 97."""
-    for seed in range(3):
-        off, _ = press(
-            (7600.0, 5.66, 0.33),
-            (4700.0, 4.0, 0.39),
-            speed=0.064,
-            depth=0.18,
-            hold=40.0,
-            noise=97.0,
-            seed=seed,
-        )
-        assert np.all(np.abs(off) < 4.0), off
+    off, _ = press(
+        (7600.0, 5.66, 0.33),
+        (4700.0, 4.0, 0.39),
+        speed=0.064,
+        depth=0.18,
+        hold=40.0,
+        noise=97.0,
+        seed=seed,
+    )
+    assert np.all(np.abs(off) < 4.0), off
 
 
-def test_a_touch_that_noise_hides_leaves_the_origin_unknown() -> None:
+@pytest.mark.parametrize("seed", first(4, 6, 9))
+def test_a_touch_that_noise_hides_leaves_the_origin_unknown(seed: int) -> None:
     """The linear part of the curve ends at 12 Pa, under a noise of 43."""
-    for seed in (4, 6, 9):
-        off, summary = press(
-            (165.0, 13.7, 0.19),
-            (81.0, 21.4, 0.155),
-            speed=0.172,
-            depth=0.346,
-            hold=20.0,
-            noise=43.0,
-            seed=seed,
-        )
-        assert not summary.converged or np.all(np.abs(off) < 4.0), off
+    off, summary = press(
+        (165.0, 13.7, 0.19),
+        (81.0, 21.4, 0.155),
+        speed=0.172,
+        depth=0.346,
+        hold=20.0,
+        noise=43.0,
+        seed=seed,
+    )
+    assert not summary.converged or np.all(np.abs(off) < 4.0), off
 
 
-def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness() -> None:
+@pytest.mark.parametrize("seed", first(0, 1, 2, 3, 4))
+def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness(seed: int) -> None:
     """It ends at 2 Pa, under a noise of 6: G was up to 24 of its deviations off, and converged.
 
     Gn is determined, but with the origin unknown it is not claimed.
     """
-    for seed in range(5):
-        off, summary = press(
-            (60.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
-        )
-        estimate = summary.estimate
-        assert ParameterSet.LINEAR_STIFFNESS not in estimate.known | estimate.valid
-        assert not summary.converged
-        assert ParameterSet.NONLINEAR_STIFFNESS in estimate.valid
-        assert not estimate.known & ParameterSet.STIFFNESS
-        assert np.all(np.abs(off) < 4.0), (seed, off)
+    off, summary = press(
+        (60.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
+    )
+    estimate = summary.estimate
+    assert ParameterSet.LINEAR_STIFFNESS not in estimate.known | estimate.valid
+    assert not summary.converged
+    assert ParameterSet.NONLINEAR_STIFFNESS in estimate.valid
+    assert not estimate.known & ParameterSet.STIFFNESS
+    assert np.all(np.abs(off) < 4.0), (seed, off)
 
 
-def test_gn_is_within_its_deviation_where_the_tissue_began_far_before_the_force() -> None:
+@pytest.mark.parametrize("number", first(2056, 2143))
+def test_gn_is_within_its_deviation_where_the_tissue_began_far_before_the_force(
+    number: int,
+) -> None:
     """By 0.19 and 0.07 of strain: ln Gn was 8 and 6 deviations off, and known."""
-    for number in (2056, 2143):
-        _, outcome = exact.run_trial(number, 6000)
-        contact = outcome.contacts[-1]
-        assert abs(contact.error[1]) < 3.0 * contact.deviation[1]
+    _, outcome = exact.run_trial(number, 6000)
+    contact = outcome.contacts[-1]
+    assert abs(contact.error[1]) < 3.0 * contact.deviation[1]
 
 
-def test_a_touch_whose_linear_part_is_seen_tells_g() -> None:
+@pytest.mark.parametrize("seed", first(0, 1, 2, 3))
+def test_a_touch_whose_linear_part_is_seen_tells_g(seed: int) -> None:
     """It ends at 276 Pa, above the same noise."""
-    for seed in range(4):
-        off, summary = press(
-            (8000.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
-        )
-        assert summary.converged
-        assert np.all(np.abs(off) < 4.0), (seed, off)
+    off, summary = press(
+        (8000.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
+    )
+    assert summary.converged
+    assert np.all(np.abs(off) < 4.0), (seed, off)
 
 
 def test_noise_near_the_surface_neither_touches_nor_lets_go_of_the_tissue() -> None:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from fault_helpers import shift, turn_of
+from fault_helpers import first_press, turn_of
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from scipy.spatial.transform import Rotation
 
@@ -25,7 +25,7 @@ from fden_ros.ros.messages import to_stamp
 MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("is_torque", [False, True])
 def test_load_is_the_weight_seen_from_the_sensor(seed: int, is_torque: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -45,8 +45,8 @@ def test_a_quaternion_that_is_no_rotation_is_refused(quaternion: tuple[float, ..
 
 
 def turning(mass: float, told: float, fast: bool) -> tuple[Pipeline, list[ContactSummary]]:
-    """Three sites with a tool that turns all the time, its true mass and the one told."""
-    base = shift()
+    """A press with a tool that turns all the time, its true mass and the one told."""
+    base = first_press()
     outputs: list[object] = []
     values = check({**base.parameters, "tool.mass": told})
     pipeline = Pipeline(pipeline_config(values), outputs.append)
@@ -88,7 +88,7 @@ def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gi
 ) -> None:
     _, still = turning(0.0, 0.0, fast)
     _, turned = turning(MASS, MASS, fast)
-    assert len(turned) == len(still) == 3
+    assert len(turned) == len(still) == 1
     for a, b in zip(turned, still, strict=True):
         assert a.estimate is not None and b.estimate is not None
         assert a.converged and not a.flags

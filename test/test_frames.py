@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import Outcome, first_press, outcome_of, turn_of, undisturbed
-from fden_msgs.msg import TissueEstimate
 from frame_helpers import (
     FRAMES,
     MOUNT,
@@ -29,7 +28,7 @@ from frame_helpers import (
     write_bag,
 )
 from pipeline_helpers import FORCE
-from ros_helpers import PATIENT, Bench, active, play
+from ros_helpers import Bench, active, assert_live_equals_replay, replayed
 from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.cli import main
@@ -38,16 +37,14 @@ from fden_ros.core.streams.rotation import Transform, angle, slerp
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.errors import InputError
-from fden_ros.offline.replay import Replay, replay
+from fden_ros.offline.replay import replay
 from fden_ros.offline.session import gather
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.recording.cdr import serialize
 from fden_ros.recording.contents import inspect
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.recording.table import Columns
-from fden_ros.ros.topics import OutputMessages
 from fden_ros.simulation.simulate import START_NS
 
 
@@ -256,19 +253,11 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp("arm") / "bag", arm(first_press()))
 
 
-def outputs_of(bag: Path) -> tuple[Replay, list[bytes]]:
-    heard: list[bytes] = []
-
-    def keep(output: Any, frame: str) -> None:
-        if isinstance(output, TissueState | ContactSummary):
-            _, message = next(OutputMessages().of(output, frame))
-            heard.append(serialize(message))
-
-    return replay(bag, read_parameter_file(bag / PARAMETER_FILE), on_output=keep), heard
+KINDS = (TissueState, ContactSummary)
 
 
 def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
-    result, _ = outputs_of(bag)
+    result, _ = replayed(bag, KINDS)
     assert result.inputs == {
         "force": "/ft/wrench",
         "displacement": "tip in base",
@@ -284,7 +273,7 @@ def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
     config = ["--config", str(bag / PARAMETER_FILE)]
     assert main(["replay", str(bag), *config, "-o", str(out), "--with-inputs"]) == 0
     (out / PARAMETER_FILE).write_text((bag / PARAMETER_FILE).read_text())
-    assert outputs_of(out)[1] == outputs_of(bag)[1]
+    assert replayed(out, KINDS)[1] == replayed(bag, KINDS)[1]
     contents = inspect(bag, read_parameter_file(bag / PARAMETER_FILE))
     assert not contents.problems and not contents.warnings
     assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
@@ -300,19 +289,8 @@ def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: 
         replay(tmp_path / "a.csv", parameters, Selection(columns=Columns.parse("t,f,d")))
 
 
-def live_of(bench: Bench) -> list[bytes]:
-    """What the node said but that the estimate is stale."""
-    states = [m for m in bench.estimates if m.status != TissueEstimate.STATUS_STALE]
-    return [serialize(message) for message in (*states, *bench.summaries)]
-
-
 def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
-    _, expected = outputs_of(bag)
-    with Bench() as bench, active(PATIENT, file=bag / PARAMETER_FILE):
-        bench.wait_until_connected()
-        play(bag, remap={"/ft/wrench": "/force"})
-        bench.wait_for(lambda: len(live_of(bench)) >= len(expected), "all outputs")
-    assert sorted(live_of(bench)) == sorted(expected)
+    assert_live_equals_replay(bag, KINDS, remap={"/ft/wrench": "/force"})
 
 
 def test_a_report_shows_force_and_displacement_along_their_axes(bag: Path) -> None:

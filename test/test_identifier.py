@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -19,22 +18,27 @@ from lifecycle_msgs.msg import Transition
 from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from ros_helpers import LOSSLESS, PATIENT, Bench, active, identifier, play
+from ros_helpers import (
+    LOSSLESS,
+    PATIENT,
+    Bench,
+    active,
+    assert_live_equals_replay,
+    identifier,
+    play,
+)
 from std_srvs.srv import Trigger
 
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     DynamicModulus,
-    Output,
     TissueState,
 )
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import PARAMETERS, Parameters, read_parameter_file
-from fden_ros.recording.cdr import serialize
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.synthetic import PARAMETER_FILE, read_truth, write_recording
-from fden_ros.ros.topics import OutputMessages
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import START_NS, simulate
 from fden_ros.simulation.trajectory import Sinusoid
@@ -88,13 +92,6 @@ def oscillating(bag: Path) -> Path:
     return bag
 
 
-def as_many(messages: list[Any], count: int) -> list[Any] | None:
-    """Those that hold a number, once there are as many."""
-    stale = TissueEstimate.STATUS_STALE
-    found = [m for m in messages if getattr(m, "status", None) != stale]
-    return found if len(found) >= count else None
-
-
 @pytest.mark.parametrize(
     ("made", "kinds"),
     [
@@ -107,34 +104,8 @@ def as_many(messages: list[Any], count: int) -> list[Any] | None:
 )
 def test_live_equals_replay_bit_for_bit(made: Any, kinds: Any, tmp_path: Path) -> None:
     bag = GOLDEN / made if isinstance(made, str) else made(tmp_path / "bag")
-    expected: dict[type, list[bytes]] = {kind: [] for kind in kinds}
-
-    def keep(output: Output, frame: str) -> None:
-        # The last place of a path ends with the node, when nobody listens any more.
-        if type(output) in expected and getattr(output, "complete", True):
-            _, message = next(OutputMessages().of(output, frame))
-            expected[type(output)].append(serialize(message))
-
-    replay(bag, parameters_of(bag), on_output=keep)
-    with (
-        Bench() as bench,
-        active(PATIENT, file=bag / PARAMETER_FILE),
-    ):
-        bench.wait_until_connected()
-        play_inputs(bag)
-        heard = {
-            TissueState: bench.estimates,
-            Classification: bench.classifications,
-            ContactSummary: bench.summaries,
-            DynamicModulus: bench.moduli,
-        }
-        for kind, messages in expected.items():
-            assert messages
-
-            live = bench.wait_for(
-                functools.partial(as_many, heard[kind], len(messages)), f"every {kind.__name__}"
-            )
-            assert [serialize(message) for message in live] == messages, kind
+    remap = inputs_of(bag)
+    assert_live_equals_replay(bag, kinds, remap=remap, topics=list(remap))
 
 
 @pytest.mark.parametrize("name", ["golden_press", "golden_pose", "golden_palpation"])
@@ -160,6 +131,7 @@ def floats(data: bytes) -> np.ndarray:
     return np.frombuffer(data[-24:], dtype="<f8")
 
 
+@pytest.mark.statistics
 def test_estimates_hold_against_the_truth_over_several_seeds(tmp_path: Path) -> None:
     """Sum of squared normalised errors: chi-squared, within its 0.1 to 99.9 % range times 1.3.
 
