@@ -42,5 +42,3 @@ def _chi_squared_limit(degrees: int) -> float:
     """
     spread = 2.0 / (9.0 * degrees)
     return float(degrees * (1.0 - spread + _DEVIATIONS * math.sqrt(spread)) ** 3)
-
-

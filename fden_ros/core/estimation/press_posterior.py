@@ -1,0 +1,356 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The posterior of one press as it grows: record, solutions, and the filter between them.
+
+The order of events, for each block: the filter takes it; where the record has grown enough, or the
+block is not explained, the posterior is solved anew and the filter goes on from there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPICIOUS, change_of, placed
+from fden_ros.core.estimation.estimator import Innovation
+from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.record import Points, Record, Sample, block_points
+from fden_ros.core.estimation.rival import mismatch_log_odds
+from fden_ros.core.estimation.scales import Scales
+from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.whiteness import contradicts
+from fden_ros.core.law.characteristic import elastic_response
+
+#: The posterior is solved anew when the time since the touch, or the largest compression, has
+#: grown by these factors [1], some 25 times a contact; between two the filter is off by half
+#: a standard deviation.
+_TIME_RATIO, _DEPTH_RATIO = 1.25, 1.12
+#: Blocks before the first solution, and until which it is sought from all starts, each time that
+#: their number has doubled [1].
+_FIRST_SOLUTION, _LAST_STARTS = 4, 32
+#: Starts of ln Gn, about the prior's mean in its standard deviations [1].
+_STARTS = (-0.8, 0.8)
+#: Scales to begin with [1]: of a moderate error.
+_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
+#: A change is placed anew once it was seen for this time [s], within this time [s].
+_PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
+#: An innovation beyond this many standard deviations is not explained [1].
+_SURPRISE = 5.0
+#: Least variance of an innovation [Pa^2].
+_LEAST_VARIANCE = 1e-300
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A posterior with its solution.
+
+    Attributes
+    ----------
+    posterior : Posterior
+    modes : Modes
+    elapsed : float
+        From the touch to the end of the record [s].
+    strain : float
+        Largest of the site, from the solution's origin [1].
+    is_contradicted : bool
+        By its whitened residuals.
+    """
+
+    posterior: Posterior
+    modes: Modes
+    elapsed: float
+    strain: float
+    is_contradicted: bool
+
+    @property
+    def model(self) -> PressModel:
+        """The model of the press."""
+        return self.posterior.model
+
+    @property
+    def best(self) -> Solution:
+        """The solution about the best maximum."""
+        return self.modes.best
+
+
+class PressPosterior:
+    """One press.
+
+    Parameters
+    ----------
+    setting : PressSetting
+    start : float
+        Time of the touch [s].
+    deepest : float
+        Largest compression of the site so far [1].
+    compression_sd : float
+        Standard deviation of a sample's compression [1]; 0: not known yet.
+
+    Attributes
+    ----------
+    solved : Solved or None
+        The newest solution; None: there is none yet.
+    filter : PressFilter or None
+        Has gone on from it.
+    changes : tuple of Unknown
+        Of the tissue under the probe.
+    is_lost : bool
+        The newest solution was not found.
+    """
+
+    def __init__(
+        self,
+        setting: PressSetting,
+        start: float,
+        deepest: float = 0.0,
+        compression_sd: float = 0.0,
+    ) -> None:
+        self.setting, self._start = setting, start
+        self.record = Record(compression_sd)
+        self.deepest, self.compression_sd = deepest, compression_sd
+        self.solved: Solved | None = None
+        self.filter: PressFilter | None = None
+        self.changes: tuple[Unknown, ...] = ()
+        self.is_lost = self._is_surprised = False
+        self._samples: list[Sample] = []
+        self._now = self._last = start
+        self._is_pressed = False
+        self._blocks = self._blocks_at_starts = 0
+        self._solved_at = (0.0, 0.0)
+        self._is_placed = True
+        self._looked_at = -math.inf
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the newest solution was not found, or the newest block is not explained."""
+        if self.solved is None:
+            return False
+        return self._is_surprised or self.is_lost or not self.solved.best.is_solved
+
+    # Samples
+
+    def take(self, sample: Sample, compression_sd: float, *, is_free: bool) -> None:
+        """Take a sample whose compression has a standard deviation [1]."""
+        self._now = sample.time
+        if compression_sd:
+            self.compression_sd = compression_sd
+            self.record.noise_sd = self.record.noise_sd or compression_sd
+        self._is_pressed |= not is_free
+        is_observed = not (is_free and self._is_pressed)
+        self.record.add(*sample, is_observed=is_observed)
+        if is_observed:
+            self._samples.append(sample)
+            self.deepest = max(self.deepest, sample.compression)
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by."""
+        self._samples.clear()
+
+    def update(self, stress: float, compression: float) -> Innovation:
+        """Take the block of the samples since the last; return how the filter predicted it.
+
+        Parameters
+        ----------
+        stress, compression : float
+            Means of the block [Pa, 1].
+
+        Raises
+        ------
+        FloatingPointError
+            If the press has no finite stress at all.
+        """
+        innovation = self._unpredicted(stress)
+        if self.filter is not None and self._samples:
+            innovation = self._filtered(self.filter, compression)
+        self._samples.clear()
+        self._blocks += 1
+        self._is_surprised = innovation.normalized_squared > _SURPRISE**2
+        is_off = innovation.normalized_squared > SUSPICIOUS**2
+        if is_off and self._now - self._looked_at > LOOK_PERIOD:
+            self.solve(fully=self._finds_change())
+        elif self._is_due():
+            self.solve()
+        return innovation
+
+    def _unpredicted(self, stress: float) -> Innovation:
+        return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
+
+    def _filtered(self, own_filter: PressFilter, compression: float) -> Innovation:
+        """Let the filter take the samples of a block."""
+        points = block_points(self._samples, self._last)
+        self._last = self._samples[-1].time
+        try:
+            found = own_filter.step(points)
+            mean = own_filter.mean
+            strain = self.setting.geometry.strain(compression - self.setting.origin(mean))
+            elastic = elastic_response(strain, math.exp(mean[LOG_G]), math.exp(mean[LOG_GN]))
+        except (FloatingPointError, OverflowError):
+            # Too far from the last solution: the next one is due now.
+            self._solved_at = 0.0, 1e-9
+            return self._unpredicted(float(points.stresses[0]))
+        return Innovation(elastic.value, found.prediction, found.innovation, found.variance)
+
+    # Solutions
+
+    def _posterior(
+        self, changes: tuple[Unknown, ...], kind: type[PressModel] = PressModel
+    ) -> Posterior:
+        return self.setting.posterior(changes, self.compression_sd, self.deepest, kind)
+
+    def _is_due(self) -> bool:
+        if self._blocks < _FIRST_SOLUTION or self.record.is_full:
+            return False
+        elapsed, depth = self._solved_at
+        return (
+            self._now - self._start > _TIME_RATIO * elapsed
+            or self.record.max_compression > _DEPTH_RATIO * depth > 0.0
+        )
+
+    def finish(self) -> None:
+        """Solve anew at the end of the press, from all starts."""
+        if self._blocks >= _FIRST_SOLUTION:
+            self.solve(fully=True)
+
+    def solve(self, *, fully: bool = False) -> None:
+        """Solve the posterior of the record so far; `fully`: from all starts.
+
+        Raises
+        ------
+        FloatingPointError
+            If there is no solution, nor was one before.
+        """
+        self._place_again()
+        points = self.record.points()
+        if points.stresses.size < _FIRST_SOLUTION:
+            return
+        posterior = self._posterior(self.changes)
+        is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
+        try:
+            modes = self._modes(points, posterior, fully=fully or is_early)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            if self.solved is None:
+                raise
+            self.is_lost = True
+            return
+        self.is_lost = False
+        best, elapsed = modes.best, self._now - self._start
+        strain = self._strain(self.setting.origin(best.mean))
+        self.solved = Solved(posterior, modes, elapsed, strain, contradicts(best.residuals))
+        self.filter = PressFilter(best, posterior.model, posterior.error_model)
+        self._last = float(points.times[-1])
+        self._solved_at = elapsed, self.record.max_compression
+
+    def _modes(self, points: Points, posterior: Posterior, *, fully: bool) -> Modes:
+        """Return the modes; `fully`: from all starts, not only from the last ones."""
+        tracked: list[tuple[Array, Solution]] = []
+        strain = self._strain(0.0)
+        if self.solved is not None:
+            strain = self._strain(self.setting.origin(self.solved.best.mean))
+            tracked = [(self._grown(s, posterior), s) for s in self.solved.modes.solutions]
+        if tracked and not fully:
+            try:
+                return follow_modes(posterior, points, tracked, strain)
+            except (FloatingPointError, OverflowError, np.linalg.LinAlgError):
+                pass  # the record has grown beyond where the last solution has numbers
+        self._blocks_at_starts = self._blocks
+        starts = [state for state, _ in tracked] + self._starts(posterior, points)
+        return find_modes(posterior, points, starts, _first_scales(posterior), strain)
+
+    def _starts(self, posterior: Posterior, points: Points) -> list[Array]:
+        if self.setting.carried is not None:
+            return [posterior.belief.mean.copy()]
+        found = []
+        sd = posterior.model.unknowns[LOG_GN].sd
+        for place in _STARTS if sd > 0.0 else (0.0,):
+            start = posterior.belief.mean.copy()
+            start[LOG_GN] += place * sd
+            highest = float(posterior.model.stress(points, start).max())
+            if highest > 0.0:
+                start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
+            found.append(start)
+        return found
+
+    def _grown(self, solution: Solution, posterior: Posterior) -> Array:
+        """Return the state of a solution for a posterior that may have more unknowns."""
+        assert self.solved is not None
+        before, now = self.solved.model, posterior.model
+        known = len(before.unknowns)
+        more = len(now.unknowns) - known
+        state = np.insert(solution.maximum.state, [known] * more, 0.0)
+        if before.last_knot != now.last_knot:
+            state[now.characteristic] = 0.0
+        return state
+
+    def _strain(self, origin: float) -> float:
+        """Return the largest strain of the site from an origin, as compression [1]."""
+        return self.setting.geometry.strain(max(self.deepest - origin, 0.0))
+
+    # Changes of the tissue, and another law
+
+    def _finds_change(self) -> bool:
+        """Whether the tissue has changed under the probe; then the change is an unknown more."""
+        self._looked_at = self._now
+        if self.solved is None or not self._is_placed:
+            return False
+        change = change_of(
+            self.record.points(),
+            self.solved.best,
+            self._posterior(self.changes),
+            lambda unknown: self._posterior((*self.changes, unknown)),
+        )
+        if change is None:
+            return False
+        self.changes = (*self.changes, change)
+        self._is_placed = False
+        return True
+
+    def _place_again(self) -> None:
+        """Place the newest change anew, once it has been seen for long enough."""
+        if self._is_placed or self.solved is None:
+            return
+        *before, newest = self.changes
+        if newest.since is None or self._now - newest.since < _PLACED_AFTER:
+            return
+        self._is_placed = True
+        points, solution = self.record.points(), self.solved.best
+        state = self._grown(solution, self._posterior(self.changes))
+
+        def evidence_of(change: Unknown) -> float:
+            posterior = self._posterior((*before, change))
+            return posterior.tracked(points, state, solution).log_evidence
+
+        self.changes = (*before, placed(newest, _PLACED_WITHIN, evidence_of))
+
+    def mismatch_probability(self) -> float | None:
+        """Return the probability of a relaxation that ends; None: the press cannot tell.
+
+        Only the first press of a site whose alpha is learned can.
+        """
+        is_able = self.setting.carried is None and not self.setting.config.is_order_given
+        if self.solved is None or not self.setting.is_bent or not is_able:
+            return None
+        odds = mismatch_log_odds(
+            self.record.points(),
+            self.solved.best,
+            self.solved.posterior,
+            lambda kind: self._posterior(self.changes, kind),
+        )
+        return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
+
+
+def _first_scales(posterior: Posterior) -> Scales:
+    """Return the scales of the grid that are nearest to those of a moderate error."""
+
+    def off(scales: Scales) -> float:
+        pairs = zip(scales, _MODERATE, strict=True)
+        return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
+
+    return min((g.scales for g in posterior.grid), key=off)

@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is known of a press before its first sample, and the posterior that this makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import ErrorModel, Noise
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.scales import carried_scales, scales_of
+from fden_ros.core.estimation.solution import Belief, Posterior
+from fden_ros.core.estimation.unknowns import (
+    ORIGIN,
+    Lifetime,
+    Unknown,
+    strain_range,
+    unknowns_of,
+)
+from fden_ros.core.law.geometry import Geometry
+
+#: What is learned of a rig, by the names of its unknowns, in the order of its knowledge.
+RIG = ("delay", "friction")
+#: Added to the variances of scaled unknowns [1], so that rounding leaves them positive.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Carried:
+    """The posterior of the last press of a site.
+
+    Attributes
+    ----------
+    model : PressModel
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        Of its unknowns.
+    """
+
+    model: PressModel
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class PressSetting:
+    """What is known of a press before its first sample.
+
+    Attributes
+    ----------
+    config : EstimatorConfig
+        With the scales of motion and drift as they are learned.
+    stated : Uncertainty
+        Of the rig, as it is stated.
+    geometry : Geometry
+    origin_sd : float
+        Standard deviation of the strain origin [1]; 0: known.
+    stress_sd, zero_sd, drift_sd : float
+        Standard deviations of a sample's stress [Pa], of its zero [Pa] and of that one's drift
+        [Pa/s].
+    rig : RigKnowledge
+    carried : Carried or None
+        None: the first press of the site.
+    free : FreeSurface or None
+        What earlier presses have left of the tissue; None: it is at rest.
+    """
+
+    config: EstimatorConfig
+    stated: Uncertainty
+    geometry: Geometry
+    origin_sd: float
+    stress_sd: float
+    zero_sd: float
+    drift_sd: float
+    rig: RigKnowledge
+    carried: Carried | None = None
+    free: FreeSurface | None = None
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether the law may have errors."""
+        return self.config.uncertainty.characteristic_sd > 0.0
+
+    def origin(self, mean: Array) -> float:
+        """Return the strain origin of a state, as compression [1]."""
+        return self.origin_sd * float(mean[ORIGIN])
+
+    def posterior(
+        self,
+        changes: tuple[Unknown, ...],
+        compression_sd: float,
+        deepest: float,
+        kind: type[PressModel] = PressModel,
+    ) -> Posterior:
+        """Return the posterior, given a record.
+
+        Parameters
+        ----------
+        changes : tuple of Unknown
+            Of the tissue under the probe.
+        compression_sd : float
+            Standard deviation of a sample's compression [1].
+        deepest : float
+            Largest compression of the site [1].
+        kind : type
+            Of the model.
+        """
+        config = self.config
+        unknowns = unknowns_of(config, self.geometry, self.origin_sd, self.drift_sd) + changes
+        last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
+        model = kind(
+            unknowns, self.geometry, is_bent=self.is_bent, last_knot=last_knot, free=self.free
+        )
+        noise = Noise(self.stress_sd, compression_sd, self.zero_sd)
+        belief, grid, has_fields = self._first_belief(model), scales_of(config.uncertainty), True
+        if self.carried is not None:
+            belief, has_fields = _taken_over(self.carried, model, belief)
+            if not has_fields:
+                grid = carried_scales(config.uncertainty)
+        return Posterior(
+            model,
+            ErrorModel(model, config.uncertainty, noise),
+            belief,
+            grid,
+            has_field_prior=has_fields and self.is_bent,
+            order_sd=config.prior.fractional_order_sd if config.fractional_order_given else 0.0,
+        )
+
+    def _first_belief(self, model: PressModel) -> Belief:
+        """Return the belief at the first press of a site: as stated, and as the rig is known."""
+        mean, precision = np.zeros(model.size), np.zeros((model.size, model.size))
+        for k, unknown in enumerate(model.unknowns):
+            mean[k] = unknown.mean
+            precision[k, k] = 1.0 / unknown.unit**2 if unknown.unit else 1.0
+        own, found = rig_places(model)
+        if own:
+            rig_mean, rig_covariance = self.rig.scaled(self.stated)
+            mean[found] = rig_mean[own]
+            precision[np.ix_(found, found)] = np.linalg.inv(rig_covariance[np.ix_(own, own)])
+        return Belief(mean, precision)
+
+
+def rig_places(model: PressModel) -> tuple[list[int], list[int]]:
+    """Return the places of what is learned of a rig, in its knowledge and in a state."""
+    names = [unknown.name for unknown in model.unknowns]
+    own = [i for i, name in enumerate(RIG) if name in names]
+    return own, [names.index(RIG[i]) for i in own]
+
+
+def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Belief, bool]:
+    """Return the belief after an earlier press; and whether the law's errors are open anew."""
+    before = carried.model
+    names = [u.name for u in before.unknowns if u.lifetime is not Lifetime.CONTACT]
+    places = [[u.name for u in model.unknowns].index(name) for name in names]
+    sources = [[u.name for u in before.unknowns].index(name) for name in names]
+    has_fields = model.is_bent and before.last_knot == model.last_knot
+    if model.is_bent:
+        places += range(model.kernel.start, model.kernel.stop)
+        sources += range(before.kernel.start, before.kernel.stop)
+    if has_fields:
+        places += range(model.characteristic.start, model.characteristic.stop)
+        sources += range(before.characteristic.start, before.characteristic.stop)
+    mean, precision = first.mean.copy(), first.precision.copy()
+    mean[places] = carried.mean[sources]
+    covariance = carried.covariance[np.ix_(sources, sources)]
+    scale = np.sqrt(covariance.diagonal())
+    scale[scale == 0.0] = 1.0
+    scaled = covariance / np.outer(scale, scale) + _ROUNDING * np.eye(scale.size)
+    precision[np.ix_(places, places)] = np.linalg.inv(scaled) / np.outer(scale, scale)
+    return Belief(mean, precision), model.is_bent and not has_fields
