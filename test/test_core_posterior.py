@@ -16,6 +16,7 @@ from scipy.optimize import least_squares, minimize
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.change import change_of
 from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
+from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
@@ -24,7 +25,7 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample, block_points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import scales_of
-from fden_ros.core.estimation.solution import Belief, Posterior, Solution
+from fden_ros.core.estimation.solution import Posterior, Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain

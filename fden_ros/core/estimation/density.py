@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the unknowns of a press are before its record, and the model that the record is held to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.press_model import Evaluation, PressModel
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
+from fden_ros.core.estimation.unknowns import (
+    CHARACTERISTIC_KNOTS,
+    KERNEL_KNOTS,
+    LOG_GN,
+    FieldPrior,
+    Lifetime,
+    characteristic_prior,
+    kernel_prior,
+)
+
+#: Degrees of freedom of what is stated of a rig [1].
+_TAIL_DEGREES = 2.0
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A Gaussian prior of the unknowns.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (n,)
+    precision : ndarray, shape (n, n)
+        Without the law's errors where the scales decide on these.
+    """
+
+    mean: Array
+    precision: Array
+
+
+class Priors(NamedTuple):
+    """The prior of all unknowns, at any scales."""
+
+    model: PressModel
+    base: Array
+    kernel: FieldPrior | None
+    characteristic: FieldPrior | None
+
+    def precision(self, scales: Scales) -> Array:
+        """Return its precision, (n, n)."""
+        if self.kernel is None or self.characteristic is None:
+            return self.base
+        result = self.base.copy()
+        kernel, characteristic = self.model.kernel, self.model.characteristic
+        result[kernel, kernel] = self.kernel.precision / scales.kernel**2
+        result[characteristic, characteristic] = (
+            self.characteristic.precision / scales.characteristic**2
+        )
+        return result
+
+    def log_determinant(self, scales: Scales) -> float:
+        """Return the logarithm of the precision's determinant, but for what is the same to all."""
+        if self.kernel is None or self.characteristic is None:
+            return 0.0
+        found = self.kernel.log_determinant + self.characteristic.log_determinant
+        found -= 2.0 * KERNEL_KNOTS.size * math.log(scales.kernel)
+        return found - 2.0 * CHARACTERISTIC_KNOTS * math.log(scales.characteristic)
+
+
+class Density:
+    """Prior, model and errors of a press.
+
+    Parameters
+    ----------
+    model : PressModel
+    error_model : ErrorModel
+    belief : Belief
+    has_field_prior : bool
+        The law's errors have the priors of the scales, not that of the belief.
+    """
+
+    def __init__(
+        self, model: PressModel, error_model: ErrorModel, belief: Belief, *, has_field_prior: bool
+    ) -> None:
+        self.model, self.error_model, self.belief = model, error_model, belief
+        self._has_field_prior = has_field_prior
+        self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in model.unknowns])
+        #: Unknowns that are known.
+        self.known = np.flatnonzero([u.sd == 0.0 for u in model.unknowns])
+
+    def priors(self, state: Array) -> Priors:
+        """Return the priors at a state.
+
+        What is stated of a rig has Student's tails: it may be wrong by far, and then counts less.
+        """
+        base = self.belief.precision
+        if self._of_rig.any():
+            off = (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
+            factor = np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)
+            root = np.ones(base.shape[0])
+            root[: self._of_rig.size][self._of_rig] = np.sqrt(factor)
+            base = base * np.outer(root, root)
+        if not self._has_field_prior:
+            return Priors(self.model, base, None, None)
+        kernel = kernel_prior()
+        gn = math.exp(state[LOG_GN])
+        characteristic = characteristic_prior(gn, self.model.last_knot)
+        return Priors(self.model, base, kernel, characteristic)
+
+    def precision(self, state: Array, scales: Scales) -> Array:
+        """Return the prior's precision at a state."""
+        return self.priors(state).precision(scales)
+
+    def evaluate(self, points: Points, state: Array) -> Evaluation:
+        """Return the model at a state; what is known has no derivative.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is beyond floating-point numbers.
+        """
+        found = self.model.evaluate(points, state)
+        found.jacobian[:, self.known] = 0.0
+        return found

@@ -1,0 +1,254 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The maximum of the posterior of a press at given scales.
+
+A step solves the normal equations
+
+.. math::
+    (J^T S^{-1} J + \Lambda + \mu D)\,\Delta = J^T S^{-1} r + \Lambda (m - \theta)
+
+(Levenberg and Marquardt); it is taken where it lowers the misfit with S as it is, and ends where
+S, taken at the solution itself, wants no further step. So the maximum depends on the record alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.density import Density
+from fden_ros.core.estimation.error_model import Errors
+from fden_ros.core.estimation.press_model import Evaluation
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
+from fden_ros.core.estimation.unknowns import LAW, ORDER
+from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
+
+#: Steps of one maximum [1], and damped tries of one step [1].
+_MOST_STEPS, _MOST_TRIES = 60, 8
+#: A maximum is found where a step would lower minus twice the log posterior by less than this [1].
+CONVERGED = 1e-4
+#: The same where rounding lets no step lower it [1].
+_NEARLY_CONVERGED = 1e-3
+#: For so many steps [1] the variances are taken at the state; then they follow it by this part of
+#: the distance [1], so that both cannot take turns.
+_QUICK_STEPS, _FOLLOWING = 5, 0.5
+#: Stiffness by which a touch is held at a sample, over the stiffest of the normal equations [1].
+_HELD = 1e4
+#: Times that a touch held at a sample is moved on [1], and how far at most, in standard deviations
+#: [1].
+_MOST_SEARCHES, _REACH = 2, 0.5
+#: Largest step of ln G, ln Gn and alpha [1].
+_LARGEST_STEP = np.array([3.0, 0.7, 0.15])
+#: Damping at first [1], and by which factors it falls and rises.
+_DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
+#: Damping from which on a step is held up by a kink [1].
+_KINK_DAMPING = 0.1
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """A maximum of the posterior at given scales.
+
+    Attributes
+    ----------
+    state : ndarray, shape (n,)
+    evaluation : Evaluation
+        Of the model there.
+    errors : Errors
+        The error processes there.
+    scales : Scales
+    is_solved : bool
+        It wants no further step.
+    """
+
+    state: Array
+    evaluation: Evaluation
+    errors: Errors
+    scales: Scales
+    is_solved: bool
+
+
+@dataclass(frozen=True)
+class _Metric:
+    """By what residuals and the distance from the prior's mean are weighed."""
+
+    errors: Errors
+    precision: Array
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Normal equations of a step."""
+
+    normal: Array
+    damped: Array
+    towards: Array
+    misfit: float
+
+
+class MaximumSearch:
+    """Seeks the maximum of a posterior given a record.
+
+    Parameters
+    ----------
+    density : Density
+    points : Points
+    scales : Scales
+    converged : float
+        The maximum is found where a step would lower minus twice the log posterior by less [1].
+    held : int or None
+        Place of an unknown that stays where it starts.
+    """
+
+    def __init__(
+        self,
+        density: Density,
+        points: Points,
+        scales: Scales,
+        converged: float = CONVERGED,
+        held: int | None = None,
+    ) -> None:
+        self._density, self._points, self._scales = density, points, scales
+        self._converged, self._held = converged, held
+
+    def from_start(self, start: Array) -> Maximum:
+        """Return the maximum that a start leads to.
+
+        Raises
+        ------
+        FloatingPointError
+            If the start's stress is beyond floating-point numbers.
+        """
+        model, converged = self._density.model, self._converged
+        state, damping = start.copy(), _DAMPING
+        at = start  # where the variances are taken; it follows the state
+        found = self._density.evaluate(self._points, state)
+        is_solved = is_at_kink = False
+        tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
+        for count in range(_MOST_STEPS):
+            at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
+            metric = self._metric(at, found.stress if at is state else None)
+            free = self._equations(state, found, metric)
+            normal = free.normal
+            if is_at_kink:
+                touch = model.touch_gradient(self._points, state)
+                normal = normal + _HELD * free.damped.max() * np.outer(touch, touch)
+            behind = state - at
+            gain = float(free.towards @ solved(normal, free.towards))
+            left = gain + float(behind @ normal @ behind)
+            if left < converged and is_at_kink and searches:
+                searches -= 1
+                before = state
+                state = self._along_kink(state, free.normal, metric)
+                found = self._density.evaluate(self._points, state)
+                if state is not before:
+                    continue
+            if left < converged:
+                is_solved = True
+                break
+            if gain < 0.1 * converged:
+                continue
+            if tried > _MOST_STEPS:
+                break
+            equations = _Equations(normal, free.damped, free.towards, free.misfit)
+            taken, damping, tries = self._step(state, equations, damping, metric)
+            tried += tries
+            if taken is None:
+                # A sample at the surface: its stress begins there, and so does its derivative.
+                is_solved = is_at_kink and left < max(_NEARLY_CONVERGED, converged)
+                is_at_kink, damping = True, _DAMPING
+                if is_solved:
+                    break
+                continue
+            state, found = taken
+            if tries == 1:
+                damping *= _EASED
+            elif damping > _KINK_DAMPING and not is_at_kink:
+                is_at_kink, damping = True, _DAMPING
+        return Maximum(state, found, metric.errors, self._scales, is_solved)
+
+    def _metric(self, at: Array, stress: Array | None) -> _Metric:
+        density = self._density
+        if stress is None:
+            stress = density.model.stress(self._points, at)
+        errors = density.error_model.errors(self._points, at, stress)
+        return _Metric(errors, density.precision(at, self._scales))
+
+    def _equations(self, state: Array, found: Evaluation, metric: _Metric) -> _Equations:
+        rows = np.column_stack([self._points.stresses - found.stress, found.jacobian])
+        white = self._whitened(rows, metric)
+        off = self._density.belief.mean - state
+        normal = white[:, 1:].T @ white[:, 1:] + metric.precision
+        towards = white[:, 1:].T @ white[:, 0] + metric.precision @ off
+        if self._held is not None:
+            normal[self._held], normal[:, self._held] = 0.0, 0.0
+            normal[self._held, self._held], towards[self._held] = 1.0, 0.0
+        misfit = float(white[:, 0] @ white[:, 0] + off @ metric.precision @ off)
+        return _Equations(normal, normal.diagonal(), towards, misfit)
+
+    def _whitened(self, rows: Array, metric: _Metric) -> Array:
+        scales = self._scales
+        return self._density.error_model.whitened(
+            rows, metric.errors, scales.roughness, scales.motion
+        )[0]
+
+    def _misfit(self, state: Array, stress: Array, metric: _Metric) -> float:
+        white = self._whitened((self._points.stresses - stress)[:, None], metric)[:, 0]
+        off = state - self._density.belief.mean
+        return float(white @ white + off @ metric.precision @ off)
+
+    def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Array:
+        """Return the best state as the touch moves, all else with it; or the state itself."""
+        touch = self._density.model.touch_gradient(self._points, state)
+        along = solved(normal, touch)
+        size = float(touch @ along)
+        if not size > 0.0:
+            return state
+        along /= math.sqrt(size)
+
+        def misfit(distance: float) -> float:
+            after = state + distance * along
+            return self._misfit(after, self._density.model.stress(self._points, after), metric)
+
+        best = 0.0
+        for reach in (_REACH, 0.2 * _REACH, 0.04 * _REACH):
+            best = min((best + reach * part for part in np.linspace(-1.0, 1.0, 9)), key=misfit)
+        lowered = misfit(0.0) - misfit(best)
+        return state + best * along if lowered > _NEARLY_CONVERGED else state
+
+    def _step(
+        self, state: Array, equations: _Equations, damping: float, metric: _Metric
+    ) -> tuple[tuple[Array, Evaluation] | None, float, int]:
+        """Return the first damped step that lowers the misfit, or None; damping and tries."""
+        for tries in range(1, _MOST_TRIES + 1):
+            normal = equations.normal + damping * np.diag(equations.damped)
+            taken = self._try(state, solved(normal, equations.towards), metric)
+            if taken is not None and taken[2] <= equations.misfit:
+                return taken[:2], damping, tries
+            damping = max(damping, _DAMPING) * _DAMPED
+        return None, damping, _MOST_TRIES
+
+    def _try(
+        self, state: Array, step: Array, metric: _Metric
+    ) -> tuple[Array, Evaluation, float] | None:
+        """Return where a step leads, and the misfit there; None: nowhere."""
+        largest = float(np.max(np.abs(step[: len(LAW)]) / _LARGEST_STEP))
+        after = state + step / max(largest, 1.0)
+        after[ORDER] = np.clip(after[ORDER], LOWEST_ORDER, HIGHEST_ORDER)
+        try:
+            found = self._density.evaluate(self._points, after)
+        except (FloatingPointError, OverflowError):
+            return None
+        return after, found, self._misfit(after, found.stress, metric)
+
+
+def solved(normal: Array, towards: Array) -> Array:
+    """Return the solution of scaled normal equations."""
+    scale = 1.0 / np.sqrt(normal.diagonal())
+    result: Array = scale * np.linalg.solve(normal * np.outer(scale, scale), scale * towards)
+    return result
