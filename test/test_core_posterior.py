@@ -148,7 +148,7 @@ def test_the_solution_is_the_maximum_that_an_independent_optimiser_finds(
     posterior, points = posterior_of(press, uncertainty), points_of(press)
     maximum = solved(press, uncertainty).maximum
     assert maximum.is_solved
-    root = np.linalg.cholesky(posterior._precision(maximum.state, maximum.scales)).T
+    root = np.linalg.cholesky(posterior.precision(maximum.state, maximum.scales)).T
     sd = np.sqrt(solved(press, uncertainty).covariance.diagonal())
 
     def residuals(off: Array) -> Array:

@@ -20,6 +20,7 @@ ROOMS = (
     "core.law",
     "core.contact",
     "core.estimation",
+    "core.oscillation",
     "core.classification",
     "core.plausibility",
     "core.config",
