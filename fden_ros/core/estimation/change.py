@@ -23,7 +23,7 @@ from fden_ros.core.estimation.unknowns import Unknown, change_since
 #: thousand, at some 250 looks.
 _THRESHOLD = 10.6
 #: Least relative change of the stiffness that is said [1].
-_LEAST_STEP = 0.15
+_LEAST_STEP = 0.08
 #: Times before now at which the change may have been [s].
 _AGO = (0.03, 0.06, 0.12, 0.24)
 #: Distances from the best of these, over the time since, at which it is looked for more closely
@@ -31,8 +31,8 @@ _AGO = (0.03, 0.06, 0.12, 0.24)
 _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
 #: An innovation beyond this many standard deviations asks for a look [1].
 SUSPICIOUS = 3.5
-#: Least time between two looks [s].
-LOOK_PERIOD = 0.04
+#: Least time between two looks [s], and for how long one is looked for after that innovation [s].
+LOOK_PERIOD, SUSPECTED = 0.025, 0.1
 
 
 def change_of(

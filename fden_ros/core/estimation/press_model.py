@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from fden_ros.core.law.relaxation import (
     relaxation_weights,
 )
 
-_ORDER_STEP = 1e-5
+_ORDER_STEP, _LOG_STEP = 1e-5, 1e-5
 
 
 @dataclass(frozen=True)
@@ -221,6 +221,7 @@ class PressModel:
         if self.is_bent:
             slopes = slopes * np.exp(KERNEL_HATS @ state[self.kernel])
         _, by_order, by_knots = self._surface(points, state)
+        added = self._added(points, state)
         found = []
         for k, unknown in enumerate(self.unknowns):
             column = unknown.column(points, slopes if k == ORDER else None)
@@ -231,13 +232,36 @@ class PressModel:
             if unknown.since is not None:
                 after = points.times > unknown.since
                 column = Column(surface=-self.elastic(points, state)[0] * after)
+            elif added is not None:
+                column = _with_surface(column, self._added_by(points, state, unknown))
             found.append(column)
         if self.is_bent:
             for m in range(KERNEL_KNOTS.size):
                 surface = by_knots[m] if by_knots is not None else None
                 found.append(Column(surface=surface, weights=law.weights * KERNEL_HATS[:, m]))
-            found += [Column(BY_KNOT, m) for m in range(CHARACTERISTIC_KNOTS)]
+            bends = [Column(BY_KNOT, m) for m in range(CHARACTERISTIC_KNOTS)]
+            if added is not None:
+                splines = characteristic_splines(self._strains(points, state)[0], self.last_knot)
+                bends = [
+                    _with_surface(c, added * s) for c, s in zip(bends, splines.T, strict=True)
+                ]
+            found += bends
         return found
+
+    def _added_by(self, points: Points, state: Array, unknown: Unknown) -> Array | None:
+        """Return the derivative by an unknown of what changes add to the elastic response."""
+        added = self._added(points, state)
+        if added is None or unknown.name == "log_g":
+            return added
+        elastic, slope = self.elastic(points, state)
+        ratio = np.divide(added, elastic, out=np.zeros_like(added), where=elastic > 0.0)
+        if unknown.name == "log_gn":
+            step = np.zeros(state.size)
+            step[LOG_GN] = _LOG_STEP
+            higher, lower = (self.elastic(points, state + s)[0] for s in (step, -step))
+            result: Array = ratio * (higher - lower) / (2.0 * _LOG_STEP)
+            return result
+        return ratio * slope * unknown.motion(points) if unknown.motion is not None else None
 
     def _surface(
         self, points: Points, state: Array
@@ -275,15 +299,19 @@ class PressModel:
                 result = change if result is None else result + change
         return result
 
-    def elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
-        """Return the elastic response at the points and its slope by the compression."""
+    def _strains(self, points: Points, state: Array) -> tuple[Array, Array]:
+        """Return the strains at the points, and their slopes by the compression."""
         compressions = self.compressions(points, state)
         if self.is_one_sided:
             compressions = np.maximum(compressions, 0.0)
-        strains, by_compression = np.abs(compressions), np.ones_like(compressions)
-        if self.exponent != 1.0:
-            strains = strains**self.exponent
-            by_compression = self.exponent * np.sqrt(np.abs(compressions))
+        strains = np.abs(compressions)
+        if self.exponent == 1.0:
+            return strains, np.ones_like(strains)
+        return strains**self.exponent, self.exponent * np.sqrt(strains)
+
+    def elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
+        """Return the elastic response at the points and its slope by the compression."""
+        strains, by_compression = self._strains(points, state)
         found = elastic_responses(strains, math.exp(state[LOG_G]), math.exp(state[LOG_GN]))
         slope = found.by_strain * by_compression * (strains > 0.0)
         if not self.is_bent:
@@ -291,6 +319,14 @@ class PressModel:
         splines = characteristic_splines(strains, self.last_knot)
         bend = np.exp(splines @ state[self.characteristic])
         return found.value * bend, slope * bend
+
+
+def _with_surface(column: Column, added: Array | None) -> Column:
+    """Return a column with what it adds to the elastic response, as a lower surface."""
+    if added is None:
+        return column
+    surface = -added if column.surface is None else column.surface - added
+    return replace(column, surface=surface)
 
 
 def _order(state: Array) -> float:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPICIOUS, change_of, placed
+from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPECTED, SUSPICIOUS, change_of, placed
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
@@ -127,6 +127,7 @@ class PressPosterior:
         self._solved_at = (0.0, 0.0)
         self._is_placed = True
         self._looked_at = -math.inf
+        self._suspected_at: float | None = None
 
     @property
     def is_doubtful(self) -> bool:
@@ -173,12 +174,22 @@ class PressPosterior:
         self._samples.clear()
         self._blocks += 1
         self._is_surprised = innovation.normalized_squared > _SURPRISE**2
-        is_off = innovation.normalized_squared > SUSPICIOUS**2
-        if is_off and self._now - self._looked_at > LOOK_PERIOD:
-            self.solve(fully=self._finds_change())
+        if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
+            self._suspected_at = self._now
+        if self._suspected_at is not None:
+            self._suspect(self._suspected_at)
         elif self._is_due():
             self.solve()
         return innovation
+
+    def _suspect(self, since: float) -> None:
+        """Look for a change; a solution would absorb it, so that one waits for it to show."""
+        is_over = self._now - since > SUSPECTED
+        is_time = is_over or self._now - self._looked_at > LOOK_PERIOD
+        is_found = is_time and self._finds_change()
+        if is_found or is_over:
+            self._suspected_at = None
+            self.solve(fully=is_found)
 
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
