@@ -243,7 +243,7 @@ def test_many_places_are_one_sentence_too(session: Session) -> None:
         replace(first if n % 3 else second, site_id=n, contact_id=n) for n in range(1, 13)
     )
     shown = replace(session, replay=replace(session.replay, summaries=places))
-    assert sentence(shown) == "12 places, 12 liver-like; 78.4 to 136 N/m."
+    assert sentence(shown) == "12 places, 12 liver-like; 78.3 to 136 N/m."
 
 
 # Table and picture

@@ -167,12 +167,12 @@ def near(value: float, rel: float = 0.01, **options: Any) -> Any:
 
 
 def wider(usual: Heard, changed: Heard) -> bool:
-    """Whether the deviation of ln G is larger, in the mean over the press."""
+    """Whether a deviation of ln G, ln Gn or alpha is larger, in the mean over the press."""
     before, after = (
-        np.mean([state.estimate.deviations[0] for state in one.pressing])
+        np.mean([state.estimate.deviations for state in one.pressing], axis=0)
         for one in (usual, changed)
     )
-    return bool(after > 1.01 * before)
+    return bool(np.any(after > 1.01 * before))
 
 
 def closer(usual: Heard, changed: Heard) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
@@ -151,7 +151,8 @@ class ContactSummary:
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
     rig: RigKnowledge | None = None  #: with which the next site begins
-    law_curves: LawCurves | None = None  #: how the contact bends the law
+    #: How the contact bends the law; its arrays are left out of comparisons.
+    law_curves: LawCurves | None = field(default=None, compare=False)
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
     @property
