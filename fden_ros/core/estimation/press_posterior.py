@@ -44,6 +44,8 @@ _MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 #: An innovation beyond this many standard deviations is not explained [1].
 _SURPRISE = 5.0
+#: The touch may be this many standard deviations of the origin before its nominal place [1].
+_REACH = 6.0
 #: Least variance of an innovation [Pa^2].
 _LEAST_VARIANCE = 1e-300
 
@@ -114,7 +116,8 @@ class PressPosterior:
         compression_sd: float = 0.0,
     ) -> None:
         self.setting, self._start = setting, start
-        self.record = Record(compression_sd)
+        reach = _REACH * setting.origin_sd if setting.geometry_is_one_sided else 0.0
+        self.record = Record(compression_sd, reach)
         self.deepest, self.compression_sd = deepest, compression_sd
         self.solved: Solved | None = None
         self.filter: PressFilter | None = None

@@ -41,6 +41,8 @@ _MOST_OFF = 2e-4
 #: A block may last for this part of the time since the motion changed [1], while its compression
 #: changes by at most this [1].
 _GROWTH, _MOST_CHANGE = 0.05, 5e-4
+#: A probe is taken to have come along its line for at most this time [s].
+_LONGEST_APPROACH = 1.0
 #: Blocks of one press [1]; a record that is full takes no more. (A press of 0.3 of strain has 100
 #: to 600, each further decade of a hold 50.)
 MOST_BLOCKS = 2000
@@ -158,10 +160,12 @@ class Record:
     ----------
     noise_sd : float
         Standard deviation of the compression of a sample [1].
+    reach : float
+        How far before its nominal place the touch may be, as compression [1]; 0: it is known.
     """
 
-    def __init__(self, noise_sd: float = 0.0) -> None:
-        self.noise_sd = noise_sd
+    def __init__(self, noise_sd: float = 0.0, reach: float = 0.0) -> None:
+        self.noise_sd, self._reach = noise_sd, reach
         self._cells: list[_Cell] = []
         self._open: _Cell | None = None
         self._start: float | None = None
@@ -246,7 +250,29 @@ class Record:
 
     def points(self) -> Points:
         """Return the record so far as arrays."""
-        return _points(self._cells if self._open is None else [*self._cells, self._open])
+        cells = self._cells if self._open is None else [*self._cells, self._open]
+        if self._reach:
+            return _points([*_approach(cells, self._reach), *cells])
+        return _points(cells)
+
+
+def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
+    """Return the motion before the first block where the touch may have been before that one.
+
+    The probe comes as it goes on: along the line of the blocks near the touch.
+    """
+    near = [c for k, c in enumerate(cells) if k < 3 or c.start - cells[0].start < TOUCH_TIME]
+    if len(near) < 2:
+        return []
+    lines = np.array([cell.line()[::2] for cell in near])
+    times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
+    speed, first = np.polyfit(times, compressions, 1).tolist()
+    missing = first + reach
+    if speed <= 0.0 or not 0.0 < missing < _LONGEST_APPROACH * speed:
+        return []
+    before = _Cell(float(lines[0, 0]) - missing / speed, False)
+    before.add(before.start, -reach, 0.0)
+    return [before]
 
 
 def block_points(samples: Sequence[Sample], before: float) -> Points:
