@@ -413,10 +413,10 @@ def test_a_table_gives_what_the_bag_gives(
 def test_rows_and_bad_cells_of_a_table_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "tests.csv"
     path.write_text("test;t;f;d\na;0.0;1;2\nb;0.1;9;9\na;0.1;;2\na;0.2;3;4\n")
-    reader = TableReader(path, Columns.parse("t,f,d*0.5"), ("test", "a"))
+    reader = TableReader(path, Columns.parse("t,f*4,d*0.5"), ("test", "a"))
     assert [row[:3] for row in reader.rows()] == [
-        (1_000_000_000, 1.0, 1.0),
-        (1_200_000_000, 3.0, 2.0),
+        (1_000_000_000, 4.0, 1.0),
+        (1_200_000_000, 12.0, 2.0),
     ]
     assert reader.warnings == ("1 rows of tests.csv hold no number where one is needed",)
     by_rate = TableReader(path, Columns.parse("@500,f,d"))
