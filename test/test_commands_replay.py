@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from live_helpers import LIMIT
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -413,10 +414,10 @@ def test_a_table_gives_what_the_bag_gives(
 def test_rows_and_bad_cells_of_a_table_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "tests.csv"
     path.write_text("test;t;f;d\na;0.0;1;2\nb;0.1;9;9\na;0.1;;2\na;0.2;3;4\n")
-    reader = TableReader(path, Columns.parse("t,f,d*0.5"), ("test", "a"))
+    reader = TableReader(path, Columns.parse("t,f*4,d*0.5"), ("test", "a"))
     assert [row[:3] for row in reader.rows()] == [
-        (1_000_000_000, 1.0, 1.0),
-        (1_200_000_000, 3.0, 2.0),
+        (1_000_000_000, 4.0, 1.0),
+        (1_200_000_000, 12.0, 2.0),
     ]
     assert reader.warnings == ("1 rows of tests.csv hold no number where one is needed",)
     by_rate = TableReader(path, Columns.parse("@500,f,d"))
@@ -537,18 +538,25 @@ def test_results_of_the_recording_itself_are_refused(
     assert "the recording itself" in line
 
 
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """So long that it is not replayed before a signal comes."""
+    scenario = ramp_scenario(strain_rate=0.5, max_strain=0.2, hold_s=100.0, seed=1)
+    bag = tmp_path_factory.mktemp("long") / "bag"
+    write_recording(simulate(scenario), bag)
+    return bag
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_replay_leaves_no_bag(
+    tmp_path: Path, long: Path, number: signal.Signals
+) -> None:
     out = tmp_path / "out" / "results"
     out.parent.mkdir()
-    # So long that it is not done before the signal comes.
-    scenario = ramp_scenario(strain_rate=0.5, max_strain=0.2, hold_s=100.0, seed=1)
-    bag = tmp_path / "long"
-    write_recording(simulate(scenario), bag)
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "fden_ros.cli", "replay", str(bag)),
-            *("--config", str(bag / "identifier.yaml"), "-o", str(out)),
+            *(sys.executable, "-m", "fden_ros.cli", "replay", str(long)),
+            *("--config", str(long / "identifier.yaml"), "-o", str(out)),
         ],
         cwd=ROOT,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
@@ -560,7 +568,7 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, number: signal.Sign
     while not list(out.parent.rglob("*.mcap")) and process.poll() is None:
         time.sleep(0.01)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=LIMIT)
     assert process.returncode == 128 + number
     assert errors == b""
     assert list(out.parent.iterdir()) == []

@@ -21,7 +21,6 @@ from matplotlib.figure import Figure
 
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.law.geometry import FlatPunch, Sphere
 from fden_ros.offline.session import (
     Innovations,
     Session,
@@ -34,7 +33,6 @@ from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.synthetic import write_recording
 from fden_ros.report import figure, style
 from fden_ros.report.figure import save_session_figure
-from fden_ros.report.limits import interval_limits, symmetric_limit
 from fden_ros.report.sentence import sentence
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
@@ -74,7 +72,7 @@ def browse(page: Path, *options: str) -> tuple[str, list[str]]:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=True,
     )
     return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
@@ -336,14 +334,6 @@ def test_an_estimate_gone_astray_leaves_the_other_contacts_visible(
     assert "NaN" not in render(wild)
 
 
-def test_limits_hold_most_values_and_none_gone_astray() -> None:
-    values = np.array([450.0, 500.0, 600.0, 1e181, np.inf, np.nan])
-    low, high = interval_limits(values, np.zeros(6), np.full(6, 1e200))
-    assert 0.0 < low + 200.0 < 450.0 and 600.0 < high < 3000.0
-    assert interval_limits(np.zeros(0), np.zeros(0), np.zeros(0)) == (0.0, 1.0)
-    assert symmetric_limit(np.array([0.5] * 50 + [1e181]), 0.1) == pytest.approx(0.55)
-
-
 def test_nothing_to_write_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:
         main(["report", str(POSE)])
@@ -403,9 +393,3 @@ def test_the_fractional_derivative_of_a_ramp_is_exact() -> None:
     derivative = fractional_derivative(time, 3.0 * (time - time[0]), 0.13)
     exact = 3.0 * (time - time[0]) ** 0.87 / gamma(1.87)
     assert derivative == pytest.approx(exact, rel=1e-9)
-
-
-@pytest.mark.parametrize("geometry", [FlatPunch(1e-4, 0.02), Sphere(0.005)])
-def test_compression_is_found_from_strain(geometry: FlatPunch | Sphere) -> None:
-    for compression in (0.01, 0.3, 0.9):
-        assert geometry.compression(geometry.strain(compression)) == pytest.approx(compression)

@@ -118,6 +118,7 @@ def test_what_is_stated_of_an_unknown_rig_is_right(
     assert all(error < 4.0 for error in worst.values()), worst
 
 
+@pytest.mark.statistics
 def test_the_dozen_rigs_are_of_every_kind() -> None:
     truths = [simulate_rig(seed, **chosen).truth for seed, chosen in DOZEN]
     for kind in ("turns", "rigid", "tissue", "leaves"):

@@ -198,6 +198,7 @@ def test_brief_dip_of_the_force_does_not_end_a_contact(begin):
     force[begin : begin + 35] = 0.3  # one whole chunk of 20 ms and no two, wherever they begin
     _, events = events_of(made(force, displacement))
     assert [type(event) for _, event in events] == [Onset, Release]
+    assert events[1][0] > START_NS + 2900 * MS
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])

@@ -140,7 +140,8 @@ def test_pass_through_changes_nothing():
 @pytest.mark.parametrize("geometry", GEOMETRIES, ids=lambda g: type(g).__name__)
 @steady
 @given(compression=st.floats(1e-3, 0.9))
-def test_slope_is_the_derivative_of_the_strain(geometry, compression):
+def test_slope_is_the_derivative_of_the_strain_and_compression_its_inverse(geometry, compression):
+    assert geometry.compression(geometry.strain(compression)) == pytest.approx(compression)
     step = 1e-6 * compression
     difference = geometry.strain(compression + step) - geometry.strain(compression - step)
     assert difference / (2.0 * step) == pytest.approx(geometry.strain_slope(compression), rel=1e-6)

@@ -15,7 +15,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueClassification, TissueEstimate
 from lifecycle_msgs.msg import Transition
-from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from ros_helpers import (
@@ -183,23 +182,6 @@ def test_parameters_are_described_ranged_and_fixed_while_configured() -> None:
         text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="cube")
         refused = set_parameter(bench, "geometry.kind", text)
         assert not refused.successful and "flat_punch" in refused.reason
-
-
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        ({"geometry.area": -1.0}, "geometry.area"),
-        ({"geometry.kind": "cube"}, "geometry.kind"),
-        ({"geometry.area": "wide"}, "geometry.area"),
-    ],
-)
-def test_a_bad_parameter_at_start_ends_the_node_with_a_line_that_names_it(
-    parameters: dict[str, Any], words: str
-) -> None:
-    with identifier({"autostart": True, **parameters}) as node:
-        assert node.wait(LIMIT) == 1
-    assert words in node.output
-    assert "Traceback" not in node.output
 
 
 def test_a_geometry_that_is_not_stated_is_said_in_estimates_diagnostics_and_log() -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import rclpy
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
+from live_helpers import LIMIT
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
@@ -242,7 +243,7 @@ def end_of_node(capfd: pytest.CaptureFixture[str]) -> Iterator[End]:
         raise TimeoutError("the node runs")
 
     def end(*arguments: str) -> str:
-        signal.alarm(30)
+        signal.alarm(round(LIMIT))
         assert identifier.main(["identifier", "--ros-args", *arguments]) == 1
         signal.alarm(0)
         captured = capfd.readouterr()

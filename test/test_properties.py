@@ -41,7 +41,7 @@ def drawn(folder: Path, script: str, **environment: str) -> str:
         capture_output=True,
         text=True,
         check=True,
-        timeout=120,
+        timeout=600,
     ).stdout
 
 

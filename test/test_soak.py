@@ -3,7 +3,7 @@
 
 """Hours on a robot, faster than real time: one pipeline, shift after shift, a fault in each.
 
-Two minutes' worth in each run, an hour's worth with ``make statistics``.
+Three shifts in each run, an hour's worth with ``make statistics``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import random
 import pytest
 from fault_helpers import WARNING_FLAGS, shift, undisturbed
 from pipeline_helpers import Item
+from property_helpers import counts
 from test_faults import ROWS
 
 from fden_ros.core.outputs import ContactSummary, Output
@@ -55,7 +56,7 @@ class Emitter:
             self.last = output
 
 
-@pytest.mark.parametrize("seconds", [120, pytest.param(3600, marks=pytest.mark.statistics)])
+@pytest.mark.parametrize("seconds", counts(45, 3600))
 def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds: int) -> None:
     s = shift()
     duration = s.second(s.items[-1].stamp_ns) + 0.5

@@ -26,13 +26,12 @@ from fden_ros.nodes.decisions import Decisions
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import replay
 from fden_ros.offline.results import replay_to_bag
-from fden_ros.parameters import DEFAULT_HARDWARE_ID, check, pipeline_config, read_parameter_file
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.report.numbers import plus_minus, result
 from fden_ros.report.table import contact_table
-from fden_ros.ros.status import diagnostic_status
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
 
@@ -123,14 +122,6 @@ def test_of_material_that_is_linear_so_far_g_is_known_and_gn_is_not() -> None:
     assert "press deeper" not in text
 
 
-def test_a_strain_that_cannot_be_determines_nothing() -> None:
-    parameters = read_parameter_file(PROBE)
-    selection = Selection(columns=Columns.parse("time_s,force_N,depth_mm"))
-    for contact in replay(TABLE, parameters, selection).summaries:
-        assert not contact.converged
-        assert contact.estimate is None or not contact.estimate.known & ParameterSet.STIFFNESS
-
-
 def test_an_alpha_that_is_not_the_prior_s_is_not_called_prior_knowledge() -> None:
     unlearned = ParameterSet.STIFFNESS
     estimate = ESTIMATE._replace(fractional_order=0.01, valid=unlearned, known=unlearned)
@@ -205,13 +196,6 @@ def test_a_replay_does_not_warn_of_what_is_usual(tmp_path: Path) -> None:
     result = replay(table, late, Selection(columns=Columns.parse(COLUMNS)))
     assert 0 < result.rejected["force.unpaired"] <= 2
     assert not any("rejected" in text for text in result.warnings)
-
-
-def test_diagnostics_name_the_hardware() -> None:
-    pipeline = Pipeline(pipeline_config(check({})), lambda output: None)
-    assert diagnostic_status("/identifier", [], pipeline, 0).hardware_id == DEFAULT_HARDWARE_ID
-    status = diagnostic_status("/identifier", [], pipeline, 0, hardware_id="FT-0815")
-    assert status.hardware_id == "FT-0815"
 
 
 # What the node says at the level of debug
