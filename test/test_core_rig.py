@@ -108,7 +108,7 @@ def touches():
     [
         (CASES["undisturbed"], False),
         (replace(CASES["undisturbed"], delay_s=0.02), None),
-        (replace(CASES["friction_20mN"], disturbances=Disturbances(friction_n=0.12)), True),
+        (replace(CASES["friction_20mN"], disturbances=Disturbances(friction_n=0.04)), True),
     ],
     ids=["as stated", "delay", "friction"],
 )
@@ -116,7 +116,8 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(case, 
     """A delay of 20 ms may as well be an error of the law: then that is in the deviations."""
     for number in range(3):
         (contact,) = trial_of(case, number, {}).contacts
-        assert contradicts is None or bool(contact.flags & Flag.HYSTERESIS) == contradicts
+        is_said = bool(contact.flags & Flag.HYSTERESIS) or not contact.converged
+        assert contradicts is None or is_said == contradicts
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 

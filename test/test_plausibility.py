@@ -55,7 +55,7 @@ def identified(
 
 WRONG = {
     "mm": ("time_s,force_N,depth_mm", RIGID, "mm (factor 0.001: 0.3)"),
-    "mm/10": ("time_s,force_N,depth_mm*1e-1", RIGID, "cm (factor 0.01: 0.29)"),
+    "mm/10": ("time_s,force_N,depth_mm*1e-1", RIGID, "cm (factor 0.01: 0.3)"),
     "mm/10 under a sphere": ("time_s,force_N,depth_mm*1e-1", SPHERE, "(factor 0.01"),
     "tenfold": ("time_s,force_N,depth_mm*1e-2", RIGID, "(factor 0.1: 0."),
     # A hundredfold G is soft tissue too: only a prior of this one tells that the unit is wrong.

@@ -171,7 +171,7 @@ class InContact:
         if press.has_ended:
             return
         if self._plausibility.is_implausible(
-            stamp_ns, press.max_strain, press.max_force, press.max_stress, is_over=is_over
+            stamp_ns, press.nominal_strain, press.max_force, press.max_stress, is_over=is_over
         ):
             press.flags |= Flag.IMPLAUSIBLE
             site.withhold(Flag.IMPLAUSIBLE)

@@ -114,6 +114,11 @@ class Press:
         """Whether it is the site's first, below 4 release forces: perhaps noise."""
         return self._is_first and self.max_force < _FAINT * self._release_force
 
+    @property
+    def nominal_strain(self) -> float:
+        """Largest strain so far from where the touch was found, not from the estimate's origin."""
+        return self._config.geometry.strain(max(self._deepest or 0.0, 0.0))
+
     def net_force(self, pair: Pair, *, drifts: bool = True) -> float:
         """Return the force less its bias and, unless `drifts` is False, its drift [N]."""
         if not drifts:

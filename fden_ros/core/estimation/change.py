@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,15 @@ _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
 SUSPICIOUS = 3.5
 #: Least time between two looks [s], and for how long one is looked for after that innovation [s].
 LOOK_PERIOD, SUSPECTED = 0.025, 0.1
+#: Gain in log evidence with which it is looked for on [1].
+PROMISING = 5.0
+
+
+class Look(NamedTuple):
+    """What a look for a change has found."""
+
+    change: Unknown | None  #: None: none that is large and likely enough
+    gain: float  #: in log evidence by one of any size [1]
 
 
 def change_of(
@@ -40,8 +50,8 @@ def change_of(
     solution: Solution,
     without: Posterior,
     with_change: Callable[[Unknown], Posterior],
-) -> Unknown | None:
-    """Return the change that the record shows; None: none.
+) -> Look:
+    """Look for a change that the record shows.
 
     Parameters
     ----------
@@ -56,25 +66,27 @@ def change_of(
     """
     state = solution.maximum.state
     if state.size != without.model.size or not solution.is_solved:
-        return None
+        return Look(None, -math.inf)
     count, now = len(without.model.unknowns), float(points.times[-1])
     alone = without.tracked(points, state, solution).log_evidence
     start = np.insert(state, count, 0.0)
 
-    def evidence_of(unknown: Unknown) -> float:
+    def look(unknown: Unknown) -> tuple[float, float]:
+        """Return the log evidence with a change, and its size."""
         assert unknown.since is not None
         if not points.times[0] < unknown.since < now:
-            return -math.inf
+            return -math.inf, 0.0
         found = with_change(unknown).tracked(points, start, solution)
-        is_large = abs(found.mean[count]) > _LEAST_STEP
-        return found.log_evidence if is_large else -math.inf
+        return found.log_evidence, abs(float(found.mean[count]))
 
     looked = [change_since(now - ago) for ago in _AGO]
-    evidence = [evidence_of(unknown) for unknown in looked]
+    evidence, sizes = np.array([look(unknown) for unknown in looked]).T
+    gain = float(evidence.max()) - alone
+    evidence[sizes < _LEAST_STEP] = -math.inf
     best = looked[int(np.argmax(evidence))]
-    if max(evidence) - alone < _THRESHOLD or best.since is None:
-        return None
-    return placed(best, now - best.since, evidence_of)
+    if evidence.max() - alone < _THRESHOLD or best.since is None:
+        return Look(None, gain)
+    return Look(placed(best, now - best.since, lambda unknown: look(unknown)[0]), gain)
 
 
 def placed(change: Unknown, width: float, evidence_of: Callable[[Unknown], float]) -> Unknown:

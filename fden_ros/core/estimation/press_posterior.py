@@ -15,7 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change import LOOK_PERIOD, SUSPECTED, SUSPICIOUS, change_of, placed
+from fden_ros.core.estimation.change import (
+    LOOK_PERIOD,
+    PROMISING,
+    SUSPECTED,
+    SUSPICIOUS,
+    Look,
+    change_of,
+    placed,
+)
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
@@ -187,12 +195,14 @@ class PressPosterior:
 
     def _suspect(self, since: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""
-        is_over = self._now - since > SUSPECTED
-        is_time = is_over or self._now - self._looked_at > LOOK_PERIOD
-        is_found = is_time and self._finds_change()
-        if is_found or is_over:
+        elapsed = self._now - since
+        if elapsed < SUSPECTED and self._now - self._looked_at < LOOK_PERIOD:
+            return
+        look = self._look_for_change()
+        is_open = elapsed < LOOK_PERIOD or (elapsed < SUSPECTED and look.gain > PROMISING)
+        if look.change is not None or not is_open:
             self._suspected_at = None
-            self.solve(fully=is_found)
+            self.solve(fully=look.change is not None)
 
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
@@ -309,22 +319,21 @@ class PressPosterior:
 
     # Changes of the tissue, and another law
 
-    def _finds_change(self) -> bool:
-        """Whether the tissue has changed under the probe; then the change is an unknown more."""
+    def _look_for_change(self) -> Look:
+        """Look whether the tissue has changed under the probe; a change is an unknown more."""
         self._looked_at = self._now
         if self.solved is None or not self._is_placed:
-            return False
-        change = change_of(
+            return Look(None, -math.inf)
+        look = change_of(
             self.record.points(),
             self.solved.best,
             self._posterior(self.changes),
             lambda unknown: self._posterior((*self.changes, unknown)),
         )
-        if change is None:
-            return False
-        self.changes = (*self.changes, change)
-        self._is_placed = False
-        return True
+        if look.change is not None:
+            self.changes = (*self.changes, look.change)
+            self._is_placed = False
+        return look
 
     def _place_again(self) -> None:
         """Place the newest change anew, once it has been seen for long enough."""
