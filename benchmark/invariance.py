@@ -13,19 +13,20 @@ The live state is the last before the recording ends, in the hold: there is no a
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import merge
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured
-from benchmark.measured import read_tests, some_of
+from benchmark.measured import Test, read_tests, some_of
 from benchmark.presses import CASES, parameters_of, scenario_of
 from benchmark.score import NAMES, share
-from benchmark.trial import elapsed, presses_of
+from benchmark.trial import presses_of
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Output, TissueState
@@ -57,14 +58,12 @@ _SHARP = ("beef", (0.13, 0.05, 0.08))
 
 @dataclass(frozen=True)
 class Record:
-    """Samples of two streams, and the identifier's parameters."""
+    """Samples of two streams, force and displacement, and the identifier's parameters."""
 
     name: str
     kind: str  #: material, or SIMULATED
-    force_ns: Stamps  #: stamps, shape (n,)
-    forces: Array  #: [N]
-    moved_ns: Stamps  #: stamps, shape (m,)
-    displacements: Array  #: [m]
+    stamps: tuple[Stamps, Stamps]  #: [ns], shape (n,) each
+    values: tuple[Array, Array]  #: [N], [m]
     parameters: Mapping[str, Any]
     seed: int
 
@@ -74,20 +73,21 @@ SIMULATED = "simulated"
 
 def _noisy(size: float) -> Callable[[Record], Record]:
     def change(record: Record) -> Record:
-        noise = np.random.default_rng([record.seed, 29]).normal(0.0, size, record.moved_ns.size)
-        return replace(record, displacements=record.displacements + noise)
+        force, moved = record.values
+        noise = np.random.default_rng([record.seed, 29]).normal(0.0, size, moved.size)
+        return replace(record, values=(force, moved + noise))
 
     return change
 
 
 def _shifted(record: Record) -> Record:
-    shifted = {name: getattr(record, name) + _SHIFT_NS for name in ("force_ns", "moved_ns")}
-    return replace(record, **shifted)
+    force, moved = record.stamps
+    return replace(record, stamps=(force + _SHIFT_NS, moved + _SHIFT_NS))
 
 
 def _halved(record: Record) -> Record:
-    names = ("force_ns", "forces", "moved_ns", "displacements")
-    return replace(record, **{name: getattr(record, name)[::2] for name in names})
+    (force, moved), (forces, depths) = record.stamps, record.values
+    return replace(record, stamps=(force[::2], moved[::2]), values=(forces[::2], depths[::2]))
 
 
 def _with_period(period: float) -> Callable[[Record], Record]:
@@ -132,19 +132,14 @@ def run(args: argparse.Namespace) -> Report:
     """Identify every record as it is and changed, and hold the moves against their goals."""
     tests = read_tests(args.data) if args.data is not None else []
     tests = some_of(tests, _QUICK) if args.quick else tests
-    kinds = [test.kind for test in tests]
-    records = [
-        _record(
-            test.name, test.kind, test.times, test.forces, test.displacements, test.parameters, n
-        )
-        for n, test in enumerate(tests)
-    ]
+    records = [_measured(test, number) for number, test in enumerate(tests)]
+    kinds = sorted({record.kind for record in records})
     records += [simulated(number) for number in range(_QUICK if args.quick else _RIGS)]
     found = measured(moves_of, [(record,) for record in records], what="records")
     rows = {
         f"{name}, {kind}": row_of(values)
         for name in (*CHANGES, LIVE)
-        for kind in dict.fromkeys((*sorted(kinds), SIMULATED))
+        for kind in (*kinds, SIMULATED)
         if (values := [m.moves[name] for m in found if m.kind == kind and name in m.moves])
     }
     sharpness = {
@@ -152,7 +147,7 @@ def run(args: argparse.Namespace) -> Report:
             "sd": np.nanmedian([m.deviations for m in found if m.kind == kind], axis=0),
             "no estimate": share(np.isnan(m.deviations[0]) for m in found if m.kind == kind),
         }
-        for kind in dict.fromkeys(record.kind for record in records)
+        for kind in (*kinds, SIMULATED)
     }
     return Report(
         goals_of(found, sharpness),
@@ -167,17 +162,10 @@ def run(args: argparse.Namespace) -> Report:
     )
 
 
-def _record(
-    name: str,
-    kind: str,
-    times: Array,
-    forces: Array,
-    displacements: Array,
-    parameters: Mapping[str, Any],
-    seed: int,
-) -> Record:
-    stamps = START_NS + np.round(times * NANOSECONDS).astype(np.int64)
-    return Record(name, kind, stamps, forces, stamps, displacements, parameters, seed)
+def _measured(test: Test, number: int) -> Record:
+    stamps = START_NS + np.round(test.times * NANOSECONDS).astype(np.int64)
+    values = (test.forces, test.displacements)
+    return Record(test.name, test.kind, (stamps, stamps), values, test.parameters, number)
 
 
 def simulated(number: int) -> Record:
@@ -185,19 +173,13 @@ def simulated(number: int) -> Record:
     cases = [case for case in CASES.values() if case.press_count == 1 and case.surface is None]
     case = cases[number % len(cases)]
     recording = simulate(scenario_of(case, number // len(cases)))
-    last = presses_of(recording)[0][0] + case.held_s
-    force, moved = recording.force, recording.displacement
-    kept = [np.array([elapsed(s) <= last for s in x.stamp_ns.tolist()]) for x in (force, moved)]
-    return Record(
-        case.name,
-        SIMULATED,
-        force.stamp_ns[kept[0]],
-        force.value[kept[0]],
-        moved.stamp_ns[kept[1]],
-        moved.value[kept[1]],
-        parameters_of(recording),
-        number,
+    last = START_NS + round(NANOSECONDS * (presses_of(recording)[0][0] + case.held_s))
+    force, moved = (
+        (stream.stamp_ns[stream.stamp_ns <= last], stream.value[stream.stamp_ns <= last])
+        for stream in (recording.force, recording.displacement)
     )
+    stamps, values = (force[0], moved[0]), (force[1], moved[1])
+    return Record(case.name, SIMULATED, stamps, values, parameters_of(recording), number)
 
 
 def moves_of(record: Record) -> Moves:
@@ -223,14 +205,16 @@ def identify(record: Record) -> tuple[Estimate | None, Estimate | None]:
     """Return the last live estimate, and that of the last summary."""
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check(dict(record.parameters))), outputs.append)
-    moved = zip(record.moved_ns.tolist(), record.displacements.tolist(), strict=True)
-    forces = zip(record.force_ns.tolist(), record.forces.tolist(), strict=True)
-    samples: Iterable[tuple[int, bool, float]] = merge(
-        ((stamp, False, value) for stamp, value in moved),
-        ((stamp, True, value) for stamp, value in forces),
+    # Of equal stamps the displacement goes first.
+    moved, force = (
+        [(stamp, add, value) for stamp, value in zip(stamps.tolist(), some.tolist(), strict=True)]
+        for stamps, some, add in (
+            (record.stamps[1], record.values[1], pipeline.add_displacement),
+            (record.stamps[0], record.values[0], pipeline.add_force),
+        )
     )
-    for stamp_ns, is_force, value in samples:
-        (pipeline.add_force if is_force else pipeline.add_displacement)(stamp_ns, value)
+    for stamp_ns, add, value in merge(moved, force, key=itemgetter(0)):
+        add(stamp_ns, value)
     live = [o.estimate for o in outputs if isinstance(o, TissueState)]
     pipeline.finish()
     whole = [o.estimate for o in outputs if isinstance(o, ContactSummary)]

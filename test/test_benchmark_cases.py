@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark import accuracy, changes, contact, exact, invariance, laws, presses, real
+from benchmark import accuracy, changes, exact, invariance, laws, presses, real, robots
 from benchmark.classification import told
 from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order, read_tests
@@ -76,20 +76,22 @@ def test_rigs_are_judged_with_the_parameters_of_a_file(tmp_path, capsys):
     assert plain["nothing; press and hold"]["invented"] == 0
 
 
-@pytest.mark.parametrize("case", contact.ROWS.values(), ids=lambda case: case.name)
+FOOLING = [case for case in presses.CASES.values() if case.detection and case.sites == 1]
+
+
+@pytest.mark.parametrize("case", FOOLING, ids=lambda case: case.name)
 def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case):
-    found = contact.row_of([contact.run_trial(case.name, 0, 10.0, {})])
-    assert found["presses"] == 3
-    assert [found[name] for name in ("invented", "missed", "split", "stuck", "off")] == [0] * 5
+    outcomes = [robots.run_trial(case.name, number, {}, 10.0) for number in range(2)]
+    found = robots.row_of(case, outcomes, 10.0)
+    assert [found[name] for name in ("invented", "split", "stuck")] == [0] * 3
+    assert found["missed"] == Share(0, 2)
 
 
-def test_press_takes_as_many_times_the_noise_as_is_asked_for(tmp_path, capsys):
-    case = contact.ROWS["vibration_moving_50mN"]
-    force = simulate(contact.approaches_of(case, 0, 40.0)).force.value.max()
+def test_press_takes_as_many_times_the_noise_as_is_asked_for():
+    case = presses.CASES["vibration_moving_50mN"]
+    force = simulate(presses.scenario_of(case, 0, 40.0)).force.value.max()
     # The vibration itself and four deviations of the noise add to it.
     assert 2.0 < force < 2.0 + 0.05 + 0.04
-    own = ("contact", "--cases", "hum_20mN", "--contacts", 1, "--jobs", 1)
-    assert benchmark(capsys, tmp_path, *own)["cases"]["hum 50 Hz, 20 mN"]["presses"] == 3
 
 
 # The law's own tissue
@@ -320,12 +322,15 @@ def test_a_hold_shows_its_order_whatever_the_curve():
 def test_records_are_changed_in_what_should_not_matter_and_in_nothing_else():
     record = invariance.simulated(0)
     changed = {name: one.change(record) for name, one in invariance.CHANGES.items()}
-    noise = changed["noise of 1 nm"].displacements - record.displacements
+    noise = changed["noise of 1 nm"].values[1] - record.values[1]
     assert 0.8e-9 < noise.std() < 1.2e-9
-    shifted = changed["stamps shifted"]
-    assert np.ptp(shifted.force_ns - record.force_ns) == 0
-    assert shifted.moved_ns[0] - record.moved_ns[0] == shifted.force_ns[0] - record.force_ns[0] > 0
-    assert changed["every second sample left out"].forces.size == -(-record.forces.size // 2)
+    force, moved = (
+        new - old for new, old in zip(changed["stamps shifted"].stamps, record.stamps, strict=True)
+    )
+    assert np.ptp(force) == np.ptp(moved) == 0
+    assert force[0] == moved[0] > 0
+    halved = changed["every second sample left out"]
+    assert halved.values[0].size == -(-record.values[0].size // 2)
     assert changed["period of 50 ms"].parameters["estimate.period"] == 0.05
     assert len({invariance.simulated(number).name for number in range(8)}) == 8
 
