@@ -29,7 +29,7 @@ from benchmark.picture import Curve, draw
 from benchmark.score import Share
 from fden_ros.errors import InputError
 from fden_ros.parameters import read_parameter_file
-from fden_ros.report.progress import progress
+from fden_ros.progress import progress
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")
@@ -274,18 +274,18 @@ def measured(
         Beside the bar of progress.
     """
     results: dict[int, Result] = {}
-    with progress(what, len(tasks)) as advance:
+    with progress(what, len(tasks)) as show:
         if jobs == 1:
             for index, task in enumerate(tasks):
                 results[index] = function(*task, *shared)
-                advance()
+                show(len(results))
         else:
             pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
             try:
                 futures = {pool.submit(function, *t, *shared): i for i, t in enumerate(tasks)}
                 for future in as_completed(futures):
                     results[futures[future]] = future.result()
-                    advance()
+                    show(len(results))
             finally:
                 pool.shutdown(cancel_futures=True)
     return [results[index] for index in range(len(tasks))]
