@@ -78,7 +78,7 @@ def test_without_a_checkout_one_line_says_that_it_needs_one(tmp_path):
         (("laws", "--cases", ","), "no case is named"),
         (("changes", "--contacts", "0"), "at least 1"),
         (("exact", "--first", "-1"), "not negative"),
-        (("accuracy", "--methods", "magic"), "there is no method 'magic'"),
+        (("accuracy", "--cases", "magic"), "there is no case 'magic'"),
         (("robots", "--parameters", "nowhere.yaml"), "cannot read the parameter file"),
         (("robots", "--ratio", "-1"), "must be positive"),
         (("real", "nowhere"), "no such folder"),

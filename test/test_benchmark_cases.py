@@ -139,10 +139,12 @@ def test_exact_counts_its_contacts_by_what_they_are(tmp_path, capsys):
     assert rows["rig known"]["silent"] == [0, 2] and "palpation" not in rows
 
 
-def test_accuracy_is_measured_by_method(tmp_path, capsys):
+def test_accuracy_is_measured_with_the_parameters_of_a_file(tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    path.write_text("/**: {ros__parameters: {model_error: {sd: 0.0}}}\n")
     own = ("accuracy", "--cases", "ten_samples", "--contacts", 3, "--jobs", 1)
-    rows = benchmark(capsys, tmp_path, *own)["cases"]
-    first, second, _ = (rows[f"ten_samples, {method}"] for method in accuracy.METHODS)
+    first = benchmark(capsys, tmp_path, *own)["cases"]["ten_samples"]
+    second = benchmark(capsys, tmp_path, *own, "--parameters", path)["cases"]["ten_samples"]
     # The scale of the law's error is learned: ten samples do not rule it out.
     assert first["error over the bound"] != second["error over the bound"]
     assert first["silent"] == [0, 3] and first["error over the bound"][2] is None

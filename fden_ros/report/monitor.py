@@ -83,9 +83,7 @@ def trace_row(state: TissueState) -> tuple[float, float, float, float]:
     return stress, value, value / spread, value * spread
 
 
-def monitor_view(
-    view: MonitorView, truth: Mapping[int, Mapping[str, Any]] | None = None
-) -> Group:
+def monitor_view(view: MonitorView, truth: Mapping[int, Mapping[str, Any]] | None = None) -> Group:
     """Return the view as something that rich prints; `truth` as for :func:`contact_table`."""
     parts: list[Panel | Table | Text] = [
         Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False),
