@@ -311,8 +311,9 @@ def by_case(
 
 def main(args: argparse.Namespace) -> int:
     """Measure, print and write; return the exit code."""
-    from matplotlib.figure import Figure
     from rich.console import Console
+
+    from fden_ros.report.style import save
 
     benchmark: Benchmark = importlib.import_module(f"benchmark.{args.benchmark}").BENCHMARK
     try:
@@ -326,9 +327,8 @@ def main(args: argparse.Namespace) -> int:
     result = report.json_object(args.benchmark, args.quick)
     figures, picture = (args.output / f"{args.benchmark}.{end}" for end in ("json", "png"))
     figures.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    figure = Figure(layout="constrained")
-    draw(figure, [(t.rows, t.drawn) for t in report.tables.values()], report.curves)
-    figure.savefig(picture, dpi=110)
+    drawn = [(table.rows, table.drawn) for table in report.tables.values()]
+    save(lambda figure: draw(figure, drawn, report.curves), picture)
     if args.json:
         json.dump(result, sys.stdout, allow_nan=False)
         print()

@@ -153,6 +153,7 @@ def test_picture_holds_rows_without_anything(tmp_path):
     )
     figure.savefig(tmp_path / "some.png")
     assert len(figure.axes) == 6
+    assert figure.axes[3].lines and figure.axes[3].get_title() == "a curve"
 
 
 def _sum(name, number, more):
