@@ -75,7 +75,7 @@ setup(
         # The fuzzer; tests skip without it. Like what follows, without a rosdep key.
         "fuzz": ["atheris; python_version < '3.14'"],
         # What `fden benchmark` compares with.
-        "benchmark": ["differint", "fracmem", "scikit-learn>=1.4"],
+        "benchmark": ["scikit-learn>=1.4"],
         "lint": ["mypy", "ruff"],
     },
     entry_points={

@@ -253,7 +253,7 @@ def run(args: argparse.Namespace) -> Report:
     return Report(
         [at_most(f"{SCHEDULED}: largest force [N]", most, limit)],
         {"tissues": Table(f"Two steps of force, limit {limit:g} N", rows, drawn)},
-        {name: curves[name] for name in list(curves)[:: max(count // 2, 1)]},
+        {name: curves[name] for name in list(curves)[:: max((count - 1) // 2, 1)]},
     )
 
 

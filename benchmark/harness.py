@@ -29,7 +29,7 @@ from benchmark.picture import Curve, draw
 from benchmark.score import Share
 from fden_ros.errors import InputError
 from fden_ros.parameters import read_parameter_file
-from fden_ros.report.progress import progress
+from fden_ros.progress import progress
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")
@@ -274,18 +274,18 @@ def measured(
         Beside the bar of progress.
     """
     results: dict[int, Result] = {}
-    with progress(what, len(tasks)) as advance:
+    with progress(what, len(tasks)) as show:
         if jobs == 1:
             for index, task in enumerate(tasks):
                 results[index] = function(*task, *shared)
-                advance()
+                show(len(results))
         else:
             pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
             try:
                 futures = {pool.submit(function, *t, *shared): i for i, t in enumerate(tasks)}
                 for future in as_completed(futures):
                     results[futures[future]] = future.result()
-                    advance()
+                    show(len(results))
             finally:
                 pool.shutdown(cancel_futures=True)
     return [results[index] for index in range(len(tasks))]
@@ -311,8 +311,9 @@ def by_case(
 
 def main(args: argparse.Namespace) -> int:
     """Measure, print and write; return the exit code."""
-    from matplotlib.figure import Figure
     from rich.console import Console
+
+    from fden_ros.report.style import save
 
     benchmark: Benchmark = importlib.import_module(f"benchmark.{args.benchmark}").BENCHMARK
     try:
@@ -326,9 +327,8 @@ def main(args: argparse.Namespace) -> int:
     result = report.json_object(args.benchmark, args.quick)
     figures, picture = (args.output / f"{args.benchmark}.{end}" for end in ("json", "png"))
     figures.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    figure = Figure(layout="constrained")
-    draw(figure, [(t.rows, t.drawn) for t in report.tables.values()], report.curves)
-    figure.savefig(picture, dpi=110)
+    drawn = [(table.rows, table.drawn) for table in report.tables.values()]
+    save(lambda figure: draw(figure, drawn, report.curves), picture)
     if args.json:
         json.dump(result, sys.stdout, allow_nan=False)
         print()

@@ -124,14 +124,10 @@ def comparisons(grid: Grid, found: list[LogStiffness]) -> list[Comparison | None
     return results
 
 
-def area_under_roc(scores: Array, positive: NDArray[np.bool_]) -> float:
-    """Return the probability that a positive has the larger score (Mann and Whitney)."""
-    above = scores[positive][:, None] - scores[~positive]
-    return float(np.mean((above > 0.0) + 0.5 * (above == 0.0)))
-
-
 def rows_of(grids: list[tuple[Grid, list[Comparison | None]]]) -> dict[str, dict[str, Any]]:
     """Return areas under the ROC curve and alarms by contrast, over all grids."""
+    from sklearn.metrics import roc_auc_score
+
     sites: list[tuple[float, bool, float, float, bool]] = []
     for grid, compared in grids:
         nothing = np.zeros((len(grid.values), 3, 3))
@@ -168,6 +164,6 @@ def rows_of(grids: list[tuple[Grid, list[Comparison | None]]]) -> dict[str, dict
             *((f"of {d:g} mm", own_sites & (diameter == d)) for d in DIAMETERS),
         ):
             kept = healthy | some
-            row[name] = area_under_roc(score[kept], some[kept])
+            row[name] = float(roc_auc_score(some[kept], score[kept]))
         rows[f"{stiffer:g} times stiffer"] = row
     return rows

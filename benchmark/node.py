@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from benchmark.harness import Benchmark, Goal, Report, Table, at_most
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
-from fden_ros.report.progress import progress
+from fden_ros.progress import progress
 
 EPILOG = """\
 examples:
@@ -103,8 +103,8 @@ def run(args: argparse.Namespace) -> Report:
     short = _QUICK_SATURATION_SECONDS if args.quick else _SATURATION_SECONDS
     plan = _ROUNDS * [Turn(what, _USUAL_RATE, seconds / _ROUNDS) for what in (NODE, RELAY)]
     plan += [Turn(what, r, short, _COUNTING_PAUSE) for r in args.rates for what in (NODE, RELAY)]
-    with progress("measuring", len(plan)) as step:
-        rows = measure(plan, step)
+    with progress("measuring", len(plan)) as show:
+        rows = measure(plan, show)
     title = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end"
     shown = {name: row | {"memory": row["memory"][-1]} for name, row in rows.items()}
     drawn = dict.fromkeys(("CPU", *_QUANTILES))
@@ -143,7 +143,7 @@ def _name(what: str, rate: float) -> str:
 
 
 def measure(
-    plan: Sequence[Turn], step: Callable[[], None] = lambda: None
+    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None
 ) -> dict[str, dict[str, Any]]:
     """Run source, sink and what is between them; return the figures of each at each rate."""
     environment = dict(os.environ)
@@ -164,7 +164,7 @@ def measure(
         watched = []
         for turn in plan:
             watched.append(_watch(turn, tested[turn.what].pid, sender))
-            step()
+            show(len(watched))
         _ended(sender)
         for what, process in tested.items():
             # The relay leaves nothing to tidy up.

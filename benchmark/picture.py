@@ -45,12 +45,12 @@ def draw(
     high = -(-count // wide)
     most = max((len(rows) for rows, _, _ in columns), default=10)
     figure.set_size_inches(5.0 * wide, high * (1.5 + 0.25 * max(most, 8)))
-    panels = figure.subplots(high, wide, squeeze=False).flat
+    panels = list(figure.subplots(high, wide, squeeze=False).flat)
     for axes, (rows, name, band) in zip(panels, columns, strict=False):
         _draw_column(axes, rows, name, band)
-    for axes, (title, some) in zip(list(panels)[len(columns) :], curves.items(), strict=False):
+    for axes, (title, some) in zip(panels[len(columns) :], curves.items(), strict=False):
         _draw_curves(axes, title, some)
-    for axes in list(panels)[count:]:
+    for axes in panels[count:]:
         axes.set_visible(False)
 
 

@@ -17,8 +17,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from benchmark.trial import last_summaries, through
 from fden_ros.core.arrays import Array, Indices
@@ -241,7 +239,11 @@ def published(likelihood: Likelihood) -> Array:
 
 
 def closed_set(library: TissueLibrary, likelihood: Likelihood) -> Array:
-    """Return the probabilities of the known tissues, given that it is one, shape (n, k)."""
+    """Return the probabilities of the known tissues, given that it is one, shape (n, k).
+
+    With the true library, the mean of 1 - max_c p(c | data) is Bayes' error: the least that any
+    classifier can have.
+    """
     evidence, _ = log_evidence(library, likelihood)
     probabilities = posterior(library, evidence)[..., :-1]
     result: Array = probabilities / probabilities.sum(axis=-1, keepdims=True)
@@ -259,34 +261,3 @@ def calibration_error(probabilities: Array, truth: Indices, bins: int = 15) -> f
     index = np.minimum((best * bins).astype(int), bins - 1)
     gaps = np.bincount(index, weights=best - right, minlength=bins)
     return float(np.abs(gaps).sum()) / len(truth)
-
-
-def bayes_error(
-    library: TissueLibrary, precision: Array, points: int, replicates: int
-) -> tuple[float, float]:
-    """Return the least error that any classifier of the known tissues can have, and its own.
-
-    The integral of 1 - max_c p(c | data) over tissues, data and matrices, class by class, by
-    scrambled Sobol' sequences of `points` (a power of 2); the error is that of the replicates'
-    mean.
-    """
-    known = TissueLibrary(library.name, library.tissues, library.unknown)
-    priors = np.array([tissue.prior for tissue in known.tissues])
-    priors /= priors.sum()
-    factors = np.linalg.eigh(precision)
-    results = []
-    for replicate in range(replicates):
-        total = 0.0
-        for index, tissue in enumerate(known.tissues):
-            sampler = qmc.Sobol(7, seed=1000 * replicate + index)
-            uniform = np.clip(sampler.random(points), 1e-12, 1.0 - 1e-12)
-            normal = ndtri(uniform[:, :6])
-            which = (uniform[:, 6] * len(precision)).astype(np.intp)
-            value = tissue.mean + normal[:, :3] @ np.linalg.cholesky(tissue.covariance).T
-            noise = np.sqrt(np.maximum(factors[0][which], 0.0)) * normal[:, 3:]
-            score = np.einsum("nij,nj->ni", factors[1][which], noise)
-            probabilities = closed_set(known, Likelihood(value, score, precision[which]))
-            total += priors[index] * float(np.mean(1.0 - probabilities.max(axis=1)))
-        results.append(total)
-    own = float(np.std(results, ddof=1) / math.sqrt(replicates)) if replicates > 1 else math.nan
-    return float(np.mean(results)), own

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulated presses on a disturbed rig: the cases of `robots`, `contact` and `invariance`.
+"""Simulated presses on a disturbed rig: the cases of `robots` and `invariance`.
 
 Tissue: G log-uniform from 2,000 to 8,000, Gn 6 to 10, alpha 0.08 to 0.32, 20 mm thick to 2 %; a
 punch of 10 mm radius, so that a press to 25 % takes 0.2 to 0.9 N (20 mm where the noise is
@@ -192,6 +192,18 @@ _ALL = (
     ),
     *(
         replace(
+            _fooling(
+                f"vibration_moving_{rate}Hz",
+                f"{rate} Hz, 50 mN, moving",
+                vibration_n=0.05,
+                vibration_hz=float(rate),
+            ),
+            radius_m=_WIDE_RADIUS_M,
+        )
+        for rate in (5, 8, 20, 35)
+    ),
+    *(
+        replace(
             _LIVER,
             name=f"liver_white_{size}mN",
             says=f"white {size} mN, liver",
@@ -217,8 +229,11 @@ _ALL = (
 CASES = {case.name: case for case in _ALL}
 
 
-def scenario_of(case: Case, number: int) -> Scenario:
-    """Return recording `number` of a case; the seed is fixed."""
+def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
+    """Return recording `number` of a case; the seed is fixed.
+
+    With a `ratio` the punch is as wide as an undisturbed press takes so many times the noise.
+    """
     seed = zlib.crc32(case.name.encode()) % 1_000_000_000 + number
     generator = np.random.default_rng([seed, _DRAWS])
     tissue = Tissue(
@@ -234,7 +249,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
     if case.preload.depth_m:
         # The later site is touched once.
         sites[1:] = [replace(site, presses=case.presses[:1]) for site in sites[1:]]
-    return Scenario(
+    scenario = Scenario(
         name=case.name,
         seed=seed,
         geometry=Geometry(
@@ -259,6 +274,11 @@ def scenario_of(case: Case, number: int) -> Scenario:
         preload=case.preload,
         surface=case.surface,
     )
+    if not ratio:
+        return scenario
+    wider = math.sqrt(ratio * case.largest_noise_n / peak_n(scenario))
+    geometry = replace(scenario.geometry, radius_m=case.radius_m * wider)
+    return replace(scenario, geometry=geometry)
 
 
 def parameters_of(recording: Recording) -> dict[str, Any]:
@@ -270,9 +290,11 @@ def parameters_of(recording: Recording) -> dict[str, Any]:
     return own
 
 
-def trial_of(case: Case, number: int, parameters: Mapping[str, Any]) -> Outcome:
+def trial_of(
+    case: Case, number: int, parameters: Mapping[str, Any], ratio: float = 0.0
+) -> Outcome:
     """Simulate recording `number` of a case, identify it, and judge it."""
-    recording = simulate(scenario_of(case, number))
+    recording = simulate(scenario_of(case, number, ratio))
     return outcome_of(recording, {**parameters, **parameters_of(recording)}, case.held_s)
 
 

@@ -1,37 +1,40 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Speed and memory of replay: against real time, against merely decoding, over the bag's length.
+"""Speed and memory: a sample in the pipeline beside a filter's step, and the replay of bags.
 
+A sample at 1 kHz, ten to a block, in the air and in contact, stands beside a step of filterpy's
+extended Kalman filter with four states: processor time, the least of several.
 A simulated palpation of one site, force and displacement at 1 kHz each, is replayed by a process
 of its own on one core, which then decodes the same messages with rclpy and does nothing with
 them. Memory is the peak of such a process on a bag of a minute and on one of an hour; the long
 bag repeats a press every 30 s at 100 Hz, so that it holds as many samples as six minutes at 1 kHz.
-Last, an archive goes through ``fden batch`` with one worker and with two.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import os
 import resource
 import struct
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
 
 from benchmark.harness import Benchmark, Report, Table, at_least, at_most, measured, undecided
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.offline.replay import replay
-from fden_ros.parameters import read_parameter_file
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
 from fden_ros.recording.writer import BagWriter
-from fden_ros.simulation.scenario import Scenario, load_scenario
+from fden_ros.simulation.scenario import Scenario, load_scenario, ramp_scenario
 from fden_ros.simulation.simulate import simulate
 
 EPILOG = """\
@@ -45,8 +48,9 @@ An otherwise idle machine is wanted: the speeds are of processor time, but cores
 _MEMORY_RATE_HZ = 100.0
 _REPETITION_S = 30
 _MINUTE, _HOUR, _QUICK_HOUR = 60, 3600, 600
-_BAGS = 30
 _ROUNDS, _QUICK_ROUNDS = 3, 1
+#: Samples of the contact and steps that are timed, and timings of which the least counts.
+_CONTACT_SAMPLES, _STEPS, _REPEATS = 2500, 500, 3
 _NS_PER_S = 1_000_000_000
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4  # after the encapsulation's header, every header of a message begins with its stamp
@@ -66,11 +70,6 @@ def run(args: argparse.Namespace) -> Report:
             )
             for length in (_MINUTE, long)
         }
-        scaling = math.nan
-        if not args.quick and (os.cpu_count() or 1) >= 2:
-            archive = _archive(place / "archive", bag)
-            one, two = (_batch(archive, place / f"{n}.parquet", n) for n in (1, 2))
-            scaling = one / two
     short, other = (row["peak [MiB]"] for row in memory.values())
     growth = [at_most(f"peak memory, {long // 60} minutes over one", other / short, 1.05)]
     return Report(
@@ -78,9 +77,9 @@ def run(args: argparse.Namespace) -> Report:
             at_least("replay at 1 kHz, times real time, one core", speed["times real time"], 25.0),
             at_least("speed of replay over merely decoding", speed["over decoding"], 0.4),
             *(undecided(growth) if args.quick else growth),
-            at_least("archive: speed of two workers over one", scaling, 1.8),
         ],
         {
+            "steps": Table("One sample at 1 kHz, ten to a block", _steps(), {"us": None}),
             "speed": Table("Replay", {"palpation at 1 kHz": speed}),
             "memory": Table("Peak memory", memory, {"peak [MiB]": (0.0, 1.05 * short)}),
         },
@@ -113,19 +112,6 @@ def _long(folder: Path, seconds: int) -> Path:
                 _STAMP.pack_into(data, _STAMP_AT, whole + shift, rest)
                 writer.write(message.topic, bytes(data), message.log_time_ns + shift * _NS_PER_S)
     (folder / PARAMETER_FILE).write_bytes((once.path / PARAMETER_FILE).read_bytes())
-    return folder
-
-
-def _archive(folder: Path, bag: Path) -> Path:
-    """Make an archive of one bag many times, each with content of its own."""
-    reader = BagReader(bag)
-    for number in range(_BAGS):
-        with BagWriter(folder / f"bag_{number}") as writer:
-            for topic in reader.topics:
-                writer.add_topic(topic.name, topic.type_name, *topic.offered_qos)
-            for message in reader.messages():
-                writer.write(message.topic, message.data, message.log_time_ns + number)
-    (folder / PARAMETER_FILE).write_bytes((bag / PARAMETER_FILE).read_bytes())
     return folder
 
 
@@ -172,13 +158,51 @@ def memory_of(bag: Path) -> dict[str, float]:
     }
 
 
-def _batch(archive: Path, output: Path, workers: int) -> float:
-    command = [sys.executable, "-c", "import sys; from fden_ros.cli import main; sys.exit(main())"]
-    command += ["batch", str(archive), "-o", str(output), "--workers", str(workers)]
-    command += ["--config", str(archive / PARAMETER_FILE)]
-    start = time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    return time.perf_counter() - start
+def _steps() -> dict[str, dict[str, float]]:
+    """Return what a sample and a step cost [us], and how many steps a sample is."""
+    recording = simulate(ramp_scenario(strain_rate=0.1, max_strain=0.25, hold_s=1.0, seed=1))
+    config = pipeline_config(check(recording.truth["identifier_parameters"]))
+    samples = list(
+        zip(
+            recording.force.stamp_ns.tolist(),
+            recording.force.value.tolist(),
+            recording.displacement.value.tolist(),
+            strict=True,
+        )
+    )
+    touch = recording.truth["contacts"][0]["start_ns"]
+    air = sum(stamp < touch for stamp, _, _ in samples)
+    parts = {"in the air": samples[:air], "in contact": samples[air : air + _CONTACT_SAMPLES]}
+    found: dict[str, float] = {}
+    for _ in range(_REPEATS):
+        pipeline = Pipeline(config, lambda output: None)
+
+        def take(sample: tuple[int, float, float], pipeline: Pipeline = pipeline) -> None:
+            stamp, force, displacement = sample
+            pipeline.add_displacement(stamp, displacement)
+            pipeline.add_force(stamp, force)
+
+        for name, part in parts.items():
+            found[name] = min(found.get(name, math.inf), _mean_time(take, part))
+    ekf, row = ExtendedKalmanFilter(dim_x=4, dim_z=1), np.ones((1, 4))
+
+    def step(_: object) -> None:
+        ekf.predict()
+        ekf.update(np.zeros(1), lambda x: row, lambda x: row @ x)
+
+    reference = min(_mean_time(step, range(_STEPS)) for _ in range(_REPEATS))
+    found["step of filterpy's EKF"] = reference
+    return {
+        name: {"us": value, "over the EKF": value / reference} for name, value in found.items()
+    }
+
+
+def _mean_time(action: Callable[[Any], None], arguments: Sequence[Any]) -> float:
+    """Return the processor time of a call [us], the mean over all arguments."""
+    begin = time.process_time_ns()
+    for argument in arguments:
+        action(argument)
+    return 1e-3 * (time.process_time_ns() - begin) / len(arguments)
 
 
 BENCHMARK = Benchmark(run, EPILOG)

@@ -68,8 +68,8 @@ def samples_of(recording: Recording) -> Iterator[tuple[bool, int, float, Positio
         yield False, *sample
 
 
-def feed(pipeline: Pipeline, recording: Recording) -> None:
-    """Feed a simulated recording, and finish."""
+def feed(pipeline: Pipeline, recording: Recording, *, to_the_end: bool = True) -> None:
+    """Feed a simulated recording, and finish unless more comes of it."""
     surfaces = deque[tuple[int, float]]()
     if recording.surface is not None:
         values = recording.surface.value.tolist()
@@ -81,7 +81,8 @@ def feed(pipeline: Pipeline, recording: Recording) -> None:
             pipeline.add_force(stamp_ns, value)
         else:
             pipeline.add_displacement(stamp_ns, value, place)
-    pipeline.finish()
+    if to_the_end:
+        pipeline.finish()
 
 
 def identified(

@@ -28,14 +28,12 @@ COMMANDS = (
     "report",
     "batch",
     "play",
-    "layout",
     "demo",
     "train",
     "relative",
     "fit",
     "configure",
     "calibrate",
-    "reproduce",
     "parameters",
     "benchmark",
     "monitor",
@@ -61,8 +59,6 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
   fden calibrate delay /tmp/sweep     delay between force and displacement, from oscillations
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
-  fden reproduce -o study             the paper's study, simulated
-  fden layout --namespace /left       the Foxglove layout for another identifier
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together
   fden monitor                        a running identifier in the terminal

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from benchmark import core, node
+from benchmark import node, replay
 from fden_ros.cli import main
 from fden_ros.nodes.backlog import Backlog, Input
 
@@ -104,15 +104,13 @@ def test_streams_that_waited_together_are_worked_off_side_by_side() -> None:
     assert max(apart) < 2.0 / 60.0
 
 
-def test_core_is_quick_and_its_figures_are_json(
+def test_replay_is_timed_and_its_figures_are_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("fracmem")
-    monkeypatch.setattr(core, "QUICK_HISTORIES", (1000, 2000))
-    assert main(["benchmark", "core", "--quick", "--json", "-o", str(tmp_path)]) == 0
-    result = json.loads(capsys.readouterr().out)
-    goals = {goal["name"]: goal for goal in result["goals"]}
-    assert goals["integral: fracmem's error over ours"]["met"]
-    assert goals["integral: memory, likewise"]["value"] == pytest.approx(1.0, abs=0.05)
-    assert set(result["figures"]["steps"]) >= {"in the air", "in contact"}
-    assert (tmp_path / "core.png").stat().st_size > 10_000
+    monkeypatch.setattr(replay, "_QUICK_HOUR", 120)
+    assert main(["benchmark", "replay", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert set(figures["steps"]) >= {"in the air", "in contact"}
+    assert figures["speed"]["palpation at 1 kHz"]["times real time"] > 1.0
+    assert len(figures["memory"]) == 2
+    assert (tmp_path / "replay.png").stat().st_size > 10_000

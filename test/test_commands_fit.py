@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden fit`` and ``fden reproduce`` as users meet them: numbers, or one clear line."""
+"""``fden fit`` as users meet it: numbers, or one clear line."""
 
 from __future__ import annotations
 
@@ -166,8 +166,6 @@ def test_absent_and_binary_files_and_folders_are_named(tmp_path, capsys):
         ["fit", "indentation", "x.csv", "--alpha-sd", "0.1"],
         ["fit", "relaxation", "x.csv", "--strain", "-1"],
         ["fit", "nonlinearity", "x.csv", "--convention", "exact"],
-        ["reproduce"],
-        ["reproduce", "-o", "x", "--noise", "-1"],
     ],
 )
 def test_wrong_usage_exits_with_2_and_one_line(arguments, capsys):
@@ -177,15 +175,3 @@ def test_wrong_usage_exits_with_2_and_one_line(arguments, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"fden {arguments[0]}: error: ")
     assert line.endswith(f"; see fden {arguments[0]} --help")
-
-
-def test_reproduce_writes_tables_and_figures(tmp_path, capsys):
-    assert main(["reproduce", "-o", str(tmp_path), "--samples", "3"]) == 0
-    tables = json.loads((tmp_path / "report.json").read_text())["tables"]
-    assert tables["nonlinearity Gn"]["paper"]["average"] == 8.547
-    assert 300.0 < tables["dynamic G"]["exact"]["average"] < 500.0
-    assert tables["R² creep"]["noisy"]["minimum"] > 0.9
-    text = (tmp_path / "report.md").read_text()
-    assert "Table I" in text and "Table II" in text
-    figures = list(tmp_path.glob("*.png"))
-    assert len(figures) == 5 and all(f.name in text for f in figures)

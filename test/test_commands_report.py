@@ -54,10 +54,10 @@ def session() -> Session:
 
 @pytest.fixture(scope="module")
 def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from fden_ros.report.page import save_page
+    from fden_ros.report.page import page
 
     path = tmp_path_factory.mktemp("report") / "report.html"
-    save_page(session, path)
+    path.write_text(page(session), encoding="utf-8")
     return path
 
 

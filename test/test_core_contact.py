@@ -76,7 +76,7 @@ def press(rng, *, before=2.0, pressing=1.0, after=2.0, peak=1.0, bias=0.3, noise
 @pytest.mark.parametrize(("strain_rate", "bound"), [(0.01, 0.0005), (0.1, 0.0012), (1.0, 0.0012)])
 def test_surface_is_found_where_the_probe_touched(strain_rate, bound, seeds):
     errors, standard = [], []
-    for seed in range(seeds):
+    for seed in range(seeds if strain_rate >= 0.1 else min(seeds, 10)):
         scenario = ramp_scenario(strain_rate=strain_rate, tissue=LIVER)
         if strain_rate < 0.1:
             scenario = replace(

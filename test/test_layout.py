@@ -15,6 +15,7 @@ PACKAGE = Path(__file__).parent.parent / "fden_ros"
 ROOMS = (
     "errors",
     "one_thread",
+    "progress",
     "core.arrays",
     "core.streams",
     "core.law",
@@ -51,7 +52,7 @@ ROOMS = (
     "cli",
 )
 #: Modules that stand alone at the root.
-LOOSE = {"errors", "one_thread", "tissue_feed", "cli"}
+LOOSE = {"errors", "one_thread", "progress", "tissue_feed", "cli"}
 
 
 def room_of(module: str) -> str:

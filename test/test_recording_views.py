@@ -17,7 +17,6 @@ import pytest
 import yaml
 from rclpy.expand_topic_name import expand_topic_name
 
-from fden_ros.cli import main
 from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.parameters import DEFAULT_HARDWARE_ID, Parameters
 from fden_ros.recording.definitions import message_class
@@ -119,26 +118,6 @@ def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
 def test_the_diagnostics_panel_shows_the_node_as_it_comes(layout: dict[str, Any]) -> None:
     panel = layout["configById"]["DiagnosticStatusPanel!diagnostics"]
     assert panel["selectedHardwareId"] == DEFAULT_HARDWARE_ID != ""
-
-
-def test_the_layout_for_a_namespace_has_every_name_below_it(
-    layout: dict[str, Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["layout"]) == 0
-    assert json.loads(capsys.readouterr().out) == layout
-    assert main(["layout", "--namespace", "left/arm", "--force", "/ft/wrench"]) == 0
-    other = json.loads(capsys.readouterr().out)
-    below = {
-        f"/ft/wrench{path.removeprefix('/force')}"
-        if path.startswith("/force")
-        else f"/left/arm{path}"
-        for path in paths(layout)
-        if path != DIAGNOSTICS_TOPIC
-    }
-    assert set(paths(other)) == {*below, DIAGNOSTICS_TOPIC}
-    panel = other["configById"]["DiagnosticStatusPanel!diagnostics"]
-    assert panel["selectedName"] == "left/arm/identifier: tissue identification"
-    assert other["layout"] == layout["layout"]
 
 
 def test_every_curve_of_the_plotjuggler_layout_exists_and_is_drawn_in_its_plot() -> None:

@@ -9,16 +9,13 @@ import argparse
 import contextlib
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from fden_ros.commands.command import Command
+from fden_ros.commands.command import Command, count
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 from fden_ros.errors import InputError
-
-if TYPE_CHECKING:
-    from fden_ros.offline.batch import Progress
 
 DESCRIPTION = """\
 Identify all bags of an archive and write a table (Parquet), a row a contact. The work is done by
@@ -50,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers",
-        type=_count,
+        type=count,
         metavar="N",
         help="processes on this machine (default: one a processor core)",
     )
@@ -69,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
             "bokeh dask distributed pyarrow"
         ) from None
     from fden_ros.offline import batch
+    from fden_ros.progress import progress as bar
 
     work = batch.Work(parameters_of(args), selection_of(args))
     if args.columns is not None:
@@ -78,9 +76,11 @@ def run(args: argparse.Namespace) -> int:
     results = batch.Results(args.output)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with _client(args.workers, args.scheduler) as client, _progress(len(bags)) as report:
+        with _client(args.workers, args.scheduler) as client, bar("bags", len(bags)) as show:
             print(f"{len(bags)} bags; dashboard: {client.dashboard_link}", file=sys.stderr)
-            progress = batch.run(bags, work, results, client, report, _tell_broken)
+            progress = batch.run(
+                bags, work, results, client, lambda now: show(now.done), _tell_broken
+            )
     finally:
         results.save()
     print(
@@ -130,39 +130,6 @@ def _cores() -> int:
     import os
 
     return len(os.sched_getaffinity(0))
-
-
-@contextlib.contextmanager
-def _progress(total: int) -> Iterator[Callable[[Progress], object]]:
-    if not sys.stderr.isatty():
-        yield lambda progress: None
-        return
-    from rich import progress as bars
-    from rich.console import Console
-
-    columns = (
-        bars.TextColumn("{task.description}"),
-        bars.BarColumn(),
-        bars.MofNCompleteColumn(),
-        bars.TextColumn("{task.fields[rate]}"),
-        bars.TimeRemainingColumn(),
-    )
-    with bars.Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("bags", total=total, rate="")
-
-        def report(progress: Progress) -> None:
-            speed = bar.tasks[0].finished_speed or bar.tasks[0].speed
-            rate = f"{60 * speed:.3g} a minute" if speed else ""
-            broken = f", {progress.broken} broken" if progress.broken else ""
-            bar.update(task, completed=progress.done, rate=rate + broken)
-
-        yield report
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or not int(text):
-        raise argparse.ArgumentTypeError(f"expected 1 or more, got {text}")
-    return int(text)
 
 
 COMMAND = Command("batch", "identify an archive of bags", DESCRIPTION, EPILOG, add_arguments, run)

@@ -6,14 +6,17 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import Command
-from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.commands.command import Command, add_json, print_json, write
+from fden_ros.commands.inputs import (
+    add_input_options,
+    add_recording,
+    parameters_of,
+    selection_of,
+)
 
 if TYPE_CHECKING:
     from fden_ros.configure.oscillations import DelayResult
@@ -65,22 +68,18 @@ _ORDERS = (0.0, 0.05, 0.1, 0.131, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 
 def add_delay_arguments(parser: argparse.ArgumentParser) -> None:
     """Add those of ``fden calibrate delay``."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
-    )
+    add_recording(parser)
     add_input_options(parser)
     parser.add_argument("--alpha", type=float, metavar="A", help="alpha of the tissue, if known")
     parser.add_argument(
         "--alpha-sd", type=float, default=0.0, metavar="S", help="its standard deviation"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
 
 
 def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
     """Add those of ``fden calibrate rig``."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
-    )
+    add_recording(parser)
     add_input_options(parser)
     parser.add_argument(
         "-o",
@@ -89,22 +88,21 @@ def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write a parameter file: that of --config with what was learned",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
 
 
 def run_rig(args: argparse.Namespace) -> int:
     """Learn the rig and print it; return the exit code."""
-    from fden_ros.offline.rig import learn_rig, learned_parameters, write_parameters
+    from fden_ros.offline.rig import learn_rig, learned_parameters, parameter_text
 
     parameters = parameters_of(args)
     rig = learn_rig(args.bag, parameters, selection_of(args))
     learned = learned_parameters(rig, parameters)
     if args.output is not None:
-        write_parameters(args.output, parameters.changed(learned))
+        text = parameter_text(parameters.changed(learned))
+        write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
     if args.json:
-        json.dump({"contacts": rig.contacts, "parameters": learned}, sys.stdout, allow_nan=False)
-        print()
-        return 0
+        return print_json({"contacts": rig.contacts, "parameters": learned})
     values = rig.values
     print(f"{rig.contacts} contacts tell of the rig, beside what the parameters say:")
     for name, unit in (("delay", "ms"), ("friction", "mN")):
@@ -126,9 +124,7 @@ def run(args: argparse.Namespace) -> int:
     force, displacement = read_samples(args.bag, parameters_of(args), selection_of(args))
     result = find_delay(force, displacement, args.alpha, args.alpha_sd)
     if args.json:
-        json.dump(result_object(result), sys.stdout, allow_nan=False)
-        print()
-        return 0
+        return print_json(result_object(result))
     _show(result)
     return 0
 
@@ -164,23 +160,23 @@ def result_object(result: DelayResult) -> dict[str, Any]:
 
 
 def _show(result: DelayResult) -> None:
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
+
+    from fden_ros.report.table import table_of
 
     console = Console()
-    table = Table(title="Oscillations", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for label in ("from", "to", "frequency", "amplitude", "force leads by"):
-        table.add_column(label, justify="right", no_wrap=True)
-    for o in result.oscillations:
-        table.add_row(
+    rows = (
+        (
             f"{o.start:.2f} s",
             f"{o.end:.2f} s",
             f"{o.frequency:.4g} Hz",
             f"{1e3 * o.amplitude:.3g} mm",
             f"{math.degrees(o.lead):.2f}° ± {math.degrees(o.lead_sd):.2f}°",
         )
-    console.print(table)
+        for o in result.oscillations
+    )
+    columns = ("from", "to", "frequency", "amplitude", "force leads by")
+    console.print(table_of(dict.fromkeys(columns, 0), rows, "Oscillations"))
     for warning in result.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
     if result.slope is not None and result.slope_sd is not None:
@@ -223,21 +219,16 @@ def _show_explanations(console: Any, result: DelayResult) -> None:
 
 
 def _show_undecided(console: Any, result: DelayResult) -> None:
-    from rich import box
-    from rich.table import Table
+    from fden_ros.report.table import table_of
 
     console.print(
         "One frequency cannot tell the delay from alpha. Give --alpha, or record a second "
         "frequency. The delay would be:",
         soft_wrap=True,
     )
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("if alpha is", justify="right")
-    table.add_column("delay", justify="right")
     longest = max(result.oscillations, key=lambda o: o.end - o.start)
-    for order in _ORDERS:
-        table.add_row(f"{order:g}", f"{1e3 * longest.delay(order):.2f} ms")
-    console.print(table)
+    rows = ((f"{order:g}", f"{1e3 * longest.delay(order):.2f} ms") for order in _ORDERS)
+    console.print(table_of({"if alpha is": 0, "delay": 0}, rows))
 
 
 COMMAND = Command(

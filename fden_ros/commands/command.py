@@ -118,15 +118,18 @@ def print_json(value: Any) -> int:
 
 
 def write(path: Path, save: Callable[[Path], object]) -> None:
-    """Let `save` write a file.
+    """Let `save` write a file, which is complete or not there.
 
     Raises
     ------
     InputError
         If it cannot.
     """
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        save(path)
+        save(draft)
+        draft.replace(path)
     except (OSError, ValueError) as error:
+        draft.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise InputError(f"{path}: cannot be written: {reason}") from None
+        raise InputError(f"{path} cannot be written: {reason}") from None

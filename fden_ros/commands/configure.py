@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import Command
+from fden_ros.commands.command import Command, add_json, print_json, write
 from fden_ros.commands.inputs import add_selection_options, selection_of
 from fden_ros.errors import InputError
 
@@ -75,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="topics and conventions of a known robot: crtk, franka, kuka_iiwa, ros2_control, ur, "
         "xarm; without a recording: a file from its conventions alone",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.add_argument(
         "--rigid",
         type=Path,
@@ -115,15 +113,13 @@ def run(args: argparse.Namespace) -> int:
     notes = robot_notes(robot, found) if robot is not None else []
     if args.output is not None:
         text = parameter_file(found, readings, notes)
-        _save(args.output, lambda path: path.write_text(text, encoding="utf-8"))
+        write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
     if args.plot is not None:
         from fden_ros.configure.picture import save_picture
 
-        _save(args.plot, lambda path: save_picture(found, path))
+        write(args.plot, lambda path: save_picture(found, path))
     if args.json:
-        json.dump(result_object(found, readings), sys.stdout, allow_nan=False)
-        print()
-        return 0
+        return print_json(result_object(found, readings))
     _show(found, readings, briefly=args.output is not None)
     for note in notes:
         print(f"note: {note}")
@@ -197,7 +193,7 @@ def _from_conventions(output: Path | None, robot: Robot) -> int:
     if output is None:
         print(text, end="")
         return 0
-    _save(output, lambda path: path.write_text(text, encoding="utf-8"))
+    write(output, lambda path: path.write_text(text, encoding="utf-8"))
     print(f"wrote {output}")
     print(f"Next: record a press, then fden configure --robot {robot.name} RECORDING")
     return 0
@@ -216,8 +212,7 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
         is_table = given.columns is not None or looks_like_a_table(path)
         if robot is not None and not is_table:
             selection = robot_selection(robot, str(path), BagReader(path).topics, given)
-        with _bar(f"reading {path.name}") as show:
-            readings.append(read(path, selection, show))
+        readings.append(read(path, selection))
     first = readings[0].streams
     for reading in readings[1:]:
         streams = reading.streams
@@ -265,34 +260,13 @@ def _survey(
         return survey(streams, stated, geometry, rigid, status.update)
 
 
-@contextmanager
-def _bar(description: str) -> Iterator[Any]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(
-        console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
-    ) as bar:
-        task = bar.add_task(description, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total or None)
-
-
-def _save(path: Path, save: Any) -> None:
-    try:
-        save(path)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise InputError(f"{path} cannot be written: {reason}") from None
-
-
 def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
     """Print what was found; `briefly` where a file says the rest."""
-    from rich import box
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     from fden_ros.configure.writer import value_text
+    from fden_ros.report.table import table_of
 
     console = Console()
     for reading in readings:
@@ -308,13 +282,12 @@ def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
         for line in _brief_lines(found):
             console.print(escape(line), highlight=False)
         return
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("found", "", "by"):
-        table.add_column(heading, no_wrap=heading == "found")
-    for finding in found.findings:
-        if finding.claim:
-            table.add_row(finding.subject, escape(value_text(finding)), escape(finding.evidence))
-    console.print(table)
+    rows = (
+        (finding.subject, escape(value_text(finding)), escape(finding.evidence))
+        for finding in found.findings
+        if finding.claim
+    )
+    console.print(table_of({"found": 20, "": 1, "by": 1}, rows))
     missing = [finding for finding in found.findings if not finding.claim]
     for motion in dict.fromkeys(finding.motion for finding in missing):
         same = [finding for finding in missing if finding.motion == motion]

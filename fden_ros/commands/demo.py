@@ -70,7 +70,7 @@ def _listen_while_playing(bag: Path, truth: dict[str, Any], nodes: Nodes) -> Any
     from fden_ros.nodes.monitor import Monitor
     from fden_ros.nodes.player import Player
     from fden_ros.report.figure import Session
-    from fden_ros.report.live import live_view
+    from fden_ros.report.monitor import monitor_view
 
     sites = {site["site"]: site for site in truth["sites"]}
     problems: list[BaseException] = []
@@ -96,7 +96,7 @@ def _listen_while_playing(bag: Path, truth: dict[str, Any], nodes: Nodes) -> Any
         with Live(console=console, refresh_per_second=5, transient=False) as live:
             while not (done.is_set() and len(monitor.summaries) >= len(truth["contacts"])):
                 monitor.spin(0.1)
-                live.update(live_view(monitor.states, monitor.summaries, sites))
+                live.update(monitor_view(monitor.view(), sites))
                 nodes.require_alive()
                 if problems or (done.is_set() and monitor.quiet_for > _QUIET_TIMEOUT):
                     break

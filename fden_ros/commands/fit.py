@@ -11,7 +11,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command, add_json, number, positive, print_json
+from fden_ros.commands.command import (
+    Command,
+    add_json,
+    number,
+    positive,
+    print_json,
+    write,
+)
 from fden_ros.experiments.kinds import EXPERIMENTS, Options, fit_file
 
 if TYPE_CHECKING:
@@ -121,9 +128,10 @@ def run(args: argparse.Namespace) -> int:
     options = _options(args)
     fit = fit_file(args.kind, args.file, options)
     if args.plot:
-        from fden_ros.experiments.plot import save_fit_figure
+        from fden_ros.report.fit_picture import save_fit_picture
 
-        save_fit_figure(fit, args.plot, f"{args.kind}: {args.file.name}")
+        title = f"{args.kind}: {args.file.name}"
+        write(args.plot, lambda path: save_fit_picture(fit, path, title))
     if args.json:
         return print_json({"file": str(args.file), **fit.as_object()})
     _print(fit, args.file)
@@ -161,36 +169,27 @@ def _print(fit: Fit, path: Path) -> None:
 
     console = Console()
     quality = f"R² {fit.r_squared:.4f}" if math.isfinite(fit.r_squared) else "R² undefined"
-    table = parameter_table(f"{fit.kind}: {path.name}, {fit.samples} rows, {quality}")
-    _add_rows(table, fit.parameters)
-    console.print(table)
+    title = f"{fit.kind}: {path.name}, {fit.samples} rows, {quality}"
+    console.print(_table(title, fit.parameters))
     for name, parameters in fit.beside.items():
         if parameters:
-            other = parameter_table(f"beside it: {_TITLES[name]}")
-            _add_rows(other, parameters)
-            console.print(other)
+            console.print(_table(f"beside it: {_TITLES[name]}", parameters))
     for warning in fit.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
 
 
-def parameter_table(title: str) -> Table:
-    """Return an empty table of parameters."""
-    from rich import box
-    from rich.table import Table
+def _table(title: str, parameters: Mapping[str, Parameter]) -> Table:
+    from fden_ros.report.table import table_of
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for name, justify in (("", "left"), ("value", "right"), ("sd", "right"), ("95 %", "right")):
-        table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
-    table.add_column("unit", no_wrap=True)
-    return table
+    columns = {"": 1, "value": 0, "sd": 0, "95 %": 0, "unit": 1}
+    return table_of(columns, (_cells(name, p) for name, p in parameters.items()), title)
 
 
-def _add_rows(table: Table, parameters: Mapping[str, Parameter]) -> None:
-    for name, p in parameters.items():
-        symbol, unit = _UNITS.get(name, (name, ""))
-        interval = f"{p.low:.5g} to {p.high:.5g}" if math.isfinite(p.low + p.high) else "–"
-        sd = f"{p.sd:.2g}" if math.isfinite(p.sd) else "–"
-        table.add_row(symbol, f"{p.value:.5g}", sd, interval, unit)
+def _cells(name: str, p: Parameter) -> tuple[str, ...]:
+    symbol, unit = _UNITS.get(name, (name, ""))
+    interval = f"{p.low:.5g} to {p.high:.5g}" if math.isfinite(p.low + p.high) else "–"
+    sd = f"{p.sd:.2g}" if math.isfinite(p.sd) else "–"
+    return symbol, f"{p.value:.5g}", sd, interval, unit
 
 
 COMMAND = Command(

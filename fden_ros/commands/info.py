@@ -6,14 +6,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command
-from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.commands.command import Command, add_json, print_json
+from fden_ros.commands.inputs import (
+    add_input_options,
+    add_recording,
+    parameters_of,
+    selection_of,
+)
 
 if TYPE_CHECKING:
     from fden_ros.recording.contents import BagContents, TopicContents
@@ -37,11 +41,9 @@ and ten usual ones. Exit codes: 0 a replay can begin, 1 it cannot, 2 wrong usage
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
-    )
+    add_recording(parser)
     add_input_options(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,8 +55,7 @@ def run(args: argparse.Namespace) -> int:
         return _show_table(args.bag, args.json)
     contents = inspect(args.bag, parameters_of(args), selection_of(args))
     if args.json:
-        json.dump(contents.as_object(), sys.stdout, allow_nan=False)
-        print()
+        print_json(contents.as_object())
     else:
         _show(contents)
     for problem in contents.problems:
@@ -67,9 +68,7 @@ def _show_table(path: Path, as_json: bool) -> int:
 
     headings = headings_of(path)
     if as_json:
-        json.dump({"columns": headings}, sys.stdout)
-        print()
-        return 0
+        return print_json({"columns": headings})
     print(f"{path}: a table with the columns")
     for number, heading in enumerate(headings, start=1):
         print(f"  {number:2}  {heading}")

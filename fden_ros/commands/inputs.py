@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 _Value = TypeVar("_Value")
 
 
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Add the recording itself, ``bag``."""
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
+    )
+
+
 def add_input_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--config`` and the options that say where each quantity is."""
     add_config_options(parser)

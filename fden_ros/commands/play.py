@@ -9,15 +9,9 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from fden_ros.commands.command import Command, count, number, positive
 from fden_ros.errors import InputError
-
-if TYPE_CHECKING:
-    from fden_ros.nodes.player import Player
 
 DESCRIPTION = """\
 Publish a bag on live topics: the recorded bytes, at the recorded pace, with the quality of service
@@ -36,7 +30,6 @@ examples:
 """
 
 _DEFAULT_CLOCK_HZ = 100.0
-_BAR_PERIOD_S = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Play the bag; return the exit code."""
     from fden_ros.nodes.player import Player
+    from fden_ros.progress import progress
     from fden_ros.recording.reader import BagReader
 
     bag = BagReader(args.bag)
@@ -119,41 +113,14 @@ def run(args: argparse.Namespace) -> int:
         time.sleep(args.delay)
         while True:
             began = time.monotonic()
-            with _progress(player) as on_progress:
-                sent = player.play(on_progress)
+            with progress("playing [s]", player.duration_s) as show:
+                sent = player.play(lambda sent, elapsed_s: show(elapsed_s))
             _say(f"sent {sent} messages in {time.monotonic() - began:.1f} s")
             if not args.loop:
                 break
     for warning in player.warnings[shown:]:
         _say(f"warning: {warning}")
     return 0
-
-
-@contextmanager
-def _progress(player: Player) -> Iterator[Callable[[int, float], None] | None]:
-    """Show a bar on a terminal, and nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    columns = (
-        BarColumn(),
-        TextColumn("{task.completed:.1f} of {task.total:.1f} s, {task.fields[sent]} messages"),
-    )
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
-        task = bar.add_task("", total=player.duration_s, sent=0)
-        shown = 0.0
-
-        def show(sent: int, elapsed_s: float) -> None:
-            nonlocal shown
-            now = time.monotonic()
-            if now - shown >= _BAR_PERIOD_S or sent == player.message_count:
-                shown = now
-                bar.update(task, completed=elapsed_s, sent=sent, refresh=True)
-
-        yield show
 
 
 def _say(line: str) -> None:

@@ -86,26 +86,27 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _print(rows: list[dict[str, Any]], ratio: float) -> None:
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(title="Sites against their surroundings", box=box.SIMPLE_HEAD)
-    for name in ("site", "times stiffer", "95 %", f"P(> {ratio:g})", "deviations", ""):
-        table.add_column(name, justify="right", no_wrap=True)
-    for row in sorted(rows, key=lambda row: -(row["ratio"] or 0.0)):
-        if row["ratio"] is None:
-            table.add_row(str(row["site"]), "–", "–", "–", "–", "too few around")
-            continue
-        table.add_row(
-            str(row["site"]),
-            f"{row['ratio']:.2f}",
-            f"{row['ratio_low']:.2f} to {row['ratio_high']:.2f}",
-            f"{row['probability']:.3f}",
-            f"{row['deviations']:.1f}",
-            row["label"],
-        )
-    Console().print(table)
+    from fden_ros.report.table import table_of
+
+    columns = ("site", "times stiffer", "95 %", f"P(> {ratio:g})", "deviations", "")
+    ordered = sorted(rows, key=lambda row: -(row["ratio"] or 0.0))
+    title = "Sites against their surroundings"
+    Console().print(table_of(dict.fromkeys(columns, 0), map(_cells, ordered), title))
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    if row["ratio"] is None:
+        return str(row["site"]), "–", "–", "–", "–", "too few around"
+    return (
+        str(row["site"]),
+        f"{row['ratio']:.2f}",
+        f"{row['ratio_low']:.2f} to {row['ratio_high']:.2f}",
+        f"{row['probability']:.3f}",
+        f"{row['deviations']:.1f}",
+        row["label"],
+    )
 
 
 def _draw(figure: Figure, rows: list[dict[str, Any]], config: Any) -> None:

@@ -6,14 +6,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command
-from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.commands.command import Command, add_json, print_json
+from fden_ros.commands.inputs import (
+    add_input_options,
+    add_recording,
+    parameters_of,
+    selection_of,
+)
 
 if TYPE_CHECKING:
     from fden_ros.offline.replay import Replay
@@ -46,9 +50,7 @@ was identified: no contact is converged, nor a stiffness known (contact.mode: co
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
-    )
+    add_recording(parser)
     add_input_options(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="write what the node publishes as a bag"
@@ -57,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--with-inputs", action="store_true", help="copy force and displacement into OUT too"
     )
     parser.add_argument("--force", action="store_true", help="replace OUT if it is there already")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -112,8 +114,7 @@ def _show(result: Replay, as_json: bool) -> None:
     from fden_ros.report.table import contact_table
 
     if as_json:
-        json.dump(result_object(result), sys.stdout, allow_nan=False)
-        print()
+        print_json(result_object(result))
         return
     console = Console()
     console.print(contact_table(result.summaries))

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import argparse
 import csv
-import io
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command
-from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.commands.command import Command, write
+from fden_ros.commands.inputs import (
+    add_input_options,
+    add_recording,
+    parameters_of,
+    selection_of,
+)
 
 if TYPE_CHECKING:
     from fden_ros.offline.session import Session
@@ -36,9 +40,7 @@ Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
-    )
+    add_recording(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page, HTML")
     parser.add_argument("--png", type=Path, metavar="FILE", help="one picture of the session")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row a contact")
@@ -57,15 +59,16 @@ def run(args: argparse.Namespace) -> int:
     )
     print(sentence(session))
     if args.output is not None:
-        from fden_ros.report.page import save_page
+        from fden_ros.report.page import page
 
-        save_page(session, args.output)
+        text = page(session)
+        write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
         print(f"wrote {args.output}")
     if args.png is not None:
-        _save_picture(session, args.png)
+        write(args.png, lambda path: _save_picture(session, path))
         print(f"wrote {args.png}")
     if args.csv is not None:
-        _save_table(session, args.csv)
+        write(args.csv, lambda path: _save_table(session, path))
         print(f"wrote {args.csv}")
     for warning in session.replay.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -73,26 +76,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _save_picture(session: Session, path: Path) -> None:
-    from fden_ros.errors import InputError
     from fden_ros.report import figure
 
     states = [state for contact in session.contacts for state in contact.states.items]
     shown = figure.Session(states, session.replay.summaries, session.truth)
-    try:
-        figure.save_session_figure(shown, path, session.path.name)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be written ({error}): give a .png file") from None
+    figure.save_session_figure(shown, path, session.path.name)
 
 
 def _save_table(session: Session, path: Path) -> None:
     from fden_ros.offline.rows import COLUMNS, session_rows
-    from fden_ros.report.page import write_text
 
-    text = io.StringIO()
-    writer = csv.DictWriter(text, ("recording", *COLUMNS), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(session_rows(session))
-    write_text(path, text.getvalue())
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, ("recording", *COLUMNS), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(session_rows(session))
 
 
 COMMAND = Command("report", "write a page on a recording", DESCRIPTION, EPILOG, add_arguments, run)

@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Learn, check, write and print; return the exit code."""
     from fden_ros.parameters import geometry_of
-    from fden_ros.report.progress import progress
+    from fden_ros.progress import progress
     from fden_ros.tissues.library import units_of
     from fden_ros.tissues.training import (
         UNKNOWN_PRIOR,
@@ -102,8 +102,8 @@ def run(args: argparse.Namespace) -> int:
         return library_of(spreads, name, dict(args.prior), unknown, units, kind)
 
     spreads = learn(contacts)
-    with progress("one specimen left out", len(set(contacts.groups))) as advance:
-        result = check(contacts, spreads, make, advance)
+    with progress("one specimen left out", len(set(contacts.groups))) as show:
+        result = check(contacts, spreads, make, show)
     text = library_text(make(spreads), spreads, contacts, result, geometry)
     write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
     if args.json:
@@ -125,17 +125,17 @@ def run(args: argparse.Namespace) -> int:
 
 def _read(args: argparse.Namespace, parameters: Parameters) -> Contacts:
     from fden_ros.offline.labelled import Columns, Source, read_source
-    from fden_ros.report.progress import progress
+    from fden_ros.progress import progress
     from fden_ros.tissues.training import joined
 
     selection = selection_of(args)
     columns = Columns(args.tissue_column, args.specimen_column)
     sources = [Source.parse(text) for text in args.labelled]
     parts = []
-    with progress("contacts", len(sources)) as advance:
+    with progress("contacts", len(sources)) as show:
         for source in sources:
             parts.append(read_source(source, parameters, selection, columns))
-            advance()
+            show(len(parts))
     contacts = joined(parts)
     for tissue, _ in args.prior:
         if tissue not in contacts.classes:
@@ -182,47 +182,51 @@ def _warnings(contacts: Contacts, result: Check) -> list[str]:
 
 def _print(contacts: Contacts, spreads: Mapping[str, Spread], result: Check, units: str) -> None:
     import numpy as np
-    from rich import box
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
+
+    from fden_ros.report.table import table_of
 
     console = Console()
     if not console.is_terminal:
         console.width = 120
-    table = Table(
-        title="Tissues: median and spread over contacts", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-    )
-    table.add_column("tissue", no_wrap=True)
-    for label in ("contacts", "specimens", f"G [{units} s^α]", "× or ÷", "Gn", "× or ÷", "α", "±"):
-        table.add_column(escape(label), justify="right", no_wrap=True)
+    rows = []
     for name, spread in spreads.items():
         tissue = spread.tissue(name)
         sd = np.sqrt(np.diag(tissue.covariance))
-        table.add_row(
-            escape(name),
-            str(spread.contacts),
-            "not named" if name in contacts.unnamed else str(spread.specimens),
-            f"{np.exp(tissue.mean[0]):.4g}",
-            f"{np.exp(sd[0]):.2f}",
-            f"{np.exp(tissue.mean[1]):.3g}",
-            f"{np.exp(sd[1]):.2f}",
-            f"{tissue.mean[2]:.3f}",
-            f"{sd[2]:.3f}",
+        rows.append(
+            (
+                escape(name),
+                str(spread.contacts),
+                "not named" if name in contacts.unnamed else str(spread.specimens),
+                f"{np.exp(tissue.mean[0]):.4g}",
+                f"{np.exp(sd[0]):.2f}",
+                f"{np.exp(tissue.mean[1]):.3g}",
+                f"{np.exp(sd[1]):.2f}",
+                f"{tissue.mean[2]:.3f}",
+                f"{sd[2]:.3f}",
+            )
         )
-    console.print(table)
+    numbers = (
+        "contacts",
+        "specimens",
+        f"G [{units} s^α]",
+        "G × or ÷",
+        "Gn",
+        "Gn × or ÷",
+        "α",
+        "α ±",
+    )
+    columns = {"tissue": 1, **dict.fromkeys(numbers, 0)}
+    console.print(table_of(columns, rows, "Tissues: median and spread over contacts"))
     if len(result.truth):
-        answers = Table(
-            title="Check, one specimen left out: truth (row) and most probable answer",
-            box=box.SIMPLE_HEAD,
+        answers = (
+            (escape(name), *map(str, row))
+            for name, row in zip(result.names[:-1], result.confusion(), strict=True)
+            if row.sum()
         )
-        answers.add_column("", no_wrap=True)
-        for name in result.names:
-            answers.add_column(escape(name), justify="right")
-        for name, row in zip(result.names[:-1], result.confusion(), strict=True):
-            if row.sum():
-                answers.add_row(escape(name), *map(str, row))
-        console.print(answers)
+        title = "Check, one specimen left out: truth (row) and most probable answer"
+        console.print(table_of({"": 1, **dict.fromkeys(result.names, 0)}, answers, title))
         low, high = result.interval()
         console.print(
             f"error {np.mean(result.errors):.1%} (95 %: {low:.1%} to {high:.1%}) over "

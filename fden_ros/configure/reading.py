@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from fden_ros.configure.streams import Streams
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.parameters import check
+from fden_ros.progress import progress
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import Topic
 from fden_ros.recording.source import BagSource, Selection
@@ -66,14 +66,8 @@ class Reading:
     warnings: tuple[str, ...] = ()
 
 
-def read(
-    path: str | Path,
-    selection: Selection | None = None,
-    show: Callable[[int, int], object] = lambda done, total: None,
-) -> Reading:
+def read(path: str | Path, selection: Selection | None = None) -> Reading:
     """Read a recording.
-
-    `show` is called now and then with the messages read and all of them.
 
     Raises
     ------
@@ -83,7 +77,7 @@ def read(
     chosen = selection or Selection()
     if chosen.columns is not None or looks_like_a_table(path):
         return _read_table(Path(path), chosen)
-    return _read_bag(Path(path), chosen, show)
+    return _read_bag(Path(path), chosen)
 
 
 def _read_table(path: Path, selection: Selection) -> Reading:
@@ -192,18 +186,19 @@ class Column:
         return place.x, place.y, place.z
 
 
-def _read_bag(path: Path, selection: Selection, show: Callable[[int, int], object]) -> Reading:
+def _read_bag(path: Path, selection: Selection) -> Reading:
     source = BagSource(path, check({}), selection)
     force = Column(source.force, selection.force_field, "force")
     displacement = Column(source.displacement, selection.displacement_field, "displacement")
     columns = {"force": force, "displacement": displacement}
     names = {column.topic.name for column in columns.values()}
-    for done, message in enumerate(source.reader.messages(names), start=1):
-        for column in columns.values():
-            if column.topic.name == message.topic:
-                column.add(message.data, message.log_time_ns)
-        if done % 2000 == 0:
-            show(done, source.total)
+    with progress(f"reading {path.name}", source.total) as show:
+        for done, message in enumerate(source.reader.messages(names), start=1):
+            for column in columns.values():
+                if column.topic.name == message.topic:
+                    column.add(message.data, message.log_time_ns)
+            if done % 2000 == 0:
+                show(done)
     return reading_of(path, force, displacement, selection, source.inputs, source.reader.warnings)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 import traceback
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
@@ -15,7 +15,6 @@ from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
@@ -151,8 +150,6 @@ class ContactSummary:
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
     rig: RigKnowledge | None = None  #: with which the next site begins
-    #: How the contact bends the law; its arrays are left out of comparisons.
-    law_curves: LawCurves | None = field(default=None, compare=False)
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
     @property

@@ -377,7 +377,6 @@ class Press:
             position=self.position,
             order_source=order_source(estimate, self._config.estimator),
             estimate=estimate,
-            law_curves=self._site.law_curves,
             max_strain=self.max_strain,
             max_stress=self.max_stress,
             max_force=self.max_force,

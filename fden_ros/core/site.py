@@ -19,7 +19,6 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
     FractionalStressEstimator,
     exact_orders,
 )
-from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
@@ -80,8 +79,6 @@ class Site:
         The history has been seen from the first touch, without a gap.
     estimate : Estimate or None
         The newest.
-    law_curves : LawCurves or None
-        How the newest contact that has ended bends the law.
     left : Position or None
         Where the probe was when the tissue was last on it.
     teaches_rig, teaches_motion, teaches_drift : bool
@@ -107,7 +104,6 @@ class Site:
         self.is_usable = True
         self.flags = flags
         self.estimate: Estimate | None = None
-        self.law_curves: LawCurves | None = None
         self._config = config
         self.known_rig = rig
         self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
@@ -450,7 +446,6 @@ class Site:
             self._newest_evidence = self._evidence_of_motion(self._estimator)
             if self._newest_evidence is not None:
                 self.doubt(Flag.NONE, self.known_rig.motion_factor(self._newest_evidence))
-            self.law_curves = self._estimator.law_curves()
             off = self._estimator.rig_misfit / _CONTRADICTION
             if off > 1.0:
                 self.doubt(Flag.HYSTERESIS, 1.0 + off**2)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,7 +117,6 @@ def read_source(
     parameters: Parameters,
     selection: Selection | None = None,
     columns: Columns | None = None,
-    advance: Callable[[], None] = lambda: None,
 ) -> Contacts:
     """Return the contacts of a source.
 
@@ -132,8 +131,6 @@ def read_source(
     selection : Selection, optional
         Topics or fields of bags.
     columns : Columns, optional
-    advance : callable
-        Called after each bag.
 
     Raises
     ------
@@ -147,14 +144,13 @@ def read_source(
             "table with a column tissue"
         )
     if source.path.suffix in (*TABLE_SUFFIXES, ".parquet"):
-        return _from_table(source, parameters, selection, columns, advance)
+        return _from_table(source, parameters, selection, columns)
     _require_tissue(source, columns)
     return _from_bags(
         [(bag, source.tissue, source.specimen) for bag in _bags(source.path)],
         parameters,
         selection,
         str(source.path),
-        advance,
     )
 
 
@@ -177,7 +173,6 @@ def _from_bags(
     parameters: Parameters,
     selection: Selection | None,
     name: str,
-    advance: Callable[[], None],
 ) -> Contacts:
     from fden_ros.offline.replay import replay
 
@@ -187,7 +182,6 @@ def _from_bags(
     for bag, tissue, specimen in bags:
         for summary in replay(bag, own, selection).summaries:
             _add_summary(rows, summary, tissue, specimen, f"{bag}, contact {summary.contact_id}")
-        advance()
     return rows.contacts(name)
 
 
@@ -217,7 +211,6 @@ def _from_table(
     parameters: Parameters,
     selection: Selection | None,
     columns: Columns,
-    advance: Callable[[], None],
 ) -> Contacts:
     rows, names = read_rows(source.path)
     if columns.tissue not in names and not source.tissue:
@@ -238,7 +231,7 @@ def _from_table(
             )
             for i, row in enumerate(rows)
         ]
-        return _from_bags(bags, parameters, selection, str(source.path), advance)
+        return _from_bags(bags, parameters, selection, str(source.path))
     missing = [name for name in ("g", "g_sd", "g_n", "g_n_sd") if name not in names]
     if missing:
         raise InputError(

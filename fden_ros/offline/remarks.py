@@ -15,47 +15,48 @@ from fden_ros.core.outputs import (
     Flag,
 )
 
+#: What a flag stands for; ALPHA_CONTRADICTED has its numbers.
+_BY_FLAG = {
+    Flag.ORIGIN_UNCERTAIN: (
+        "The touch of this tissue was not seen: the force was there when the data began, or the "
+        "probe was dragged here. There is no strain origin, and no estimate for this site."
+    ),
+    Flag.GAP: "Samples are missing within this site's memory.",
+    Flag.MODEL_MISMATCH: (
+        "The model does not describe this contact: the force is not what it predicts."
+    ),
+    Flag.TISSUE_CHANGED: "The tissue changed within the contact, and was learned anew.",
+    Flag.SATURATED: "A sensor was at its limit.",
+    Flag.FORCE_DRIFTED: (
+        "The force in the air after a contact was not that before it, beyond force.drift_sd: the "
+        "deviations are widened by as much."
+    ),
+    Flag.HYSTERESIS: (
+        "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
+        "displacement.compliance_sd: the deviations are widened."
+    ),
+    Flag.ESTIMATION_FAILED: (
+        "The computation failed at this site: there is no estimate until the next one."
+    ),
+    Flag.GEOMETRY_UNSTATED: (
+        "The geometry is not stated: the numbers are those of a probe that stands in for it."
+    ),
+    Flag.IMPLAUSIBLE: "Strain, force, rate or a size cannot be what it says: a unit may be wrong.",
+}
+
 
 def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
     """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
     estimate = summary.estimate
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
-    if summary.flags & Flag.ORIGIN_UNCERTAIN:
-        yield (
-            "The touch of this tissue was not seen: the force was there when the data began, or "
-            "the probe was dragged here. There is no strain origin, and no estimate for this site."
-        )
-    if summary.flags & Flag.GAP:
-        yield "Samples are missing within this site's memory."
-    if summary.flags & Flag.MODEL_MISMATCH:
-        yield "The model does not describe this contact: the force is not what it predicts."
-    if summary.flags & Flag.TISSUE_CHANGED:
-        yield "The tissue changed within the contact, and was learned anew."
-    if summary.flags & Flag.SATURATED:
-        yield "A sensor was at its limit."
-    if summary.flags & Flag.FORCE_DRIFTED:
-        yield (
-            "The force in the air after a contact was not that before it, beyond "
-            "force.drift_sd: the deviations are widened by as much."
-        )
-    if summary.flags & Flag.HYSTERESIS:
-        yield (
-            "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
-            "displacement.compliance_sd: the deviations are widened."
-        )
+    yield from (words for flag, words in _BY_FLAG.items() if summary.flags & flag)
     if summary.flags & Flag.ALPHA_CONTRADICTED and estimate is not None and estimate.law_error:
         error = estimate.law_error
         yield (
             f"The relaxation contradicts the stated alpha: it is that of {error.order:.3f} ± "
             f"{error.order_sd:.3f}. Leave alpha to the data, or state what this tissue has."
         )
-    if summary.flags & Flag.ESTIMATION_FAILED:
-        yield "The computation failed at this site: there is no estimate until the next one."
-    if summary.flags & Flag.GEOMETRY_UNSTATED:
-        yield "The geometry is not stated: the numbers are those of a probe that stands in for it."
-    if summary.flags & Flag.IMPLAUSIBLE:
-        yield "Strain, force, rate or a size cannot be what it says: a unit may be wrong."
     if summary.rejected_count:
         yield f"{summary.rejected_count} samples were rejected during the contact."
     if estimate is None:

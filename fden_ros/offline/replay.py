@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -18,6 +17,7 @@ from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.progress import progress as bar
 from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection, open_source
 
@@ -98,7 +98,7 @@ def replay(
 
     pipeline = Pipeline(pipeline_config(parameters), keep)
     sink = pipeline if listener is None else cast(Sink, _Both(listener, pipeline))
-    with _progress_bar(progress, source.total) as show:
+    with bar("replaying", source.total, visible=progress) as show:
         for done in source.feed(sink, before):
             if done % _PROGRESS_STEP == 0:
                 show(done)
@@ -131,20 +131,6 @@ class _Both:
         # Looked up once: there are millions of samples.
         setattr(self, name, give)
         return give
-
-
-@contextmanager
-def _progress_bar(visible: bool, total: int) -> Iterator[Callable[[int], object]]:
-    """Show progress on standard error, or none; give the function to call with the steps done."""
-    if not visible:
-        yield lambda done: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("replaying", total=total or None)
-        yield lambda done: bar.update(task, completed=done)
 
 
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import yaml
@@ -69,22 +68,12 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def write_parameters(path: str | Path, parameters: Parameters) -> None:
-    """Write a parameter file with what is not at its default.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
+def parameter_text(parameters: Parameters) -> str:
+    """Return a parameter file with what is not at its default."""
     defaults = Parameters().as_dict()
     nested: dict[str, dict[str, object]] = {}
     for name, value in parameters.as_dict().items():
         if value != defaults[name]:
             group, _, own = name.partition(".")
             nested.setdefault(group, {})[own] = value
-    content: Mapping[str, object] = {"/**": {"ros__parameters": nested}}
-    try:
-        Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot write it: {error.strerror}") from error
+    return yaml.safe_dump({"/**": {"ros__parameters": nested}}, sort_keys=False)

@@ -263,11 +263,9 @@ def fractional_derivative(time: Array, values: Array, order: float) -> Array:
         The Caputo derivative of what follows the first value (Oldham and Spanier, The Fractional
         Calculus, 1974, ch. 8.2).
     """
-    result = np.zeros(time.size)
+    away = np.maximum(time[:, None] - time, 0.0) ** (1.0 - order)
     slopes = np.diff(values) / np.diff(time)
-    for index in range(1, time.size):
-        away = (time[index] - time[: index + 1]) ** (1.0 - order)
-        result[index] = slopes[:index] @ (away[:-1] - away[1:]) / math.gamma(2.0 - order)
+    result: Array = (away[:, :-1] - away[:, 1:]) @ slopes / math.gamma(2.0 - order)
     return result
 
 

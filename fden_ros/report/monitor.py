@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from rich import box
@@ -22,7 +23,7 @@ from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.report.chart import Chart
 from fden_ros.report.limits import interval_limits
-from fden_ros.report.numbers import DASH, stiffness
+from fden_ros.report.numbers import DASH, law, stiffness
 from fden_ros.report.table import contact_table
 
 _COLOURS = {
@@ -82,8 +83,8 @@ def trace_row(state: TissueState) -> tuple[float, float, float, float]:
     return stress, value, value / spread, value * spread
 
 
-def monitor_view(view: MonitorView) -> Group:
-    """Return the view as something that rich prints."""
+def monitor_view(view: MonitorView, truth: Mapping[int, Mapping[str, Any]] | None = None) -> Group:
+    """Return the view as something that rich prints; `truth` as for :func:`contact_table`."""
     parts: list[Panel | Table | Text] = [
         Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False),
         *_warnings(view),
@@ -91,7 +92,7 @@ def monitor_view(view: MonitorView) -> Group:
     if view.trace is not None and view.trace.ages.size:
         parts.append(_charts(view.trace))
     if view.summaries:
-        parts.append(contact_table(view.summaries[-_LAST_CONTACTS:]))
+        parts.append(contact_table(view.summaries[-_LAST_CONTACTS:], truth))
     return Group(*parts)
 
 
@@ -139,7 +140,7 @@ def _present(view: MonitorView) -> Table:
     table.add_row("contact", _contact(state))
     for name, interval in _parameters(state):
         table.add_row(name, interval)
-    table.add_row("law", _law(state))
+    table.add_row("law", law(state.estimate) or DASH)
     table.add_row("tissue", _tissue(view))
     usable = view.refusal is None
     words = "may be relied on" if usable or view.refusal is None else view.refusal.value
@@ -147,17 +148,6 @@ def _present(view: MonitorView) -> Table:
     if view.gains:
         table.add_row("gains", view.gains)
     return table
-
-
-def _law(state: TissueState) -> str:
-    """Return how far the tissue is from the law."""
-    error = state.estimate.law_error if state.estimate is not None else None
-    if error is None:
-        return DASH
-    return (
-        f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
-        f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
-    )
 
 
 def _status(view: MonitorView) -> Text:

@@ -80,6 +80,17 @@ def stiffness(found: ApparentStiffness | None, most_digits: int = 17) -> str:
     return DASH if found is None else result(found.value, found.sd, most_digits)
 
 
+def law(estimate: Estimate | None) -> str:
+    """Return how far the tissue is from the law; empty where that is not known."""
+    error = estimate.law_error if estimate is not None else None
+    if error is None:
+        return ""
+    return (
+        f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
+        f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
+    )
+
+
 def _rounded_up(value: float) -> str:
     """Return a bound with two digits, none of them below it."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)

@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -20,12 +19,10 @@ from fden_ros.configure.plane import LEAST_TOUCHES, NoPlaneError, fit_plane
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
-from fden_ros.errors import InputError
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
 from fden_ros.report import plots
-from fden_ros.report.law_picture import law_picture
-from fden_ros.report.numbers import DASH, order, parameter, result, stiffness
+from fden_ros.report.numbers import DASH, law, order, parameter, result, stiffness
 from fden_ros.report.path_picture import draw_path
 from fden_ros.report.sentence import sentence
 from fden_ros.report.style import draw
@@ -43,35 +40,6 @@ _SOURCES = {
     OrderSource.PRIOR: "prior",
     OrderSource.LEARNED: "learned",
 }
-
-
-def save_page(session: Session, path: str | Path) -> None:
-    """Write the report.
-
-    Raises
-    ------
-    InputError
-        If `path` cannot be written.
-    """
-    write_text(path, page(session))
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write a file that is complete or not there.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-    path = Path(path)
-    draft = path.with_name(f".{path.name}.part")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise InputError(f"{path} cannot be written ({error.strerror}): choose another") from None
 
 
 def page(session: Session) -> str:
@@ -269,7 +237,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "place": place,
         "remarks": list(remarks(summary, session.parameters.prior.alpha)),
         "drawings": drawings,
-        "law": law_picture(summary),
+        "law": law(summary.estimate),
         "test": contact.innovations.test,
         "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (

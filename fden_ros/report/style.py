@@ -85,7 +85,7 @@ def draw(plot: Plot, size: tuple[float, float] = PANEL) -> str:
     return _for_page(buffer.getvalue())
 
 
-def save(plot: Plot, path: str | Path, size: tuple[float, float]) -> None:
+def save(plot: Plot, path: str | Path, size: tuple[float, float] = WIDE) -> None:
     """Save what `plot` draws as PNG, SVG or PDF, by the ending of `path`."""
     with mpl.rc_context(_STYLE):
         _drawn(plot, size).savefig(path, dpi=110)

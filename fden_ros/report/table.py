@@ -21,7 +21,10 @@ _DIGITS = 4
 
 
 def table_of(
-    columns: Mapping[str, int], rows: Iterable[Sequence[str]], title: str | None = None
+    columns: Mapping[str, int],
+    rows: Iterable[Sequence[str]],
+    title: str | None = None,
+    between: int = 1,
 ) -> Table:
     """Return a table.
 
@@ -32,8 +35,10 @@ def table_of(
     rows : iterable of sequence of str
         Cells, in rich's markup.
     title : str, optional
+    between : int
+        Blanks between two columns.
     """
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0))
     for heading, width in columns.items():
         if width:
             table.add_column(Text(heading), min_width=width)
@@ -63,6 +68,7 @@ def contact_table(
         {**dict.fromkeys(numbers, 0), "status": 10, "tissue": 12},
         (_cells(summary, truth or {}, on_path=on_path) for summary in shown),
         "Places" if on_path else "Contacts",
+        between=0,
     )
     if on_path:
         table.caption = "contact.mode continuous: dF/dd and α at places on the path"

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -23,6 +24,7 @@ from fden_ros.core.outputs import (
     DynamicModulus,
     Flag,
     OrderSource,
+    Output,
     Phase,
     Signals,
     Status,
@@ -45,12 +47,9 @@ def to_stamp(nanoseconds: int) -> Time:
 def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
     """Return a :class:`TissueState` as a message."""
     message = TissueEstimate()
-    message.header.stamp = to_stamp(state.stamp_ns)
-    message.header.frame_id = frame_id
-    message.status = int(state.status)
+    _fill_head(message, state, frame_id)
     message.flags = int(state.flags)
-    message.site_id = state.site_id
-    message.contact_id = state.contact_id
+    message.status = int(state.status)
     message.phase = int(state.phase)
     valid = 0
     if state.estimate is not None:
@@ -59,17 +58,14 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
         message.sample_count = state.estimate.sample_count
     if state.signals is not None:
         valid |= TissueEstimate.VALID_SIGNALS
-        message.strain = state.signals.strain
-        message.stress = state.signals.stress
-        message.fractional_stress = state.signals.fractional_stress
+        _fill(message, state.signals, "strain", "stress", "fractional_stress")
     if state.innovation is not None:
         valid |= TissueEstimate.VALID_INNOVATION
-        message.predicted_fractional_stress = state.innovation.predicted_fractional_stress
+        _fill(message, state.innovation, "predicted_fractional_stress", "innovation")
+        message.normalized_innovation_squared = state.innovation.normalized_squared
         if state.innovation.predicted_stress is not None:
             valid |= TissueEstimate.VALID_PREDICTED_STRESS
             message.predicted_stress = state.innovation.predicted_stress
-        message.innovation = state.innovation.innovation
-        message.normalized_innovation_squared = state.innovation.normalized_squared
     if state.apparent_stiffness is not None:
         valid |= TissueEstimate.VALID_APPARENT_STIFFNESS
         _fill_apparent_stiffness(message, state.apparent_stiffness)
@@ -80,12 +76,9 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
 def classification_message(output: Classification, frame_id: str) -> TissueClassification:
     """Return a :class:`Classification` as a message."""
     message = TissueClassification()
-    message.header.stamp = to_stamp(output.stamp_ns)
-    message.header.frame_id = frame_id
-    message.decision = int(output.decision)
-    message.site_id = output.site_id
-    message.contact_id = output.contact_id
+    _fill_head(message, output, frame_id)
     message.flags = int(output.flags)
+    message.decision = int(output.decision)
     message.library = output.library_name
     _fill_classes(message, output)
     return message
@@ -94,23 +87,15 @@ def classification_message(output: Classification, frame_id: str) -> TissueClass
 def modulus_message(output: DynamicModulus, frame_id: str) -> ComplexModulus:
     """Return a :class:`DynamicModulus` as a message."""
     message, modulus = ComplexModulus(), output.modulus
-    message.header.stamp = to_stamp(output.stamp_ns)
-    message.header.frame_id = frame_id
+    _fill_head(message, output, frame_id)
     message.start = to_stamp(output.start_ns)
-    message.site_id = output.site_id
-    message.contact_id = output.contact_id
-    message.angular_frequency = modulus.angular_frequency
-    message.mean_strain = modulus.mean_strain
-    message.strain_amplitude = modulus.strain_amplitude
+    _fill(message, modulus, "angular_frequency", "mean_strain", "strain_amplitude")
+    _fill(message, modulus, "fractional_order", "fractional_order_sd", "stiffness", "distortion")
     message.storage_modulus = modulus.storage
     message.loss_modulus = modulus.loss
     message.modulus_sd = modulus.sd
-    message.fractional_order = modulus.fractional_order
-    message.fractional_order_sd = modulus.fractional_order_sd
     if modulus.slope is not None and modulus.slope_sd is not None:
         message.slope, message.slope_sd = modulus.slope, modulus.slope_sd
-    message.stiffness = modulus.stiffness
-    message.distortion = modulus.distortion
     message.sample_count = modulus.samples
     return message
 
@@ -118,30 +103,33 @@ def modulus_message(output: DynamicModulus, frame_id: str) -> ComplexModulus:
 def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     """Return a :class:`ContactSummary` as a message."""
     message = PalpationSummary()
-    message.header.stamp = to_stamp(summary.stamp_ns)
-    message.header.frame_id = frame_id
-    message.start = to_stamp(summary.start_ns)
-    message.end = to_stamp(summary.end_ns)
-    message.site_id = summary.site_id
-    message.contact_id = summary.contact_id
+    _fill_head(message, summary, frame_id)
     message.flags = int(summary.flags)
-    message.converged = summary.converged
-    message.complete = summary.complete
+    message.start, message.end = to_stamp(summary.start_ns), to_stamp(summary.end_ns)
+    _fill(message, summary, "converged", "complete", "max_strain", "max_stress", "max_force")
+    _fill(message, summary, "sample_count", "rejected_count")
     if summary.position is not None:
         message.position_valid = True
         message.position.x, message.position.y, message.position.z = summary.position
         message.position_frame_id = summary.position_frame
     if summary.estimate is not None:
         _fill_parameters(message, summary.estimate, summary.order_source)
-    message.max_strain = summary.max_strain
-    message.max_stress = summary.max_stress
-    message.max_force = summary.max_force
-    message.sample_count = summary.sample_count
-    message.rejected_count = summary.rejected_count
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_classes(message, summary)
     _fill_rig(message, summary.rig)
     return message
+
+
+def _fill_head(message: Any, output: Output, frame_id: str) -> None:
+    message.header.stamp = to_stamp(output.stamp_ns)
+    message.header.frame_id = frame_id
+    _fill(message, output, "site_id", "contact_id")
+
+
+def _fill(message: Any, source: Any, *names: str) -> None:
+    """Set what has the same name in both."""
+    for name in names:
+        setattr(message, name, getattr(source, name))
 
 
 def _fill_rig(message: PalpationSummary, rig: RigKnowledge | None) -> None:

@@ -442,7 +442,7 @@ def check(
     contacts: Contacts,
     spreads: Mapping[str, Spread],
     make: Callable[[Mapping[str, Spread]], TissueLibrary] = library_of,
-    advance: Callable[[], None] = lambda: None,
+    show: Callable[[float], None] = lambda done: None,
 ) -> Check:
     """Leave out one specimen at a time, learn from the others, and classify its contacts.
 
@@ -453,8 +453,8 @@ def check(
         Learned from all of them: where to start from.
     make : callable
         The library of spreads.
-    advance : callable
-        Called after each specimen.
+    show : callable
+        Called after each specimen with how many are done.
     """
     groups = contacts.groups
     folds = np.array(["\0".join(group) for group in groups])
@@ -464,14 +464,14 @@ def check(
     used = np.flatnonzero(~np.isin(tissues, unchecked))
     probabilities = np.full((len(contacts), len(names) + 1), np.nan)
     typicality = np.full(len(contacts), np.nan)
-    for one in np.unique(folds[used]):
+    for done, one in enumerate(np.unique(folds[used]), start=1):
         out = folds == one
         library = make(learn(contacts.only(np.flatnonzero(~out)), spreads))
         left = contacts.only(np.flatnonzero(out)).likelihood
         evidence, fits = log_evidence(library, left)
         probabilities[out] = posterior(library, evidence)
         typicality[out] = fits.max(axis=-1)
-        advance()
+        show(done)
     return Check(
         (*names, UNKNOWN),
         np.searchsorted(np.array(names), tissues[used]),

@@ -9,7 +9,6 @@ from typing import NamedTuple, Protocol
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.law_error import LawCurves
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
@@ -80,9 +79,6 @@ class Estimator(Protocol):
 
     def motion_evidence(self) -> list[float] | None:
         """Return the evidence of a contact for shares of the surface's stated motion, or None."""
-
-    def law_curves(self) -> LawCurves | None:
-        """Return how a contact bends the law, at its end; None: not known."""
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""

@@ -141,9 +141,6 @@ class FractionalStressEstimator:
     def finish(self) -> None:
         """Return at once: an update of these filters leaves nothing to solve."""
 
-    def law_curves(self) -> None:
-        """Return None: these filters know of no error of the law."""
-
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""
         at_order, above, below = block.fractional_integrals[:3]

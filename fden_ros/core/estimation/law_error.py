@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,42 +27,6 @@ _PLACES = 16
 _FROM_TIME, _FROM_STRAIN = 0.03, 0.1
 #: The loaded part of the characteristic is above this part of the largest strain [1].
 _LOADED = 0.7
-#: Points of a curve, and its first time, as part of the elapsed [1].
-_DRAWN, _FIRST_TIME = 40, 0.003
-
-
-class LawCurve(NamedTuple):
-    """The relative error of one part of the law where it was seen; each of shape (n,)."""
-
-    points: Array  #: times [s] or strains [1]
-    value: Array  #: logarithm of what the data want over the law [1]
-    sd: Array  #: its standard deviation [1]
-
-
-class LawCurves(NamedTuple):
-    """How a contact bends the law, beside the parameters that belong to it."""
-
-    kernel: LawCurve
-    characteristic: LawCurve
-    mean: Array  #: of (ln G, ln Gn, alpha), shape (3,)
-
-
-def law_curves(solution: Solution, model: PressModel, seen: tuple[float, float]) -> LawCurves:
-    """Return the law's errors as curves; parameters as those of :func:`law_error`."""
-    mean, covariance = solution.mean, solution.covariance
-    elapsed, strain = seen
-    times = np.geomspace(_FIRST_TIME * elapsed, elapsed, _DRAWN)
-    strains = np.linspace(0.0, strain, _DRAWN + 1)[1:]
-
-    def curve(points: Array, design: Array, part: slice) -> LawCurve:
-        spread = np.einsum("ij,jk,ik->i", design, covariance[part, part], design)
-        return LawCurve(points, design @ mean[part], np.sqrt(np.maximum(spread, 0.0)))
-
-    return LawCurves(
-        curve(times, _relaxation_errors(float(mean[ORDER]), times), model.kernel),
-        curve(strains, characteristic_splines(strains, model.last_knot), model.characteristic),
-        mean[: ORDER + 1].copy(),
-    )
 
 
 def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) -> LawError:

@@ -20,7 +20,7 @@ from fden_ros.core.estimation.estimate import Estimate, LawError
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.law_error import LawCurves, law_curves, law_error
+from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
@@ -309,13 +309,6 @@ class PosteriorEstimator:
         strain_sd = geometry.strain_slope(compression) * origin_sd
         strain = geometry.strain(compression)
         return probability_beyond(strain, strain_sd, float(mean[LOG_GN]), log_gn_sd)
-
-    def law_curves(self) -> LawCurves | None:
-        """Return how the press bends the law, at its end; None: the law is said to be exact."""
-        solved = self._solved
-        if solved is None or not self._setting.is_bent or solved.strain <= 0.0:
-            return None
-        return law_curves(solved.best, solved.model, (solved.elapsed, solved.strain))
 
     def _law_error_of(self, solved: Solved) -> LawError | None:
         """Return how far the press is from the law, once for each solution."""

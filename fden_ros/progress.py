@@ -14,8 +14,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 
 @contextmanager
-def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar on standard error, if that is a terminal; the function it gives counts one on."""
+def progress(
+    description: str, total: float | None, *, visible: bool = True
+) -> Iterator[Callable[[float], None]]:
+    """Show a bar on standard error, if that is a terminal.
+
+    The function it gives takes how much is done; where `total` is not known the bar only moves.
+    """
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -23,8 +28,8 @@ def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
         TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
-        disable=not sys.stderr.isatty(),
+        disable=not (visible and sys.stderr.isatty()),
     )
     with bar:
-        task = bar.add_task(description, total=total)
-        yield lambda: bar.advance(task)
+        task = bar.add_task(description, total=total or None)
+        yield lambda done: bar.update(task, completed=done)
