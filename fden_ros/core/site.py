@@ -50,8 +50,8 @@ _CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
 #: A probe is dragged beyond this multiple of the distance of two sites [1], so that noise of the
 #: position drags none.
 _DRAGGED = 2.0
-#: A contact contradicts what is stated of the rig where a quantity of that is farther off than
-#: this many standard deviations [1]: undisturbed rigs reach 1.8, a friction six times as large 2.7.
+#: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
+#: many standard deviations [1]: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
 
 
