@@ -32,13 +32,8 @@ from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.loop_arguments import WalkState
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.unknowns import (
-    LOG_G,
-    ORDER,
-    STRAIN_FLOOR,
-)
+from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
 from fden_ros.core.law.characteristic import apparent_stiffness_factor
-from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
 
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.
@@ -134,7 +129,7 @@ class ErrorModel:
         `before`: the loading that the blocks go on from; None: none.
         """
         elastic, slope = self._model.elastic(points, state)
-        order = float(np.clip(state[ORDER], LOWEST_ORDER, HIGHEST_ORDER))
+        order = self._model.order(state)
         factor = 1.0 / math.gamma(1.0 - order)
         stiffness = points.mean(slope)
         noise = self._noise.stress**2 / points.counts

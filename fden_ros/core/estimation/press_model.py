@@ -113,6 +113,10 @@ class PressModel:
             (k for k, u in enumerate(unknowns) if u.name == "compliance"), None
         )
 
+    def order(self, state: Array) -> float:
+        """Return the order of the relaxation, for what the errors meet within a block [1]."""
+        return _order(state)
+
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
         return relaxation_weights(order), relaxation_slopes(order)

@@ -19,7 +19,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Posterior, Solution
-from fden_ros.core.estimation.unknowns import LOG_G, ORDER
+from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
@@ -27,12 +27,19 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 _SLOWEST, _FASTEST = 0.3, 60.0
 #: Prior of the part q that relaxes: mean and standard deviation [1].
 _PART, _PART_SD = 0.5, 0.3
+#: Precision with which the rig is held [1].
+_HELD = 1e6
 
 
 class _Maxwell(PressModel):
     """The model of a press on a spring beside a Maxwell element; `order` is q."""
 
     rate = 0
+    order_of_law = 0.3
+
+    def order(self, state: Array) -> float:
+        """Return that of the law, so that both are held to the same errors."""
+        return self.order_of_law
 
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights and their derivatives by q."""
@@ -63,13 +70,13 @@ def mismatch_log_odds(
     elapsed = float(points.times[-1] - points.times[0])
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
-    law = _evidence(_straight(made(PressModel)), points, start)
+    law = _evidence(_straight(made(PressModel), start), points, start)
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
     rivals = []
     for rate in wanted.tolist():
-        rival = _straight(made(_Maxwell))
+        rival = _straight(made(_Maxwell), start)
         assert isinstance(rival.model, _Maxwell)
-        rival.model.rate = rate
+        rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
         rival.belief.mean[ORDER] = _PART
         rival.belief.precision[ORDER, ORDER] = 1.0 / _PART_SD**2
         at = start.copy()
@@ -88,8 +95,17 @@ def mismatch_log_odds(
     return gain / max(float(np.mean(solution.residuals**2)), 1.0)
 
 
-def _straight(posterior: Posterior) -> Posterior:
-    """Return a posterior whose kernel has no error of its own."""
+def _straight(posterior: Posterior, state: Array) -> Posterior:
+    """Return a posterior whose kernel has no error of its own, on the rig of a state.
+
+    With a rig of its own a rival could stand for any relaxation: by a delay of 38 of the stated
+    standard deviations it explained one of the law itself.
+    """
+    for k, unknown in enumerate(posterior.model.unknowns):
+        if unknown.lifetime is Lifetime.RIG:
+            precision = posterior.belief.precision
+            precision[k], precision[:, k] = 0.0, 0.0
+            precision[k, k], posterior.belief.mean[k] = _HELD, state[k]
     least = min(weighed.scales.kernel for weighed in posterior.grid)
     posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
     return posterior
