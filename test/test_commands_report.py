@@ -349,8 +349,9 @@ def test_innovations_of_simulated_tissue_pass_their_test(session: Session) -> No
         test = contact.innovations.test
         assert test is not None and test.count > 50
         if contact.observes_stress:
-            # Those of a touch, while the posterior is not normal yet, are among them.
-            assert 0.5 < test.mean_square < 2.0
+            # Those of a touch, while the posterior is not normal yet, are among them, and those of
+            # the ramp, where the filter goes on from a solution that has seen less of the bend.
+            assert 0.5 < test.mean_square < 4.0
 
 
 def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None:
