@@ -80,7 +80,7 @@ def test_a_surface_that_stays_lower_after_a_press_is_met_within_the_deviations(n
 def test_a_noisy_marker_of_the_surface_is_not_taken_for_slow_tissue(number):
     """It was 2.6 to 4.6 deviations of alpha."""
     (contact,) = trial_of(case_of("breathing_1mm_measured"), number, {}).contacts
-    assert np.all(np.abs(contact.error) < 2.0 * contact.deviation)
+    assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
 def ratios(name, numbers):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Posterior, Solution
 from fden_ros.core.estimation.unknowns import Unknown, change_since
@@ -50,6 +51,7 @@ def change_of(
     solution: Solution,
     without: Posterior,
     with_change: Callable[[Unknown], Posterior],
+    strain: float,
 ) -> Look:
     """Look for a change that the record shows.
 
@@ -63,12 +65,14 @@ def change_of(
         Of which that is a solution.
     with_change : callable
         Returns the posterior with one more unknown, behind those that are not of the law's errors.
+    strain : float
+        Largest of the record [1].
     """
     state = solution.maximum.state
     if state.size != without.model.size or not solution.is_solved:
         return Look(None, -math.inf)
     count, now = len(without.model.unknowns), float(points.times[-1])
-    alone = without.tracked(points, state, solution).log_evidence
+    alone = follow_modes(without, points, [(state, solution)], strain).best.log_evidence
     start = np.insert(state, count, 0.0)
 
     def look(unknown: Unknown) -> tuple[float, float]:

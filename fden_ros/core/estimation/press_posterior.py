@@ -329,6 +329,7 @@ class PressPosterior:
             self.solved.best,
             self._posterior(self.changes),
             lambda unknown: self._posterior((*self.changes, unknown)),
+            self._strain(self.setting.origin(self.solved.best.mean)),
         )
         if look.change is not None:
             self.changes = (*self.changes, look.change)
