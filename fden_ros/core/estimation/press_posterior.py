@@ -54,6 +54,8 @@ _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 _SURPRISE = 5.0
 #: The touch may be this many standard deviations of the origin before its nominal place [1].
 _REACH = 6.0
+#: What numbers do where a state is beyond them.
+_UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 #: Least variance of an innovation [Pa^2].
 _LEAST_VARIANCE = 1e-300
 
@@ -174,10 +176,6 @@ class PressPosterior:
         stress, compression : float
             Means of the block [Pa, 1].
 
-        Raises
-        ------
-        FloatingPointError
-            If the press has no finite stress at all.
         """
         innovation = self._unpredicted(stress)
         if self.filter is not None and self._samples:
@@ -244,13 +242,7 @@ class PressPosterior:
             self.solve(fully=True)
 
     def solve(self, *, fully: bool = False) -> None:
-        """Solve the posterior of the record so far; `fully`: from all starts.
-
-        Raises
-        ------
-        FloatingPointError
-            If there is no solution, nor was one before.
-        """
+        """Solve the posterior of the record so far; `fully`: from all starts."""
         self._place_again()
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
@@ -259,9 +251,7 @@ class PressPosterior:
         is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
         try:
             modes = self._modes(points, posterior, fully=fully or is_early)
-        except (FloatingPointError, np.linalg.LinAlgError):
-            if self.solved is None:
-                raise
+        except _UNSOLVABLE:
             self.is_lost = True
             return
         self.is_lost = False
@@ -282,7 +272,7 @@ class PressPosterior:
         if tracked and not fully:
             try:
                 return follow_modes(posterior, points, tracked, strain)
-            except (FloatingPointError, OverflowError, np.linalg.LinAlgError):
+            except _UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         self._blocks_at_starts = self._blocks
         starts = [state for state, _ in tracked] + self._starts(posterior, points)
@@ -324,13 +314,16 @@ class PressPosterior:
         self._looked_at = self._now
         if self.solved is None or not self._is_placed:
             return Look(None, -math.inf)
-        look = change_of(
-            self.record.points(),
-            self.solved.best,
-            self._posterior(self.changes),
-            lambda unknown: self._posterior((*self.changes, unknown)),
-            self._strain(self.setting.origin(self.solved.best.mean)),
-        )
+        try:
+            look = change_of(
+                self.record.points(),
+                self.solved.best,
+                self._posterior(self.changes),
+                lambda unknown: self._posterior((*self.changes, unknown)),
+                self._strain(self.setting.origin(self.solved.best.mean)),
+            )
+        except _UNSOLVABLE:
+            return Look(None, -math.inf)
         if look.change is not None:
             self.changes = (*self.changes, look.change)
             self._is_placed = False
@@ -349,7 +342,10 @@ class PressPosterior:
 
         def evidence_of(change: Unknown) -> float:
             posterior = self._posterior((*before, change))
-            return posterior.tracked(points, state, solution).log_evidence
+            try:
+                return posterior.tracked(points, state, solution).log_evidence
+            except _UNSOLVABLE:
+                return -math.inf
 
         self.changes = (*before, placed(newest, _PLACED_WITHIN, evidence_of))
 
@@ -359,7 +355,7 @@ class PressPosterior:
         Only the first press of a site whose alpha is learned can.
         """
         is_able = self.setting.carried is None and not self.setting.config.is_order_given
-        if self.solved is None or not self.setting.is_bent or not is_able:
+        if self.solved is None or self.is_lost or not self.setting.is_bent or not is_able:
             return None
         odds = mismatch_log_odds(
             self.record.points(),
