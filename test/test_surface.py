@@ -116,11 +116,12 @@ def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(
         for one in (still, measured, unmeasured)
     ]
     assert rms[1] < (1.5 if seeds == 4 else 2.0)
-    assert rms[2] > 5.0
-    wider = np.median([sd for _, sd in measured], axis=0) / np.median(
-        [sd for _, sd in still], axis=0
+    usual, with_marker, without = (
+        np.median([sd for _, sd in one], axis=0) for one in (still, measured, unmeasured)
     )
-    assert np.all(wider < 1.2), wider
+    # Without the marker the breath is told as another law, of which nothing is known.
+    assert rms[2] > 5.0 or np.all(without > 5.0 * usual)
+    assert np.all(with_marker < 1.2 * usual), with_marker / usual
 
 
 # The join
