@@ -3,8 +3,9 @@
 
 r"""How fast the stress may leave the law: what model and rig leave out, as variances per block.
 
-Errors of model and rig are independent and add to the increments of one random walk of the stress
-(:mod:`fden_ros.core.estimation.random_walk`):
+Errors of model and rig are independent and add to the increments of one random walk of the stress,
+in the form that a prediction needs, which has the estimate but not its posterior
+(:mod:`fden_ros.core.estimation.error_model` has that one's):
 
 .. math::
     dv = f^2 \left( 2\sigma_c^2\,|d\ln\varphi| + \frac{2\sigma_k^2}{\ell}\,|d\ln A| \right)
@@ -62,10 +63,6 @@ class LoadingAge:
 
     def __init__(self, age: float = 0.0, response: float = 0.0) -> None:
         self._age, self._response = age, response
-
-    def interrupt(self) -> None:
-        """Let the next block begin a new loading."""
-        self._age = self._response = 0.0
 
     @property
     def age(self) -> float:

@@ -56,7 +56,7 @@ class PressFilter:
     def __init__(self, solution: Solution, model: PressModel, error_model: ErrorModel) -> None:
         self._model, self._error_model = model, error_model
         self._about = solution.maximum.state
-        self._scales = max(solution.scales, key=lambda s: solution.scales[s])
+        self._scales = solution.best_scales
         self._response = copy.deepcopy(solution.response_state)
         self._loading = solution.maximum.errors.loading
         n = model.size

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import expit, log_ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.record import Points
@@ -122,7 +122,7 @@ def follow_modes(
     strain: float,
 ) -> Modes:
     """Return the modes that those of a shorter record, with their states by now, lead to."""
-    boundary = -math.log(strain) if strain > 0.0 else math.inf
+    boundary = _boundary(strain)
     found = []
     for state, solution in before:
         found.append(posterior.tracked(points, state, solution))
@@ -144,7 +144,7 @@ def _weighed(
     errors = found[0].maximum.errors
     evidence = np.array([posterior.log_evidence(points, s.maximum, errors) for s in found])
     kept: list[tuple[float, Solution]] = []
-    boundary = -math.log(strain) if strain > 0.0 else math.inf
+    boundary = _boundary(strain)
     has_linear = False
     for k in np.argsort(-evidence):
         likely = float(evidence[k] - evidence.max())
@@ -160,6 +160,11 @@ def _weighed(
     return _with_linear(posterior, points, modes, strain)
 
 
+def _boundary(strain: float) -> float:
+    """Return ln Gn of a law that is just linear up to a largest strain [1]."""
+    return -math.log(strain) if strain > 0.0 else math.inf
+
+
 def _are_apart(one: Solution, other: Solution) -> bool:
     law = slice(0, len(LAW))
     sd = np.sqrt(np.maximum(other.covariance.diagonal()[law], 1e-300))
@@ -172,13 +177,13 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     sd = math.sqrt(max(float(best.covariance[LOG_GN, LOG_GN]), 0.0))
     if strain <= 0.0 or sd == 0.0:
         return modes
-    boundary = -math.log(strain)
+    boundary = _boundary(strain)
     beyond = (float(best.mean[LOG_GN]) - boundary) / sd
     if beyond > _CLEAR:
         return modes
     state = best.maximum.state.copy()
     state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
-    scales = max(best.scales, key=lambda s: best.scales[s])
+    scales = best.best_scales
     linear = posterior.given(LOG_GN, points, state, scales)
     mean = float(posterior.belief.mean[LOG_GN])
     width = 1.0 / math.sqrt(float(posterior.belief.precision[LOG_GN, LOG_GN]))
@@ -188,8 +193,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
     if beyond < 0.0 and best.maximum.state[LOG_GN] < boundary:
         gain = math.inf
-    weight = 1.0 if gain > 300.0 else modes.weight * math.exp(gain)
-    weight = weight / (1.0 + weight) if gain <= 300.0 else 1.0
+    weight = float(expit(gain + math.log(modes.weight)))
     # Moments of the prior cut off at the boundary.
     ratio = math.exp(-0.5 * place**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(place)))
     moments, covariance = linear.mean.copy(), linear.covariance.copy()

@@ -32,7 +32,7 @@ from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points, Record, Sample, block_points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.characteristic import elastic_response
@@ -54,8 +54,6 @@ _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 _SURPRISE = 5.0
 #: The touch may be this many standard deviations of the origin before its nominal place [1].
 _REACH = 6.0
-#: What numbers do where a state is beyond them.
-_UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 #: Least variance of an innovation [Pa^2].
 _LEAST_VARIANCE = 1e-300
 
@@ -251,7 +249,7 @@ class PressPosterior:
         is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
         try:
             modes = self._modes(points, posterior, fully=fully or is_early)
-        except _UNSOLVABLE:
+        except UNSOLVABLE:
             self.is_lost = True
             return
         self.is_lost = False
@@ -272,7 +270,7 @@ class PressPosterior:
         if tracked and not fully:
             try:
                 return follow_modes(posterior, points, tracked, strain)
-            except _UNSOLVABLE:
+            except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         self._blocks_at_starts = self._blocks
         starts = [state for state, _ in tracked] + self._starts(posterior, points)
@@ -322,7 +320,7 @@ class PressPosterior:
                 lambda unknown: self._posterior((*self.changes, unknown)),
                 self._strain(self.setting.origin(self.solved.best.mean)),
             )
-        except _UNSOLVABLE:
+        except UNSOLVABLE:
             return Look(None, -math.inf)
         if look.change is not None:
             self.changes = (*self.changes, look.change)
@@ -344,7 +342,7 @@ class PressPosterior:
             posterior = self._posterior((*before, change))
             try:
                 return posterior.tracked(points, state, solution).log_evidence
-            except _UNSOLVABLE:
+            except UNSOLVABLE:
                 return -math.inf
 
         self.changes = (*before, placed(newest, _PLACED_WITHIN, evidence_of))

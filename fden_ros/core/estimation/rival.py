@@ -18,7 +18,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
@@ -115,5 +115,5 @@ def _evidence(posterior: Posterior, points: Points, start: Array) -> float:
     try:
         scales = posterior.grid[len(posterior.grid) // 2].scales
         return posterior.solution(points, [start], scales).log_evidence
-    except (FloatingPointError, OverflowError):
+    except UNSOLVABLE:
         return -math.inf

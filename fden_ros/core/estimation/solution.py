@@ -29,6 +29,8 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
+#: What numbers do where a state is beyond them.
+UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 #: A maximum is nearly found, while the record grows [1].
 _NEARLY_FOUND = 2e-3
 #: A smooth error of this scale [1] is none.
@@ -76,6 +78,11 @@ class Solution:
     def is_solved(self) -> bool:
         """Whether the maximum wants no further step."""
         return self.maximum.is_solved
+
+    @property
+    def best_scales(self) -> Scales:
+        """The likeliest scales."""
+        return max(self.scales, key=lambda s: self.scales[s])
 
     @property
     def response_state(self) -> ResponseState:
@@ -165,7 +172,7 @@ class Posterior(Density):
         for maximum in maxima:
             try:
                 found.append(self._refined(points, maximum))
-            except (FloatingPointError, np.linalg.LinAlgError):
+            except UNSOLVABLE:
                 continue
         if not found:
             raise FloatingPointError("no maximum has a finite evidence")
@@ -176,7 +183,7 @@ class Posterior(Density):
         seen = [best.scales]
         for _ in range(_MOST_ROUNDS):
             found = self._averaged(points, best)
-            chosen = max(found.scales, key=lambda s: found.scales[s])
+            chosen = found.best_scales
             if chosen in seen:
                 break
             seen.append(chosen)
@@ -197,10 +204,10 @@ class Posterior(Density):
             If the stress is not finite at the state.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            scales = max(before.scales, key=lambda s: before.scales[s])
+            scales = before.best_scales
             best = self.maximum(points, state, scales, _NEARLY_FOUND)
             found = self._averaged(points, best, beside(self.grid, scales))
-            if max(found.scales, key=lambda s: found.scales[s]) != scales:
+            if found.best_scales != scales:
                 found = self._averaged(points, best)
         if not self._order_sd:
             return found
@@ -239,7 +246,7 @@ class Posterior(Density):
         for start in starts:
             try:
                 maxima.append(self.maximum(points, start, scales))
-            except (FloatingPointError, OverflowError):
+            except UNSOLVABLE:
                 continue
         if not maxima:
             raise FloatingPointError("the stress is not finite at any start")
