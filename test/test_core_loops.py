@@ -20,12 +20,14 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops, loops_in_numpy
 from fden_ros.core.estimation.loop_arguments import (
     BY_COMPLIANCE,
-    BY_KNOT,
+    BY_FIRST_KNOT,
     BY_LOG_G,
     BY_LOG_GN,
+    BY_NOTHING,
     RATES,
-    Column,
+    Columns,
     LawState,
+    Response,
     ResponseState,
     WalkState,
 )
@@ -60,6 +62,32 @@ BASE = LawState(
 
 
 @dataclass(frozen=True)
+class Column:
+    """One derivative of the response."""
+
+    kind: int = BY_NOTHING
+    motion: Array | None = None
+    surface: Array | None = None
+    weights: Array | None = None
+
+
+def stacked(columns: list[Column], part: slice, size: int) -> Columns:
+    """Columns as the loops take them, for a part of the points."""
+
+    def rows(name: str, width: int) -> Array:
+        given = [getattr(column, name) for column in columns]
+        return np.array([np.zeros(width) if g is None else g for g in given]).reshape(-1, width)
+
+    return Columns(
+        np.array([c.kind for c in columns], dtype=np.int32),
+        np.ascontiguousarray(rows("motion", size)[:, part]),
+        np.arange(len(columns), dtype=np.int32),
+        rows("weights", RATES + 2),
+        np.ascontiguousarray(rows("surface", size)[:, part]),
+    )
+
+
+@dataclass(frozen=True)
 class Case:
     """A motion under a law, from steps of uneven durations."""
 
@@ -78,7 +106,7 @@ class Case:
             Column(motion=np.full(size, -1.0)),
             Column(motion=np.gradient(self.compressions)),
             Column(weights=(weights_of(0.150001) - weights_of(0.149999)) / 2e-6),
-            *(Column(BY_KNOT, knot) for knot in range(self.law.bend.size)),
+            *(Column(BY_FIRST_KNOT + knot) for knot in range(self.law.bend.size)),
         ]
         if self.surface is not None:
             found.append(Column(surface=self.surface * np.cos(np.arange(size))))
@@ -143,31 +171,30 @@ def either(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 def response(
     case: Case,
     columns: list[Column],
-    respond: Callable[..., tuple[Array, Array]] = loops.respond,
+    respond: Callable[..., Response] = loops.respond,
     cut: int = 0,
 ) -> tuple[Array, Array, ResponseState]:
-    """The response to a case, in one call or in two that continue each other."""
+    """The response to a case, in one call or in two that continue each other.
+
+    Stress, elastic response and its slope, (3, points); derivatives, (columns, points); state.
+    """
     state = ResponseState(len(columns))
+    size = case.durations.size
     by_step = loops_in_numpy.moments(case.durations, RATES_OF_KERNEL)
     results = []
     for part in (slice(0, cut), slice(cut, None)):
-        own = [
-            replace(
-                column,
-                motion=None if column.motion is None else column.motion[part],
-                surface=None if column.surface is None else column.surface[part],
-            )
-            for column in columns
-        ]
         steps = case.durations[part], by_step[part]
         surface = None if case.surface is None else case.surface[part]
-        results.append(
-            respond(
-                case.law, RATES_OF_KERNEL, steps, case.compressions[part], surface, own, state
-            )
-        )
-    stress, jacobian = zip(*results, strict=True)
-    return np.concatenate(stress), np.concatenate(jacobian, axis=1), state
+        own, motion = stacked(columns, part, size), case.compressions[part]
+        results.append(respond(case.law, RATES_OF_KERNEL, steps, motion, surface, own, state))
+    found = np.hstack([[r.stress, r.elastic, r.slope] for r in results])
+    return found, np.concatenate([r.jacobian for r in results]).T, state
+
+
+def stress_of(case: Case) -> Array:
+    """The stress at every point."""
+    result: Array = response(case, [])[0][0]
+    return result
 
 
 def assert_rows_agree(found: Array, expected: Array, tolerance: float) -> None:
@@ -199,9 +226,9 @@ def test_moments_are_the_integrals_of_the_kernel() -> None:
 @pytest.mark.parametrize("cut", [0, 1, 60])
 def test_the_compiled_response_is_that_of_numpy(case: Case, cut: int) -> None:
     compiled = response(case, case.columns(), cut=cut)
-    stress, jacobian, state = response(case, case.columns(), loops_in_numpy.respond, cut)
-    assert np.ptp(stress) > 0.0
-    assert_rows_agree(compiled[0], stress, 1e-12)
+    found, jacobian, state = response(case, case.columns(), loops_in_numpy.respond, cut)
+    assert np.ptp(found, axis=1).all()
+    assert_rows_agree(compiled[0], found, 1e-12)
     assert_rows_agree(compiled[1], jacobian, 1e-12)
     assert_rows_agree(compiled[2].values, state.values, 1e-12)
 
@@ -222,8 +249,9 @@ def moved(case: Case, column: Column, change: float) -> Case:
         law = replace(law, nonlinear_stiffness=law.nonlinear_stiffness * np.exp(change))
     elif column.kind == BY_COMPLIANCE:
         law = replace(law, compliance=law.compliance + change)
-    elif column.kind == BY_KNOT:
-        law = replace(law, bend=law.bend + change * (np.arange(law.bend.size) == column.knot))
+    elif column.kind >= BY_FIRST_KNOT:
+        knot = column.kind - BY_FIRST_KNOT
+        law = replace(law, bend=law.bend + change * (np.arange(law.bend.size) == knot))
     elif column.weights is not None:
         law = replace(law, weights=law.weights + change * column.weights)
     compressions, surface = case.compressions, case.surface
@@ -241,7 +269,7 @@ def test_derivatives_are_central_differences(case: Case) -> None:
     columns, step = case.columns(), 1e-6
     _, jacobian, _ = response(case, columns)
     differences = [
-        response(moved(case, column, step), [])[0] - response(moved(case, column, -step), [])[0]
+        stress_of(moved(case, column, step)) - stress_of(moved(case, column, -step))
         for column in columns
     ]
     assert_rows_agree(jacobian, np.array(differences) / (2.0 * step), tolerance)
@@ -253,7 +281,7 @@ def test_the_slope_at_a_touch_does_not_depend_on_rounding(either: None) -> None:
         case = Case(law, np.array([0.0, 0.01, 0.01]), np.array([start, 0.01, 0.02]))
         column = Column(motion=np.ones(3))
         _, jacobian, _ = response(case, [column])
-        up, down = (response(moved(case, column, change), [])[0] for change in (1e-6, -1e-6))
+        up, down = (stress_of(moved(case, column, change)) for change in (1e-6, -1e-6))
         assert_rows_agree(jacobian[0], (up - down) / 2e-6, 1e-6)
 
 
@@ -261,10 +289,10 @@ def test_a_step_that_newton_first_takes_for_a_release_is_whole(either: None) -> 
     law = replace(BASE, compliance=0.2)
     motion = np.array([0.0, 0.1, 0.3, 0.05, 0.05])
     case = Case(law, np.array([0.0, 0.01, 0.01, 0.01, 0.01]), motion)
-    stress, *_ = response(case, [])
+    stress = stress_of(case)
     left = motion - law.compliance * stress
     assert motion[3] < law.compliance * stress[2] and left[3] > 0.0
-    rigid, *_ = response(replace(case, law=BASE, compressions=left), [])
+    rigid = stress_of(replace(case, law=BASE, compressions=left))
     assert_rows_agree(stress, rigid, 1e-12)
 
 
@@ -285,7 +313,7 @@ def test_ramp_and_hold_are_those_of_the_closed_form(alpha: float, either: None) 
     times = np.unique([*np.linspace(0.0, 1.0, 201), *(1.0 + np.geomspace(1e-3, 100.0, 60))])
     motion = 0.3 * np.minimum(times, 1.0)
     law = replace(BASE, weights=weights_of(alpha))
-    stress, *_ = response(Case(law, np.diff(times, prepend=0.0), motion), [])
+    stress = stress_of(Case(law, np.diff(times, prepend=0.0), motion))
     truth = stress_of_piecewise_linear_strain(
         [0.0, 1.0, 200.0], [0.0, 0.3, 0.3], times, FdenModel(1.0, 8.0, alpha)
     )
@@ -299,7 +327,7 @@ def test_loading_and_unloading_in_both_directions_is_that_of_the_closed_form(
     times = np.linspace(0.0, 2.0, 801)
     law = replace(BASE, is_one_sided=False)
     motion = np.interp(times, corners, levels)
-    stress, *_ = response(Case(law, np.diff(times, prepend=0.0), motion), [])
+    stress = stress_of(Case(law, np.diff(times, prepend=0.0), motion))
     truth = stress_of_piecewise_linear_strain(corners, levels, times, FdenModel(1.0, 8.0, 0.15))
     np.testing.assert_allclose(stress, truth, atol=1e-5 * truth.max())
 
@@ -341,6 +369,30 @@ def test_compiled_whitening_is_that_of_numpy() -> None:
     assert_rows_agree(rows, twin, 1e-12)
     assert_rows_agree(state.means, twin_state.means, 1e-12)
     np.testing.assert_allclose(state.covariance, twin_state.covariance, rtol=1e-12)
+
+
+@needs_compiled
+def test_the_compiled_age_of_a_loading_is_that_of_numpy() -> None:
+    random = np.random.default_rng(5)
+    loaded, seconds = random.uniform(0.1, 2.0, 50), random.uniform(0.01, 0.5, 50)
+    states = np.array([0.05, 0.3]), np.array([0.05, 0.3])
+    found = loops.clock(loaded, seconds, 0.01, states[0])
+    expected = loops_in_numpy.clock(loaded, seconds, 0.01, states[1])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(*states, rtol=1e-12)
+
+
+def test_systems_are_eliminated_by_cholesky(either: None) -> None:
+    random = np.random.default_rng(6)
+    roots = random.normal(size=(3, 9, 6))
+    matrices, sides = roots.transpose(0, 2, 1) @ roots, random.normal(size=(3, 6, 2))
+    systems = np.concatenate([matrices, sides], axis=2)
+    loops.eliminate(systems)
+    upper, below = np.triu(systems[:, :, :6]), systems[:, :, 6:]
+    np.testing.assert_allclose(upper.transpose(0, 2, 1) @ upper, matrices, atol=1e-12)
+    np.testing.assert_allclose(upper.transpose(0, 2, 1) @ below, sides, atol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError):
+        loops.eliminate(-systems)
 
 
 @needs_compiled

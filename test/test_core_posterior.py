@@ -116,7 +116,7 @@ def solved(press: Press, uncertainty: Uncertainty = EXACT, start: float = 0.0) -
     for off in (-0.8, 0.8):
         state = posterior.belief.mean.copy()
         state[1] += (off + start) * posterior.model.unknowns[1].sd
-        highest = posterior.model.stress(points, state).max()
+        highest = posterior.model.response(points, state).stress.max()
         state[0] += math.log(points.stresses.max() / highest)
         starts.append(state)
     scales = max((g.scales for g in posterior.grid), key=lambda s: (s.roughness, s.kernel))
@@ -153,7 +153,7 @@ def test_the_solution_is_the_maximum_that_an_independent_optimiser_finds(
 
     def residuals(off: Array) -> Array:
         state = maximum.state + off * sd
-        rows = (points.stresses - posterior.model.stress(points, state))[:, None]
+        rows = (points.stresses - posterior.model.response(points, state).stress)[:, None]
         white, _, _ = posterior.error_model.whitened(
             rows, maximum.errors, maximum.scales.roughness, maximum.scales.motion
         )

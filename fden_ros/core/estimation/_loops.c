@@ -13,8 +13,15 @@
 #define NODES 4
 #define LARGEST_EXPONENT 60.0
 
+/* Compiled for each width of vector; which one runs is seen at its first call. */
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#define CLONED __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define CLONED
+#endif
+
 /* Columns of the response: what of the law a column is the derivative by. */
-enum { BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_KNOT };
+enum { BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT };
 
 /* Gauss-Lobatto nodes on [0, 1]; and the Legendre coefficients of the derivative of the cubic
  * through values there. */
@@ -156,16 +163,28 @@ static int is_active(const Law *law, const Elastic *at, double compression, doub
     return compression > 0.0 && !(at->value <= surface);
 }
 
-static double dot(const double *a, const double *b)
+/* Exponentials go in groups of eight. */
+#define GROUPS (RATES / 8)
+typedef double Group __attribute__((vector_size(64), aligned(8), may_alias));
+#define INLINE inline __attribute__((always_inline))
+
+static INLINE double dot(const double *a, const double *b)
 {
-    double s0 = 0.0, s1 = 0.0, s2 = 0.0, s3 = 0.0;
-    for (int i = 0; i < RATES; i += 4) {
-        s0 += a[i] * b[i];
-        s1 += a[i + 1] * b[i + 1];
-        s2 += a[i + 2] * b[i + 2];
-        s3 += a[i + 3] * b[i + 3];
-    }
-    return (s0 + s1) + (s2 + s3);
+    const Group *x = (const Group *)a, *y = (const Group *)b;
+    Group sum = x[0] * y[0];
+    for (int i = 1; i < GROUPS; i++)
+        sum += x[i] * y[i];
+    return ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
+}
+
+/* Bring exponentials to the end of a step. */
+static INLINE void advance(double *own, const double moments[4][RATES], const double *parts)
+{
+    Group *to = (Group *)own;
+    const Group *decay = (const Group *)moments[0], *m0 = (const Group *)moments[1];
+    const Group *m1 = (const Group *)moments[2], *m2 = (const Group *)moments[3];
+    for (int i = 0; i < GROUPS; i++)
+        to[i] = to[i] * decay[i] + parts[0] * m0[i] + parts[1] * m1[i] + parts[2] * m2[i];
 }
 
 /* One step: which part of it is active, and what its values weigh at its end. */
@@ -175,6 +194,7 @@ typedef struct {
     double at_begin[RATES], at_end[RATES]; /* decays from begin and end to the end of the step */
     int is_whole, is_any, ends_active;
     double sums[3];              /* moments times the weights */
+    double begin_sum, end_sum;   /* decays from begin and end times the weights */
     double per_second;           /* from a step's sum of coefficients to the rate at its end */
 } Step;
 
@@ -198,6 +218,8 @@ static void prepare(Step *step, const double *given, const double *rates, const 
     }
     for (int k = 0; k < 3; k++)
         step->sums[k] = dot(step->moments[k + 1], weights);
+    step->begin_sum = step->is_whole ? 0.0 : dot(step->at_begin, weights);
+    step->end_sum = step->is_whole ? 0.0 : dot(step->at_end, weights);
     double part = (step->end - step->begin) * duration;
     step->per_second = step->ends_active && part > 0.0 ? 2.0 / part : 0.0;
 }
@@ -213,18 +235,24 @@ static void coefficients(const double *values, double *found)
 
 #define STATE(columns) (((columns) + 1) * (RATES + 3) + 4)
 
+/* The derivative of the elastic response by what a column is by. */
+static double of_law(const Elastic *at, int kind)
+{
+    if (kind == BY_LOG_G)
+        return at->value;
+    if (kind == BY_LOG_GN)
+        return at->by_log_gn;
+    return kind >= BY_FIRST_KNOT ? at_knot(at, kind - BY_FIRST_KNOT) : 0.0;
+}
+
 /* The response at every point, and its derivatives. See loops.py for the arguments.
  * Returns 0, or 1 where something is not finite. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-__attribute__((target_clones("avx2", "default")))
-#endif
-int fden_response(int points, const double *moments, const double *durations, const double *rates,
+CLONED int fden_response(int points, const double *moments, const double *durations, const double *rates,
                   const double *compressions, const double *surface, const double *numbers,
                   int knots, const double *bend, const double *weights, int columns,
-                  const int *kinds, const int *knot_of, const int *motion_of,
-                  const double *motions, const int *surface_of, const double *surfaces,
+                  const int *kinds, int moving, const double *motions, const double *surfaces,
                   const int *weight_of, const double *weight_changes, double *state, int is_begun,
-                  double *response, double *jacobian)
+                  double *response, double *jacobian, double *elastics, double *slopes_of)
 {
     Law law = {numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
                knots, numbers[7], bend};
@@ -234,6 +262,9 @@ int fden_response(int points, const double *moments, const double *durations, co
     double *lifted = moved + columns + 1;        /* derivatives of the free surface */
     double *last = lifted + columns + 1;         /* compression, free surface, active, response */
     Step step;
+    Elastic at = {0.0, 0.0, 0.0, {0.0, 0.0, 0.0}, 0};
+    if (is_begun)
+        at = elastic_of(&law, last[0]);
     for (int n = 0; n < points; n++) {
         double f1 = surface ? surface[n] : 0.0;
         double c1 = compressions[n];
@@ -241,27 +272,29 @@ int fden_response(int points, const double *moments, const double *durations, co
         Elastic nodes[NODES];
         double parts[NODES], values[NODES], found[3] = {0.0, 0.0, 0.0};
         double force = 0.0, stiffness = 0.0, by_end[3] = {0.0, 0.0, 0.0}, elastic = 0.0;
-        double start_by_end = 0.0, stop_by_end = 0.0;
+        double start_by_end = 0.0, stop_by_end = 0.0, sum = 0.0, fast = 0.0;
         const double *given = first ? 0 : moments + (size_t)n * 4 * RATES;
         double c0 = last[0], f0 = last[1];
         int was_active = last[2] != 0.0;
-        double memory = 0.0;
+        double memory = 0.0, left[RATES]; /* weights of the exponentials a step later */
         if (first) {
             memset(state, 0, sizeof(double) * STATE(columns));
         } else {
             for (int i = 0; i < RATES; i++)
-                memory += weights[i] * given[i] * kept[i];
+                left[i] = weights[i] * given[i];
+            memory = dot(left, kept);
             if (law.compliance != 0.0)
                 c1 -= law.compliance * last[3];
         }
         int is_on = 0, is_whole_ready = 0;
+        Elastic before_step = at;
         for (int tries = 0; tries < 12; tries++) {
-            Elastic at = elastic_of(&law, c1);
+            at = elastic_of(&law, c1);
             is_on = is_active(&law, &at, c1, f1);
             if (first) {
                 /* A record that begins in contact begins with a jump. */
                 elastic = is_on ? at.value - f1 : 0.0;
-                double sum = law.slow;
+                sum = law.slow;
                 for (int i = 0; i < RATES; i++)
                     sum += weights[i];
                 force = sum * elastic;
@@ -285,7 +318,7 @@ int fden_response(int points, const double *moments, const double *durations, co
                     if (!step.is_whole || !is_whole_ready)
                         prepare(&step, given, rates, weights, durations[n]);
                     is_whole_ready = step.is_whole;
-                    double fast = law.fast * step.per_second;
+                    fast = law.fast * step.per_second;
                     double slopes[NODES];
                     for (int j = 0; j < NODES; j++) {
                         parts[j] = step.begin + PLACES[j] * (step.end - step.begin);
@@ -293,7 +326,12 @@ int fden_response(int points, const double *moments, const double *durations, co
                         /* At touch and release rounding must not take the slope away. */
                         if (!step.is_whole && compression < 0.0)
                             compression = 0.0;
-                        nodes[j] = elastic_of(&law, compression);
+                        if (j == 0 && was_active)
+                            nodes[j] = before_step;
+                        else if (j == NODES - 1 && is_on)
+                            nodes[j] = at;
+                        else
+                            nodes[j] = elastic_of(&law, compression);
                         values[j] = nodes[j].value - (f0 + parts[j] * (f1 - f0));
                         slopes[j] = nodes[j].by_compression * parts[j];
                     }
@@ -310,9 +348,7 @@ int fden_response(int points, const double *moments, const double *durations, co
                     /* The surface moves where the step touches or releases: jumps of the derivative. */
                     start_by_end = was_active ? 0.0 : slopes[0];
                     stop_by_end = is_on ? 0.0 : -slopes[3];
-                    if (!step.is_whole)
-                        stiffness += start_by_end * dot(step.at_begin, weights)
-                                     + stop_by_end * dot(step.at_end, weights);
+                    stiffness += start_by_end * step.begin_sum + stop_by_end * step.end_sum;
                     elastic = is_on ? values[3] : 0.0;
                     force += law.slow * elastic;
                     if (is_on)
@@ -330,14 +366,14 @@ int fden_response(int points, const double *moments, const double *durations, co
         if (!isfinite(force) || !isfinite(c1))
             return 1;
         response[n] = force;
+        elastics[n] = at.value;
+        slopes_of[n] = at.by_compression;
         /* The state of the law itself. */
         if (first) {
             for (int i = 0; i < RATES; i++)
                 kept[i] = elastic;
         } else if (step.is_any) {
-            for (int i = 0; i < RATES; i++)
-                kept[i] = kept[i] * given[i] + found[0] * step.moments[1][i]
-                          + found[1] * step.moments[2][i] + found[2] * step.moments[3][i];
+            advance(kept, step.moments, found);
         } else {
             for (int i = 0; i < RATES; i++)
                 kept[i] *= given[i];
@@ -348,44 +384,28 @@ int fden_response(int points, const double *moments, const double *durations, co
                                             : step.per_second * (found[0] + found[1] + found[2]);
         for (int k = 0; k < columns; k++) {
             double *own = kept + (k + 1) * RATES;
-            double direct = motion_of[k] >= 0 ? motions[(size_t)motion_of[k] * points + n] : 0.0;
+            double direct = k < moving ? motions[(size_t)k * points + n] : 0.0;
             if (kinds[k] == BY_COMPLIANCE)
                 direct = -force;
-            double raised = surface_of[k] >= 0 ? surfaces[(size_t)surface_of[k] * points + n] : 0.0;
+            double raised = surfaces ? surfaces[(size_t)k * points + n] : 0.0;
             double before = moved[k + 1], raised_before = lifted[k + 1];
-            double sum = 0.0, total = 0.0, column = 0.0;
+            double total = 0.0, column = 0.0, parts_of[3] = {0.0, 0.0, 0.0};
+            double start = 0.0, stop = 0.0;
+            int is_moved = 0, is_kept = 0;
             if (first) {
                 if (is_on) {
                     const Elastic *at = &nodes[3];
-                    total = at->by_compression * direct - raised;
-                    if (kinds[k] == BY_LOG_G)
-                        total += at->value;
-                    else if (kinds[k] == BY_LOG_GN)
-                        total += at->by_log_gn;
-                    else if (kinds[k] == BY_KNOT)
-                        total += at_knot(at, knot_of[k]);
+                    total = at->by_compression * direct - raised + of_law(at, kinds[k]);
                 }
-                for (int i = 0; i < RATES; i++) {
-                    own[i] = total;
-                    sum += weights[i];
-                }
-                column = (sum + law.slow) * total;
+                column = sum * total;
             } else {
-                double parts_of[3] = {0.0, 0.0, 0.0};
-                int is_moved = 0;
-                double start = 0.0, stop = 0.0;
                 if (step.is_any) {
                     double column_values[NODES];
                     for (int j = 0; j < NODES; j++) {
                         const Elastic *at = &nodes[j];
                         double value = at->by_compression * (before + parts[j] * (direct - before))
                                        - (raised_before + parts[j] * (raised - raised_before));
-                        if (kinds[k] == BY_LOG_G)
-                            value += at->value;
-                        else if (kinds[k] == BY_LOG_GN)
-                            value += at->by_log_gn;
-                        else if (kinds[k] == BY_KNOT)
-                            value += at_knot(at, knot_of[k]);
+                        value += of_law(at, kinds[k]);
                         column_values[j] = value;
                         is_moved |= value != 0.0;
                     }
@@ -396,21 +416,13 @@ int fden_response(int points, const double *moments, const double *durations, co
                         total = is_on ? column_values[3] : 0.0;
                     }
                 }
-                if (is_moved) {
-                    const double *m1 = step.moments[1], *m2 = step.moments[2], *m3 = step.moments[3];
-                    double a = parts_of[0], b = parts_of[1], c = parts_of[2];
-                    for (int i = 0; i < RATES; i++)
-                        own[i] = own[i] * given[i] + a * m1[i] + b * m2[i] + c * m3[i];
-                    if (start != 0.0 || stop != 0.0)
-                        for (int i = 0; i < RATES; i++)
-                            own[i] += start * step.at_begin[i] + stop * step.at_end[i];
-                    column = dot(own, weights) + law.fast * step.per_second * (a + b + c)
-                             + law.slow * total;
-                } else if (totals[k + 1] != 0.0 || own[0] != 0.0 || own[RATES - 1] != 0.0) {
-                    for (int i = 0; i < RATES; i++)
-                        own[i] *= given[i];
-                    column = dot(own, weights);
-                }
+                is_kept = own[0] != 0.0 || own[RATES - 1] != 0.0;
+                if (is_kept)
+                    column = dot(own, left);
+                if (is_moved)
+                    column += (step.sums[0] + fast) * parts_of[0] + (step.sums[1] + fast) * parts_of[1]
+                              + (step.sums[2] + fast) * parts_of[2] + start * step.begin_sum
+                              + stop * step.end_sum + law.slow * total;
             }
             if (weight_of[k] >= 0) {
                 const double *change = weight_changes + (size_t)weight_of[k] * (RATES + 2);
@@ -419,33 +431,38 @@ int fden_response(int points, const double *moments, const double *durations, co
             }
             double now = direct;
             if (law.compliance != 0.0) {
+                /* What the stress takes off the compression is taken off again. */
                 column *= softness;
                 double extra = -law.compliance * column;
                 now += extra;
-                if (is_on || (!first && step.is_any)) {
-                    if (first) {
-                        double add = extra * nodes[3].by_compression;
-                        for (int i = 0; i < RATES; i++)
-                            own[i] += add;
-                        total += add;
-                    } else {
-                        for (int i = 0; i < RATES; i++)
-                            own[i] += extra * (by_end[0] * step.moments[1][i]
-                                               + by_end[1] * step.moments[2][i]
-                                               + by_end[2] * step.moments[3][i]);
-                        if (!step.is_whole)
-                            for (int i = 0; i < RATES; i++)
-                                own[i] += extra * (start_by_end * step.at_begin[i]
-                                                   + stop_by_end * step.at_end[i]);
-                        if (is_on)
-                            total += extra * nodes[3].by_compression;
-                    }
+                if (first && is_on)
+                    total += extra * nodes[3].by_compression;
+                if (!first && step.is_any) {
+                    is_moved = 1;
+                    for (int j = 0; j < 3; j++)
+                        parts_of[j] += extra * by_end[j];
+                    start += extra * start_by_end;
+                    stop += extra * stop_by_end;
+                    if (is_on)
+                        total += extra * nodes[3].by_compression;
                 }
+            }
+            if (first) {
+                for (int i = 0; i < RATES; i++)
+                    own[i] = total;
+            } else if (is_moved) {
+                advance(own, step.moments, parts_of);
+                if (start != 0.0 || stop != 0.0)
+                    for (int i = 0; i < RATES; i++)
+                        own[i] += start * step.at_begin[i] + stop * step.at_end[i];
+            } else if (is_kept) {
+                for (int i = 0; i < RATES; i++)
+                    own[i] *= given[i];
             }
             moved[k + 1] = now;
             lifted[k + 1] = raised;
             totals[k + 1] = total;
-            jacobian[(size_t)k * points + n] = column;
+            jacobian[(size_t)n * columns + k] = column;
         }
         last[0] = c1;
         last[1] = f1;
@@ -453,6 +470,21 @@ int fden_response(int points, const double *moments, const double *durations, co
         last[3] = force;
     }
     return 0;
+}
+
+/* How far loading and its age go on a logarithmic scale in each block: see loops.py. */
+void fden_clock(int blocks, const double *loaded, const double *seconds, double floor,
+                double *state, double *clock)
+{
+    double last = state[0], age = state[1];
+    for (int n = 0; n < blocks; n++) {
+        double now = loaded[n], part = last < now ? last / now : 1.0;
+        double older = (age + seconds[n]) * part, half = 0.5 * seconds[n];
+        double next = older > half ? older : half;
+        clock[n] = fabs(log(now / last)) + fabs(log((next + floor) / (age + floor)));
+        last = now, age = next;
+    }
+    state[0] = last, state[1] = age;
 }
 
 /* Whiten rows by a Kalman filter of two random walks: see loops.py. */
@@ -483,4 +515,27 @@ double fden_whiten(int blocks, int rows, double *values, const double *noise,
     state[1] = p01;
     state[2] = p11;
     return log_determinant;
+}
+
+/* Cholesky's elimination of symmetric systems: see loops.py. Returns 1 where one is not positive
+ * definite. */
+CLONED int fden_eliminate(int count, int size, int columns, double *systems)
+{
+    for (int m = 0; m < count; m++) {
+        double *rows = systems + (size_t)m * size * columns;
+        for (int k = 0; k < size; k++) {
+            double *pivot = rows + (size_t)k * columns;
+            if (!(pivot[k] > 0.0))
+                return 1;
+            double unit = 1.0 / sqrt(pivot[k]);
+            for (int j = k; j < columns; j++)
+                pivot[j] *= unit;
+            for (int i = k + 1; i < size; i++) {
+                double *row = rows + (size_t)i * columns, part = pivot[i];
+                for (int j = i; j < columns; j++)
+                    row[j] -= part * pivot[j];
+            }
+        }
+    }
+    return 0;
 }

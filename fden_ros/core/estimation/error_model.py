@@ -30,7 +30,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.loop_arguments import WalkState
-from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
 from fden_ros.core.law.characteristic import apparent_stiffness_factor
@@ -122,13 +122,13 @@ class ErrorModel:
         self._motion = (uncertainty.surface_motion_sd / geometry.length) ** 2
 
     def errors(
-        self, points: Points, state: Array, stress: Array, before: Loading | None = None
+        self, points: Points, state: Array, found: Evaluation, before: Loading | None = None
     ) -> Errors:
-        """Return the processes at a state whose stress at the blocks is `stress`.
+        """Return the processes at a state where the model is evaluated.
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        elastic, slope = self._model.elastic(points, state)
+        elastic, slope = np.abs(found.elastic), found.slope
         order = self._model.order(state)
         factor = 1.0 / math.gamma(1.0 - order)
         stiffness = points.mean(slope)
@@ -149,14 +149,15 @@ class ErrorModel:
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
         before = before or Loading(float(points.times[0]), floor, 0.0)
         seconds = np.diff(points.middles, prepend=before.time)
-        clock, loading = _clock(points.mean(elastic) + floor, seconds, before)
+        loading = np.array([before.elastic, before.age])
+        clock = loops.clock(points.mean(elastic) + floor, seconds, _AGE_FLOOR, loading)
         return Errors(
             noise=noise + by_block,
             gain=-stiffness * apparent_stiffness_factor(order, SURFACE_TIME),
-            rough=stress**2 * clock,
+            rough=found.stress**2 * clock,
             drift=self._drift * seconds,
             motion=self._motion * seconds,
-            loading=loading._replace(time=float(points.middles[-1])),
+            loading=Loading(float(points.middles[-1]), float(loading[0]), float(loading[1])),
         )
 
     def whitened(
@@ -169,15 +170,3 @@ class ErrorModel:
         state = WalkState(np.array([self._noise.zero**2, 0.0, 0.0]), np.zeros((2, rows.shape[1])))
         walks = errors.walks(roughness, motion)
         return result, loops.whiten(result, errors.noise, errors.gain, walks, state), state
-
-
-def _clock(loaded: Array, seconds: Array, before: Loading) -> tuple[Array, Loading]:
-    """Return how far loading and its age have gone on a logarithmic scale, per block [1]."""
-    ages = np.empty_like(loaded)
-    age, last = before.age, before.elastic
-    for n, (now, step) in enumerate(zip(loaded.tolist(), seconds.tolist(), strict=True)):
-        age = max((age + step) * min(last / now, 1.0), 0.5 * step)
-        ages[n], last = age, now
-    grown = np.abs(np.diff(np.log(loaded), prepend=math.log(before.elastic)))
-    aged = np.abs(np.diff(np.log(ages + _AGE_FLOOR), prepend=math.log(before.age + _AGE_FLOOR)))
-    return grown + aged, Loading(before.time, last, age)

@@ -104,7 +104,7 @@ class PressFilter:
             If the prediction is not finite.
         """
         found = self._model.evaluate(points, self._about, self._response)
-        errors = self._error_model.errors(points, self._about, found.stress, self._loading)
+        errors = self._error_model.errors(points, self._about, found, self._loading)
         self._loading = errors.loading
         self._predict(errors)
         H = np.concatenate([found.jacobian[0], [1.0, errors.gain[0]]])

@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 
 #: Exponentials of the kernel [1].
 RATES = 32
 #: What of the law a column of derivatives is by.
-BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_KNOT = range(5)
+BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT = range(5)
 
 
 @dataclass(frozen=True)
@@ -49,30 +51,53 @@ class LawState:
     bend: Array
     last_knot: float
 
+    @property
+    def numbers(self) -> Array:
+        """All but the arrays, for the compiled loops."""
+        slow, fast = self.weights[RATES:].tolist()
+        one_sided = float(self.is_one_sided)
+        law = self.linear_stiffness, self.nonlinear_stiffness, self.exponent
+        return np.array([*law, one_sided, self.compliance, slow, fast, self.last_knot])
+
 
 @dataclass(frozen=True)
-class Column:
-    """One derivative of the response.
+class Columns:
+    """The derivatives of the response that are asked for.
 
     Attributes
     ----------
-    kind : int
-        One of the ``BY_...``.
-    knot : int
-        Of the characteristic's error, where it is by that.
-    motion : ndarray or None, shape (points,)
-        Derivative of the compression [1].
-    surface : ndarray or None, shape (points,)
-        Derivative of the free surface, in the unit of the elastic response.
-    weights : ndarray or None, shape (RATES + 2,)
-        Derivative of the weights.
+    kinds : ndarray of int32, shape (columns,)
+        One of the ``BY_...`` each; by the knot m of the characteristic's error: ``BY_FIRST_KNOT``
+        + m.
+    motions : ndarray, shape (moving, points)
+        Derivatives of the compression by the first columns [1]; by the others it has none.
+    weight_of : ndarray of int32, shape (columns,)
+        Row of `weights`; -1: none.
+    weights : ndarray, shape (rows, RATES + 2)
+        Derivatives of the weights.
+    surfaces : ndarray or None, shape (columns, points)
+        Derivatives of the free surface, in the unit of the elastic response.
     """
 
-    kind: int = BY_NOTHING
-    knot: int = -1
-    motion: Array | None = None
-    surface: Array | None = None
-    weights: Array | None = None
+    kinds: NDArray[np.int32]
+    motions: Array
+    weight_of: NDArray[np.int32]
+    weights: Array
+    surfaces: Array | None = None
+
+    @property
+    def count(self) -> int:
+        """Columns."""
+        return self.kinds.size
+
+
+class Response(NamedTuple):
+    """The response of the law at the points."""
+
+    stress: Array  #: (points,) [Pa]
+    jacobian: Array  #: (points, columns)
+    elastic: Array  #: the elastic response, (points,)
+    slope: Array  #: its derivative by the compression, (points,)
 
 
 @dataclass

@@ -34,8 +34,9 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops_in_numpy as in_numpy
 from fden_ros.core.estimation.loop_arguments import (
     RATES,
-    Column,
+    Columns,
     LawState,
+    Response,
     ResponseState,
     WalkState,
 )
@@ -93,10 +94,10 @@ def respond(
     steps: tuple[Array, Array],
     compressions: Array,
     surface: Array | None,
-    columns: list[Column],
+    columns: Columns,
     state: ResponseState,
-) -> tuple[Array, Array]:
-    """Return the stress at every point, (points,), and its derivatives, (columns, points).
+) -> Response:
+    """Return the stress at every point with its derivatives.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def respond(
         [1].
     surface : ndarray or None, shape (points,)
         The tissue's free surface, in the unit of the elastic response; None: at 0.
-    columns : list of Column
+    columns : Columns
     state : ResponseState
         Is brought to the last point.
 
@@ -121,38 +122,45 @@ def respond(
     if _COMPILED is None:
         return in_numpy.respond(law, rates, steps, compressions, surface, columns, state)
     durations, by_step = steps
-    points, count = compressions.size, len(columns)
-    motion_of, motions = _stacked([c.motion for c in columns])
-    surface_of, surfaces = _stacked([c.surface for c in columns])
-    weight_of, weights = _stacked([c.weights for c in columns])
-    kinds = np.array([c.kind for c in columns], dtype=np.int32)
-    knots = np.array([c.knot for c in columns], dtype=np.int32)
-    numbers = np.array(
-        [
-            law.linear_stiffness,
-            law.nonlinear_stiffness,
-            law.exponent,
-            float(law.is_one_sided),
-            law.compliance,
-            law.weights[RATES],
-            law.weights[RATES + 1],
-            law.last_knot,
-        ]
-    )
-    compressions = np.ascontiguousarray(compressions)
-    durations, by_step = np.ascontiguousarray(durations), np.ascontiguousarray(by_step)
-    bend, own = np.ascontiguousarray(law.bend), np.ascontiguousarray(law.weights)
-    stress, jacobian = np.empty(points), np.empty((count, points))
+    points, count = compressions.size, columns.count
+    stress, elastic, slope = np.empty((3, points))
+    jacobian = np.empty((points, count))
     failed = _COMPILED.fden_response(
         points, _at(by_step), _at(durations), _at(rates), _at(compressions), _at(surface),
-        _at(numbers), bend.size, _at(bend), _at(own), count, _at(kinds), _at(knots),
-        _at(motion_of), _at(motions), _at(surface_of), _at(surfaces), _at(weight_of),
-        _at(weights), _at(state.values), int(state.is_begun), _at(stress), _at(jacobian),
+        _at(law.numbers), law.bend.size, _at(law.bend), _at(law.weights), count,
+        _at(columns.kinds), columns.motions.shape[0], _at(columns.motions),
+        _at(columns.surfaces), _at(columns.weight_of), _at(columns.weights), _at(state.values),
+        int(state.is_begun), _at(stress), _at(jacobian), _at(elastic), _at(slope),
     )  # fmt: skip
     if failed:
         raise FloatingPointError("the response of the law is not finite")
     state.is_begun |= points > 0
-    return stress, jacobian
+    return Response(stress, jacobian, elastic, slope)
+
+
+def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:
+    """Return how far loading and its age go on a logarithmic scale in each block, (blocks,).
+
+    The age is the mean time since the loading was built up.
+
+    Parameters
+    ----------
+    loaded : ndarray, shape (blocks,)
+        Elastic response of each block, positive.
+    seconds : ndarray, shape (blocks,)
+        Time since the block before [s].
+    floor : float
+        Age that counts as none [s].
+    state : ndarray, shape (2,)
+        Elastic response and age before the first block; brought to the last.
+    """
+    if _COMPILED is None:
+        return in_numpy.clock(loaded, seconds, floor, state)
+    result = np.empty(loaded.size)
+    _COMPILED.fden_clock(
+        loaded.size, _at(loaded), _at(seconds), ctypes.c_double(floor), _at(state), _at(result)
+    )
+    return result
 
 
 def whiten(
@@ -183,18 +191,31 @@ def whiten(
     return result
 
 
+def eliminate(systems: Array) -> None:
+    """Turn each [A, B] into [U, U^-T B] in place, with A = U^T U by Cholesky.
+
+    Below the diagonal numbers have no meaning.
+
+    Parameters
+    ----------
+    systems : ndarray, shape (count, n, columns)
+        A has shape (n, n) and is symmetric.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix is not positive definite.
+    """
+    if _COMPILED is None:
+        in_numpy.eliminate(systems)
+    elif _COMPILED.fden_eliminate(*systems.shape, _at(systems)):
+        raise np.linalg.LinAlgError("a matrix is not positive definite")
+
+
 def _at(array: Array | NDArray[np.int32] | None) -> ctypes.c_void_p | None:
     """Return the address of an array's numbers, which lie one behind the other."""
     if array is None:
         return None
-    if not array.flags.c_contiguous or array.dtype not in (np.float64, np.int32):
+    if not array.flags.c_contiguous or array.dtype.char not in "di":
         raise ValueError("the compiled loops take contiguous arrays of float64 and int32")
     return ctypes.c_void_p(array.__array_interface__["data"][0])
-
-
-def _stacked(arrays: list[Array | None]) -> tuple[NDArray[np.int32], Array | None]:
-    """Return the place of each array among those that are not None, -1: None; and these."""
-    given = [array for array in arrays if array is not None]
-    places = np.full(len(arrays), -1, dtype=np.int32)
-    places[[k for k, array in enumerate(arrays) if array is not None]] = np.arange(len(given))
-    return places, np.ascontiguousarray(given) if given else None

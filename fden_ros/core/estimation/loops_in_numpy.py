@@ -20,12 +20,13 @@ import numpy as np
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation.loop_arguments import (
     BY_COMPLIANCE,
-    BY_KNOT,
+    BY_FIRST_KNOT,
     BY_LOG_G,
     BY_LOG_GN,
     RATES,
-    Column,
+    Columns,
     LawState,
+    Response,
     ResponseState,
     WalkState,
 )
@@ -92,15 +93,17 @@ def respond(
     steps: tuple[Array, Array],
     compressions: Array,
     surface: Array | None,
-    columns: list[Column],
+    columns: Columns,
     state: ResponseState,
-) -> tuple[Array, Array]:
-    """Return the stress at every point and its derivatives: see :func:`loops.respond`."""
+) -> Response:
+    """Return the stress at every point with its derivatives: see :func:`loops.respond`."""
     durations, by_step = steps
-    free = np.zeros(compressions.size) if surface is None else surface
-    given = _Columns.of(columns, compressions.size)
+    size = compressions.size
+    free = np.zeros(size) if surface is None else surface
+    given = _Given.of(columns, size)
     memory = _Memory.of(state)
-    stress, jacobian = np.empty(compressions.size), np.empty((len(columns), compressions.size))
+    stress, elastic, slope = np.empty((3, size))
+    jacobian = np.empty((size, columns.count))
     for n, compression in enumerate(compressions):
         if state.is_begun:
             start = _Start(memory.last, by_step[n], float(durations[n]))
@@ -111,15 +114,17 @@ def respond(
         step, at, stress[n] = _settled(law, towards, float(compression), memory)
         if not np.isfinite([stress[n], at]).all():
             raise FloatingPointError("the response of the law is not finite")
-        jacobian[:, n] = _advance(memory, step, given, n, float(stress[n]))
+        now = _elastic(law, np.array([at]))
+        elastic[n], slope[n] = now.value[0], now.by_compression[0]
+        jacobian[n] = _advance(memory, step, given, n, float(stress[n]))
         memory.last[:] = at, free[n], step.is_active, stress[n]
         state.is_begun = True
-    return stress, jacobian
+    return Response(stress, jacobian, elastic, slope)
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """The derivatives that are asked for, stacked; zeros where a column has none.
+class _Given:
+    """The derivatives that are asked for; zeros where a column has none.
 
     `motion` and `surface` have shape (columns, points), `weights` (columns, RATES + 2), and
     `of_law` is each column's row in :meth:`_Elastic.derivatives`.
@@ -132,23 +137,26 @@ class _Columns:
     weights: Array
 
     @classmethod
-    def of(cls, columns: list[Column], points: int) -> _Columns:
+    def of(cls, columns: Columns, points: int) -> _Given:
         rows = {BY_LOG_G: 1, BY_LOG_GN: 2}
+        first_knot = BY_FIRST_KNOT
+        motion, weights = np.zeros((columns.count, points)), np.zeros((columns.count, RATES + 2))
+        motion[: columns.motions.shape[0]] = columns.motions
+        has_weights = columns.weight_of >= 0
+        weights[has_weights] = columns.weights[columns.weight_of[has_weights]]
         return cls(
-            np.array([float(c.kind == BY_COMPLIANCE) for c in columns]),
+            (columns.kinds == BY_COMPLIANCE).astype(float),
             np.array(
-                [3 + c.knot if c.kind == BY_KNOT else rows.get(c.kind, 0) for c in columns],
+                [
+                    3 + kind - first_knot if kind >= first_knot else rows.get(kind, 0)
+                    for kind in columns.kinds.tolist()
+                ],
                 dtype=np.intp,
             ),
-            _stacked([c.motion for c in columns], points),
-            _stacked([c.surface for c in columns], points),
-            _stacked([c.weights for c in columns], RATES + 2),
+            motion,
+            np.zeros_like(motion) if columns.surfaces is None else columns.surfaces,
+            weights,
         )
-
-
-def _stacked(arrays: list[Array | None], size: int) -> Array:
-    rows = [np.zeros(size) if array is None else array for array in arrays]
-    return np.array(rows).reshape(len(arrays), size)
 
 
 @dataclass(frozen=True)
@@ -432,7 +440,7 @@ def _settled(
     return step, at, stress
 
 
-def _advance(memory: _Memory, step: _Step, columns: _Columns, n: int, stress: float) -> Array:
+def _advance(memory: _Memory, step: _Step, columns: _Given, n: int, stress: float) -> Array:
     """Bring the memory to the end of a step; return the derivatives of the stress there."""
     weights, compliance = step.law.weights[:RATES], step.law.compliance
     memory.kept[:] *= step.decay
@@ -461,6 +469,20 @@ def _between(before: Array, after: Array, parts: Array) -> Array:
     return result
 
 
+def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:
+    """Return how far loading and its age go in each block: see :func:`loops.clock`."""
+    ages = np.empty_like(loaded)
+    before = state.copy()
+    for n, (now, step) in enumerate(zip(loaded.tolist(), seconds.tolist(), strict=True)):
+        last, age = state
+        ages[n] = max((age + step) * min(last / now, 1.0), 0.5 * step)
+        state[:] = now, ages[n]
+    grown = np.diff(np.log(loaded), prepend=np.log(before[0]))
+    aged = np.diff(np.log(ages + floor), prepend=np.log(before[1] + floor))
+    result: Array = np.abs(grown) + np.abs(aged)
+    return result
+
+
 def whiten(
     rows: Array, noise: Array, gain: Array, walks: tuple[Array, Array], state: WalkState
 ) -> float:
@@ -482,3 +504,11 @@ def whiten(
         log_determinant += float(np.log(variance))
     state.covariance[:] = stress, both, surface
     return log_determinant
+
+
+def eliminate(systems: Array) -> None:
+    """Turn each [A, B] into [U, U^-T B] in place: see :func:`loops.eliminate`."""
+    n = systems.shape[1]
+    factors = np.linalg.cholesky(systems[:, :, :n])
+    systems[:, :, n:] = np.linalg.solve(factors, systems[:, :, n:])
+    systems[:, :, :n] = factors.transpose(0, 2, 1)

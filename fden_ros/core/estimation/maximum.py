@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Density
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.press_model import Evaluation
@@ -132,7 +133,7 @@ class MaximumSearch:
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
         for count in range(_MOST_STEPS):
             at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
-            metric = self._metric(at, found.stress if at is state else None)
+            metric = self._metric(at, found if at is state else None)
             free = self._equations(state, found, metric)
             normal = free.normal
             if is_at_kink:
@@ -172,11 +173,11 @@ class MaximumSearch:
                 is_at_kink, damping = True, _DAMPING
         return Maximum(state, found, metric.errors, self._scales, is_solved)
 
-    def _metric(self, at: Array, stress: Array | None) -> _Metric:
+    def _metric(self, at: Array, found: Evaluation | None) -> _Metric:
         density = self._density
-        if stress is None:
-            stress = density.model.stress(self._points, at)
-        errors = density.error_model.errors(self._points, at, stress)
+        if found is None:
+            found = density.model.response(self._points, at)
+        errors = density.error_model.errors(self._points, at, found)
         return _Metric(errors, density.precision(at, self._scales))
 
     def _equations(self, state: Array, found: Evaluation, metric: _Metric) -> _Equations:
@@ -213,7 +214,8 @@ class MaximumSearch:
 
         def misfit(distance: float) -> float:
             after = state + distance * along
-            return self._misfit(after, self._density.model.stress(self._points, after), metric)
+            after_stress = self._density.model.response(self._points, after).stress
+            return self._misfit(after, after_stress, metric)
 
         best = 0.0
         for reach in (_REACH, 0.2 * _REACH, 0.04 * _REACH):
@@ -248,7 +250,27 @@ class MaximumSearch:
 
 
 def solved(normal: Array, towards: Array) -> Array:
-    """Return the solution of scaled normal equations."""
-    scale = 1.0 / np.sqrt(normal.diagonal())
-    result: Array = scale * np.linalg.solve(normal * np.outer(scale, scale), scale * towards)
+    """Return the solution of normal equations."""
+    result: Array = inverted(np.column_stack([normal, towards])[None])[1][0]
     return result
+
+
+def inverted(equations: Array) -> tuple[Array, Array]:
+    """Return roots R, with R^T R the inverse of each matrix, and the solutions.
+
+    Parameters
+    ----------
+    equations : ndarray, shape (count, n, n + 1)
+        Symmetric matrices and right sides.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix is not positive definite.
+    """
+    count, n, _ = equations.shape
+    identity = np.broadcast_to(np.eye(n), (count, n, n))
+    found = np.concatenate([equations, identity], axis=2)
+    loops.eliminate(found)
+    roots = found[:, :, n + 1 :]
+    return roots, np.einsum("kij,ki->kj", roots, found[:, :, n])

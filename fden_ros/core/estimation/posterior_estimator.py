@@ -45,6 +45,8 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 _LEAST_TOLD = 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
+#: Logarithm beyond which a number is as good as infinite [1].
+_LARGEST_LOG = 300.0
 _NOISELESS = PathNoise()
 
 
@@ -265,7 +267,7 @@ class PosteriorEstimator:
             deviations,
             beyond,
             solved.best.is_solved and not press.is_lost,
-            origin_sd * math.exp(mean[LOG_GN]),
+            origin_sd * math.exp(min(float(mean[LOG_GN]), _LARGEST_LOG)),
             is_contradicted,
         )
         claims = claims_of(config, evidence)

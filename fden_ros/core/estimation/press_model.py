@@ -6,13 +6,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.loop_arguments import BY_KNOT, Column, LawState, ResponseState
+from fden_ros.core.estimation.loop_arguments import (
+    BY_FIRST_KNOT,
+    Columns,
+    LawState,
+    Response,
+    ResponseState,
+)
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.unknowns import (
     CHARACTERISTIC_KNOTS,
@@ -37,6 +43,9 @@ from fden_ros.core.law.relaxation import (
 )
 
 _ORDER_STEP, _LOG_STEP = 1e-5, 1e-5
+_NONE = np.zeros(0, dtype=np.int32)
+#: Weight of each knot of the kernel's error in each weight of the relaxation.
+_OF_KNOTS = np.ascontiguousarray(KERNEL_HATS.T)
 
 
 @dataclass(frozen=True)
@@ -48,12 +57,16 @@ class Evaluation:
     stress : ndarray, shape (m,)
         Of the blocks [Pa].
     jacobian : ndarray, shape (m, unknowns)
+    elastic, slope : ndarray, shape (points,)
+        Elastic response at the points [Pa s^alpha], and its derivative by the compression.
     state : ResponseState
         From which the response goes on.
     """
 
     stress: Array
     jacobian: Array
+    elastic: Array
+    slope: Array
     state: ResponseState
 
 
@@ -75,6 +88,25 @@ class FreeSurface:
     def at(self, times: Array) -> Array:
         """Return the exponential moments at times, shape (n, RATES)."""
         return self.moments.after(np.maximum(times - self.time, 0.0))
+
+
+@dataclass(frozen=True)
+class _Design:
+    """What a record alone decides of the model.
+
+    Attributes
+    ----------
+    motions : ndarray, shape (unknowns, points)
+        Change of the compressions by one standard deviation of each unknown.
+    stresses : ndarray, shape (unknowns, m)
+        Of the stress at the blocks.
+    free : ndarray or None, shape (points, RATES)
+        Moments of the stress of earlier presses.
+    """
+
+    motions: Array
+    stresses: Array
+    free: Array | None
 
 
 class PressModel:
@@ -109,9 +141,17 @@ class PressModel:
         stop = self.kernel.stop + CHARACTERISTIC_KNOTS * is_bent
         self.characteristic = slice(self.kernel.stop, stop)
         self.size = stop
-        self._compliance = next(
-            (k for k, u in enumerate(unknowns) if u.name == "compliance"), None
-        )
+        names = [u.name for u in unknowns]
+        self._compliance = names.index("compliance") if "compliance" in names else None
+        self._adds_stress = np.array([u.stress is not None for u in unknowns])
+        knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
+        kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
+        kinds = np.concatenate([[u.kind for u in unknowns], kernel, knots])
+        self._kinds = kinds.astype(np.int32)
+        self._weight_of = np.full(self.size, -1, dtype=np.int32)
+        self._weight_of[ORDER] = 0
+        self._weight_of[self.kernel] = 1 + np.arange(kernel.size)
+        self._designed: tuple[Points, _Design] | None = None
 
     def order(self, state: Array) -> float:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
@@ -123,9 +163,7 @@ class PressModel:
 
     def law(self, state: Array) -> LawState:
         """Return the law at a state."""
-        weights, _ = self.relaxation(_order(state))
-        if self.is_bent:
-            weights = weights * np.exp(KERNEL_HATS @ state[self.kernel])
+        weights, _ = self._bent_relaxation(state)
         compliance = 0.0
         if self._compliance is not None:
             compliance = self._compliance_unit * float(state[self._compliance])
@@ -140,6 +178,14 @@ class PressModel:
             last_knot=self.last_knot,
         )
 
+    def _bent_relaxation(self, state: Array) -> tuple[Array, Array]:
+        """Return the weights of the relaxation with its error, and their derivatives by alpha."""
+        weights, slopes = self.relaxation(_order(state))
+        if not self.is_bent:
+            return weights, slopes
+        bend = np.exp(KERNEL_HATS @ state[self.kernel])
+        return weights * bend, slopes * bend
+
     @property
     def _compliance_unit(self) -> float:
         """Compression by stress of one standard deviation of the compliance [1/Pa]."""
@@ -147,21 +193,35 @@ class PressModel:
         sd = self.unknowns[self._compliance].sd
         return sd / self.geometry.length / self.geometry.stress_per_force
 
+    def _design(self, points: Points) -> _Design:
+        """Return the design of a record; that of the last one is kept."""
+        if self._designed is None or self._designed[0] is not points:
+            motions = np.zeros((len(self.unknowns), points.times.size))
+            stresses = np.zeros((len(self.unknowns), points.stresses.size))
+            for k, unknown in enumerate(self.unknowns):
+                if unknown.motion is not None:
+                    motions[k] = unknown.motion(points)
+                if unknown.stress is not None:
+                    stresses[k] = unknown.stress(points)
+            free = self._free.at(points.times) if self._free is not None else None
+            self._designed = points, _Design(motions, stresses, free)
+        return self._designed[1]
+
     def compressions(self, points: Points, state: Array) -> Array:
         """Return the compressions from the origin at the points of a record."""
-        result = points.compressions.copy()
-        for value, unknown in zip(state, self.unknowns, strict=False):
-            if unknown.motion is not None and value:
-                result += value * unknown.motion(points)
+        moved = self._of_unknowns(state) @ self._design(points).motions
+        result: Array = points.compressions + moved
         return result
+
+    def _of_unknowns(self, state: Array) -> Array:
+        """Return the state without the law's errors."""
+        return state[: len(self.unknowns)]
 
     def touch_gradient(self, points: Points, state: Array) -> Array:
         """Return how each unknown moves the touch, as a unit vector (n,)."""
         first = int(np.argmax(self.compressions(points, state) > 0.0))
         result = np.zeros(self.size)
-        for k, unknown in enumerate(self.unknowns):
-            if unknown.motion is not None:
-                result[k] = unknown.motion(points)[first]
+        result[: len(self.unknowns)] = self._design(points).motions[:, first]
         size = float(np.linalg.norm(result))
         return result / size if size else result
 
@@ -177,80 +237,79 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
-        law = self.law(state)
-        columns = self._columns(points, law, state)
-        begun = going_on if going_on is not None else ResponseState(len(columns))
-        response, derivatives = loops.respond(
-            law,
-            RATES,
-            (points.elapsed, points.moments),
-            self.compressions(points, state),
-            self._surface(points, state)[0],
-            columns,
-            begun,
-        )
-        stress = points.mean(response)
-        jacobian = np.empty((stress.size, self.size))
-        by_point = points.mean(derivatives).T
-        place = 0
-        for k, unknown in enumerate(self.unknowns):
-            if unknown.stress is not None:
-                jacobian[:, k] = unknown.stress(points)
-                stress = stress + state[k] * jacobian[:, k]
-                continue
-            jacobian[:, k] = by_point[:, place]
-            if k == self._compliance:
-                jacobian[:, k] *= self._compliance_unit
-            place += 1
-        jacobian[:, len(self.unknowns) :] = by_point[:, place:]
-        return Evaluation(stress, jacobian, begun)
+        design = self._design(points)
+        law, (surface, columns) = self.law(state), self._columns(points, state)
+        begun = going_on if going_on is not None else ResponseState(self.size)
+        found = self._response(points, state, law, (surface, columns), begun)
+        by_block = found.jacobian[points.first] + found.jacobian[points.last]
+        by_block *= 0.5
+        by_block[:, : self._adds_stress.size][:, self._adds_stress] = design.stresses[
+            self._adds_stress
+        ].T
+        if self._compliance is not None:
+            by_block[:, self._compliance] *= self._compliance_unit
+        stress = points.mean(found.stress) + self._of_unknowns(state) @ design.stresses
+        return Evaluation(stress, by_block, found.elastic, found.slope, begun)
 
-    def stress(self, points: Points, state: Array) -> Array:
-        """Return the stress of every block."""
-        compressions = self.compressions(points, state)
-        surface = self._surface(points, state)[0]
-        steps = (points.elapsed, points.moments)
+    def response(self, points: Points, state: Array) -> Evaluation:
+        """Return the stress of every block without its derivatives.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is beyond floating-point numbers.
+        """
         begun = ResponseState(0)
-        response, _ = loops.respond(
-            self.law(state), RATES, steps, compressions, surface, [], begun
-        )
-        result = points.mean(response)
-        for value, unknown in zip(state, self.unknowns, strict=False):
-            if unknown.stress is not None:
-                result = result + value * unknown.stress(points)
-        return result
+        surface = self._surface(points, state)[0]
+        motions, weights = np.zeros((0, points.times.size)), np.zeros((0, RATES.size + 2))
+        none = Columns(_NONE, motions, _NONE, weights)
+        found = self._response(points, state, self.law(state), (surface, none), begun)
+        stress = points.mean(found.stress)
+        stress += self._of_unknowns(state) @ self._design(points).stresses
+        return Evaluation(stress, np.zeros((stress.size, 0)), found.elastic, found.slope, begun)
 
-    def _columns(self, points: Points, law: LawState, state: Array) -> list[Column]:
-        _, slopes = self.relaxation(_order(state))
+    def _response(
+        self,
+        points: Points,
+        state: Array,
+        law: LawState,
+        asked: tuple[Array | None, Columns],
+        begun: ResponseState,
+    ) -> Response:
+        compressions = self.compressions(points, state)
+        steps = points.elapsed, points.moments
+        return loops.respond(law, RATES, steps, compressions, *asked, begun)
+
+    def _columns(self, points: Points, state: Array) -> tuple[Array | None, Columns]:
+        """Return the free surface, and what the response is derived by."""
+        weights, slopes = self._bent_relaxation(state)
+        rows = slopes[None]
         if self.is_bent:
-            slopes = slopes * np.exp(KERNEL_HATS @ state[self.kernel])
-        _, by_order, by_knots = self._surface(points, state)
-        added = self._added(points, state)
-        found = []
+            rows = np.vstack([slopes, weights * _OF_KNOTS])
+        surface, by_order, by_knots = self._surface(points, state)
+        lifted = None
+        if surface is not None or any(u.since is not None for u in self.unknowns):
+            lifted = np.zeros((self.size, points.times.size))
+            if by_order is not None:
+                lifted[ORDER] = by_order
+            if by_knots is not None:
+                lifted[self.kernel] = by_knots
+            self._lower(lifted, points, state)
+        motions = self._design(points).motions
+        return surface, Columns(self._kinds, motions, self._weight_of, rows, lifted)
+
+    def _lower(self, lifted: Array, points: Points, state: Array) -> None:
+        """Lower the surface's derivatives by what changes add to the elastic response."""
         for k, unknown in enumerate(self.unknowns):
-            column = unknown.column(points, slopes if k == ORDER else None)
-            if column is None:
-                continue
-            if k == ORDER and by_order is not None:
-                column = Column(surface=by_order, weights=slopes)
             if unknown.since is not None:
-                after = points.times > unknown.since
-                column = Column(surface=-self.elastic(points, state)[0] * after)
-            elif added is not None:
-                column = _with_surface(column, self._added_by(points, state, unknown))
-            found.append(column)
-        if self.is_bent:
-            for m in range(KERNEL_KNOTS.size):
-                surface = by_knots[m] if by_knots is not None else None
-                found.append(Column(surface=surface, weights=law.weights * KERNEL_HATS[:, m]))
-            bends = [Column(BY_KNOT, m) for m in range(CHARACTERISTIC_KNOTS)]
-            if added is not None:
-                splines = characteristic_splines(self._strains(points, state)[0], self.last_knot)
-                bends = [
-                    _with_surface(c, added * s) for c, s in zip(bends, splines.T, strict=True)
-                ]
-            found += bends
-        return found
+                elastic = self.elastic(points, state)[0]
+                lifted[k] -= elastic * (points.times > unknown.since)
+            elif (added := self._added_by(points, state, unknown)) is not None:
+                lifted[k] -= added
+        added = self._added(points, state)
+        if self.is_bent and added is not None:
+            splines = characteristic_splines(self._strains(points, state)[0], self.last_knot)
+            lifted[self.characteristic] -= added * splines.T
 
     def _added_by(self, points: Points, state: Array, unknown: Unknown) -> Array | None:
         """Return the derivative by an unknown of what changes add to the elastic response."""
@@ -278,7 +337,8 @@ class PressModel:
         added = self._added(points, state)
         if self._free is None:
             return -added if added is not None else None, None, None
-        moments = self._free.at(points.times)
+        moments = self._design(points).free
+        assert moments is not None
         order = _order(state)
         weights = creep_weights(order)
         slopes = (creep_weights(order + _ORDER_STEP) - creep_weights(order - _ORDER_STEP)) / (
@@ -323,14 +383,6 @@ class PressModel:
         splines = characteristic_splines(strains, self.last_knot)
         bend = np.exp(splines @ state[self.characteristic])
         return found.value * bend, slope * bend
-
-
-def _with_surface(column: Column, added: Array | None) -> Column:
-    """Return a column with what it adds to the elastic response, as a lower surface."""
-    if added is None:
-        return column
-    surface = -added if column.surface is None else column.surface - added
-    return replace(column, surface=surface)
 
 
 def _order(state: Array) -> float:

@@ -38,9 +38,9 @@ from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.characteristic import elastic_response
 
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
-#: grown by these factors [1], some 25 times a contact; between two the filter is off by half
+#: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
-_TIME_RATIO, _DEPTH_RATIO = 1.25, 1.12
+_TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 #: Blocks before the first solution, and until which it is sought from all starts, each time that
 #: their number has doubled [1].
 _FIRST_SOLUTION, _LAST_STARTS = 4, 32
@@ -284,7 +284,7 @@ class PressPosterior:
         for place in _STARTS if sd > 0.0 else (0.0,):
             start = posterior.belief.mean.copy()
             start[LOG_GN] += place * sd
-            highest = float(posterior.model.stress(points, start).max())
+            highest = float(posterior.model.response(points, start).stress.max())
             if highest > 0.0:
                 start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
             found.append(start)

@@ -20,10 +20,17 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Belief, Density
 from fden_ros.core.estimation.error_model import ErrorModel, Errors
 from fden_ros.core.estimation.loop_arguments import ResponseState, WalkState
-from fden_ros.core.estimation.maximum import CONVERGED, Maximum, MaximumSearch, solved
+from fden_ros.core.estimation.maximum import (
+    CONVERGED,
+    Maximum,
+    MaximumSearch,
+    inverted,
+    solved,
+)
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
@@ -31,8 +38,8 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
-#: A maximum is nearly found, while the record grows [1].
-_NEARLY_FOUND = 2e-3
+#: A maximum is found to a fourteenth of a standard deviation, while the record grows [1].
+_NEARLY_FOUND = 5e-3
 #: A smooth error of this scale [1] is none.
 _LEAST_SCALE = 1e-4
 #: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
@@ -195,8 +202,8 @@ class Posterior(Density):
     def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
         """Return the posterior from the state of one of a shorter record, in less time.
 
-        The maximum is found to a twentieth of a standard deviation, and only the scales beside the
-        best one before are weighed; where another is better now, all are.
+        The maximum is nearly found, and only the scales beside the best one before are weighed;
+        where another is better now, all are.
 
         Raises
         ------
@@ -285,6 +292,7 @@ class Posterior(Density):
         )
         priors = self.priors(maximum.state)
         off = self.belief.mean - maximum.state
+        precisions = {w.scales[:2]: priors.precision(w.scales) for w in grid or self.grid}
         groups: dict[tuple[float, float], list[WeighedScales]] = {}
         for weighed in grid or self.grid:
             groups.setdefault(weighed.scales[2:], []).append(weighed)
@@ -294,22 +302,22 @@ class Posterior(Density):
             white, log_det, walk = self.error_model.whitened(
                 rows, maximum.errors, roughness, motion
             )
-            data, towards = white[:, 1:].T @ white[:, 1:], white[:, 1:].T @ white[:, 0]
-            square = float(white[:, 0] @ white[:, 0]) + log_det
-            precisions = np.array([priors.precision(w.scales) for w in group])
-            pulls = precisions @ off
-            normals, gradients = data + precisions, towards + pulls
+            of_group = np.array([precisions[w.scales[:2]] for w in group])
+            pulls = of_group @ off
+            equations = np.empty((len(group), off.size, off.size + 1))
+            equations[:, :, :-1] = white[:, 1:].T @ white[:, 1:] + of_group
+            equations[:, :, -1] = white[:, 1:].T @ white[:, 0] + pulls
             if self._held is not None:
-                normals[:, self._held], normals[:, :, self._held] = 0.0, 0.0
-                normals[:, self._held, self._held], gradients[:, self._held] = 1.0, 0.0
-            unit = 1.0 / np.sqrt(np.diagonal(normals, axis1=1, axis2=2))
-            factors = np.linalg.cholesky(normals * unit[:, :, None] * unit[:, None, :])
-            halves = np.linalg.solve(factors, (unit * gradients)[:, :, None])[:, :, 0]
-            volumes = np.log(np.diagonal(factors, axis1=1, axis2=2) / unit).sum(axis=1)
+                equations[:, self._held], equations[:, :, self._held] = 0.0, 0.0
+                equations[:, self._held, self._held] = 1.0
+            factors = equations.copy()
+            loops.eliminate(factors)
+            volumes = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
             log_priors = [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in group]
+            square = float(white[:, 0] @ white[:, 0]) + log_det
             evidence = log_priors - volumes
-            evidence += 0.5 * (np.sum(halves**2, axis=1) - square - pulls @ off)
-            members += map(_Member, evidence, [w.scales for w in group], factors, halves, unit)
+            evidence += 0.5 * (np.sum(factors[:, :, -1] ** 2, axis=1) - square - pulls @ off)
+            members += map(_Member, evidence, [w.scales for w in group], equations)
             if evidence.max() > best:
                 best, best_walk, residuals = float(evidence.max()), walk, white[:, 0]
         if best_walk is None:
@@ -337,13 +345,10 @@ class Posterior(Density):
         weights = np.exp([m.log_evidence - best for m in members])
         total = float(weights.sum())
         weights /= total
-        inverses = np.linalg.inv(np.array([m.factor for m in members]))
-        inverses *= np.array([m.unit for m in members])[:, None, :]
-        halves = np.array([m.half for m in members])
-        about = maximum.state + np.einsum("kij,ki->kj", inverses, halves)
+        roots, steps = inverted(np.array([m.equations for m in members]))
+        about = maximum.state + steps
         mean: Array = weights @ about
-        spread = np.sqrt(weights)[:, None, None] * inverses
-        flat = spread.reshape(-1, self.model.size)
+        flat = (np.sqrt(weights)[:, None, None] * roots).reshape(-1, self.model.size)
         apart = np.sqrt(weights)[:, None] * (about - mean)
         covariance = flat.T @ flat + apart.T @ apart
         covariance[self.known], covariance[:, self.known] = 0.0, 0.0
@@ -371,6 +376,4 @@ class _Member(NamedTuple):
 
     log_evidence: float
     scales: Scales
-    factor: Array  #: Cholesky's, of the scaled normal matrix
-    half: Array  #: the factor's solution for the gradient
-    unit: Array  #: scales of the unknowns
+    equations: Array  #: the normal equations, and the gradient behind them

@@ -28,7 +28,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.loop_arguments import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, Column
+from fden_ros.core.estimation.loop_arguments import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
@@ -84,13 +84,6 @@ class Unknown:
         """The prior's standard deviation in the unknown's unit."""
         return self.sd if self.is_of_law else 1.0
 
-    def column(self, points: Points, weights: Array | None) -> Column | None:
-        """Return its derivative's column; None: it only adds a stress."""
-        if self.stress is not None:
-            return None
-        motion = self.motion(points) if self.motion is not None else None
-        return Column(self.kind, motion=motion, weights=weights)
-
 
 #: The law's parameters, in the order of a state.
 LAW = ("log_g", "log_gn", "order")
@@ -114,7 +107,8 @@ STRAIN_FLOOR = 3e-3
 REFERENCE_STRAIN, REFERENCE_TIME, REFERENCE_ORDER = 0.1, 1.0, 0.3
 #: What is left of the variance of an error where it is 0 by definition [1].
 _CONSTRAINED = 1e-6
-_JITTER = 1e-10
+#: Places closer than this [1] are as far apart as this.
+_LEAST_DISTANCE = 1e-9
 #: Strain about which the splines become wider, over that of the last knot [1].
 _NEAR = 0.1
 #: The last knot of strain [1] is the least of 0.02 * 1.25^k above the largest strain.
@@ -173,13 +167,26 @@ class FieldPrior:
     log_determinant: float
 
 
-def _constrained(covariance: Array, zero: Array) -> FieldPrior:
-    """Return the prior of values of which the mean by the weights `zero` is 0 by definition."""
-    along = covariance @ zero
-    held = covariance - (1.0 - _CONSTRAINED) * np.outer(along, along) / (zero @ along)
-    held[np.diag_indices_from(held)] += _JITTER
-    precision = np.linalg.inv(held)
-    return FieldPrior(0.5 * (precision + precision.T), float(np.linalg.slogdet(precision)[1]))
+def _constrained(places: Array, length: float, zero: Array) -> FieldPrior:
+    """Return the prior of values at rising places, of which `zero @ values` is 0 by definition.
+
+    They are correlated as exp(-distance / length), whose inverse has three diagonals; that of
+    a covariance less part of what the sum shares in follows from the sum's variance alone.
+    """
+    apart = np.maximum(np.diff(places), _LEAST_DISTANCE) / length
+    at = np.concatenate([[0.0], np.cumsum(apart)])
+    variance = float(zero @ np.exp(-np.abs(at[:, None] - at)) @ zero)
+    beside = np.exp(-apart)
+    own = -np.expm1(-2.0 * apart)
+    precision = (1.0 - _CONSTRAINED) / (_CONSTRAINED * variance) * np.outer(zero, zero)
+    k = np.arange(apart.size)
+    precision[k, k + 1] -= beside / own
+    precision[k + 1, k] -= beside / own
+    precision[k + 1, k + 1] += 1.0 / own
+    precision[k, k] += beside**2 / own
+    precision[0, 0] += 1.0
+    determinant = -math.log(_CONSTRAINED) - float(np.log(own).sum())
+    return FieldPrior(precision, determinant)
 
 
 @functools.cache
@@ -188,8 +195,7 @@ def kernel_prior() -> FieldPrior:
     weights = relaxation_weights(REFERENCE_ORDER)
     after = np.concatenate([weights[:-2] * np.exp(-RATES * REFERENCE_TIME), [weights[-2], 0.0]])
     zero = after @ KERNEL_HATS
-    distance = np.abs(KERNEL_KNOTS[:, None] - KERNEL_KNOTS)
-    return _constrained(np.exp(-distance / KERNEL_LENGTH), zero / zero.sum())
+    return _constrained(KERNEL_KNOTS, KERNEL_LENGTH, zero / zero.sum())
 
 
 def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
@@ -197,9 +203,8 @@ def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
     scaled = nonlinear_stiffness * characteristic_knots(last)
     ratio = np.where(scaled > 1.0, np.exp(np.minimum(scaled, 300.0) - 1.0), scaled)
     place = np.log(ratio + STRAIN_FLOOR * nonlinear_stiffness)
-    distance = np.abs(place[:, None] - place)
     zero = characteristic_splines(np.array([REFERENCE_STRAIN]), last)[0]
-    return _constrained(np.exp(-distance / CHARACTERISTIC_LENGTH), zero)
+    return _constrained(place, CHARACTERISTIC_LENGTH, zero)
 
 
 def change_since(time: float) -> Unknown:
