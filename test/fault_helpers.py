@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import math
+import pickle
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -152,22 +154,47 @@ class Outcome:
         return summaries_of(self.outputs)
 
 
+Step = Item | Callable[[Pipeline], object]
+
+
 def outcome_of(
-    items: Iterable[Item | Callable[[Pipeline], object]],
-    parameters: dict[str, object],
+    items: Iterable[Step], parameters: dict[str, object], shared: int = 0
 ) -> Outcome:
-    """Feed samples, and call what stands between them with the pipeline."""
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
-    for item in items:
-        if not isinstance(item, Item):
-            item(pipeline)
-        elif item.stream == 0:
-            pipeline.add_force(item.stamp_ns, item.value)
-        else:
-            pipeline.add_displacement(item.stamp_ns, item.value, item.position)
+    """Feed samples, and call what stands between them with the pipeline.
+
+    The first `shared` of them are fed once for all that begin alike.
+    """
+    steps = tuple(items)
+    if shared:
+        pipeline, outputs = pickle.loads(_begun(steps[:shared], repr(parameters)))
+    else:
+        pipeline, outputs = _new(parameters)
+    _feed(pipeline, steps[shared:])
     pipeline.finish()
     return Outcome(pipeline, tuple(outputs))
+
+
+def _new(parameters: dict[str, object]) -> tuple[Pipeline, list[Output]]:
+    outputs: list[Output] = []
+    return Pipeline(pipeline_config(check(parameters)), outputs.append), outputs
+
+
+@functools.lru_cache(maxsize=4)
+def _begun(steps: tuple[Step, ...], parameters: str) -> bytes:
+    """Return a pipeline that has been fed, and its outputs."""
+    pipeline, outputs = _new(ast.literal_eval(parameters))
+    _feed(pipeline, steps)
+    return pickle.dumps((pipeline, outputs))
+
+
+def _feed(pipeline: Pipeline, steps: Iterable[Step]) -> None:
+    for step in steps:
+        if not isinstance(step, Item):
+            step(pipeline)
+        elif step.stream == 0:
+            pipeline.add_force(step.stamp_ns, step.value)
+        else:
+            pipeline.add_displacement(step.stamp_ns, step.value, step.position)
 
 
 def numbers_of(output: Output) -> list[float]:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from property_helpers import counts
 
 from benchmark import accuracy, changes, exact, invariance, laws, presses, real, robots
 from benchmark.classification import told
@@ -79,12 +80,13 @@ def test_rigs_are_judged_with_the_parameters_of_a_file(tmp_path, capsys):
 FOOLING = [case for case in presses.CASES.values() if case.detection and case.sites == 1]
 
 
+@pytest.mark.parametrize("numbers", counts(1, 2))
 @pytest.mark.parametrize("case", FOOLING, ids=lambda case: case.name)
-def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case):
-    outcomes = [robots.run_trial(case.name, number, {}, 10.0) for number in range(2)]
+def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case, numbers):
+    outcomes = [robots.run_trial(case.name, number, {}, 10.0) for number in range(numbers)]
     found = robots.row_of(case, outcomes, 10.0)
     assert [found[name] for name in ("invented", "split", "stuck")] == [0] * 3
-    assert found["missed"] == Share(0, 2)
+    assert found["missed"] == Share(0, numbers)
 
 
 def test_press_takes_as_many_times_the_noise_as_is_asked_for():
@@ -246,20 +248,22 @@ def test_slide_onto_stiffer_tissue_multiplies_the_force():
     assert ratio == pytest.approx(1.3, abs=0.03) and later.sum() > 20
 
 
+@pytest.mark.parametrize("numbers", counts(1, 4))
 @pytest.mark.parametrize("row", ["flat_30", "sphere_30", "flat_100_arm"])
-def test_changes_are_told_in_time_at_slow_rates_too(row):
+def test_changes_are_told_in_time_at_slow_rates_too(row, numbers):
     for change in (SLIDE, INCLUSION):
-        delays = [changes.run_trial((row, change.name), number, {}) for number in range(4)]
+        delays = [changes.run_trial((row, change.name), number, {}) for number in range(numbers)]
         # With the open questions of an arm an inclusion of 1.5 is told in time in half of them.
-        least = 2 if row.endswith("_arm") and change is INCLUSION else 3
+        least = numbers // 2 if row.endswith("_arm") and change is INCLUSION else 0.75 * numbers
         assert changes.told_in(delays)["in time"].part >= least, change.name
 
 
-def test_nothing_is_told_of_tissue_that_stays_what_it_is():
+@pytest.mark.parametrize("numbers", counts(1, 4))
+def test_nothing_is_told_of_tissue_that_stays_what_it_is(numbers):
     narrow = {"prior.alpha_sd": 0.011, "prior.alpha": 0.05}
     for own in ({}, narrow, {**narrow, "alpha.learn": False}):
-        delays = [changes.run_trial(("flat_30", "none"), number, own) for number in range(4)]
-        assert delays == [math.inf] * 4, own
+        delays = [changes.run_trial(("flat_30", "none"), number, own) for number in range(numbers)]
+        assert delays == [math.inf] * numbers, own
 
 
 def test_too_soon_and_too_late_are_not_in_time(tmp_path, capsys):

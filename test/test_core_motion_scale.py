@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from property_helpers import counts, first
 
 from benchmark import presses
 from benchmark.presses import CASES, trial_of
@@ -60,7 +61,10 @@ def test_a_contact_that_moves_more_than_was_learned_is_widened():
     assert known.motion_factor([0.0, 2.0, -20.0, -60.0, -90.0]) > 2.0
 
 
-@pytest.mark.parametrize(("breathes", "is_learned"), [(False, True), (True, False)])
+@pytest.mark.parametrize(
+    ("breathes", "is_learned"),
+    [(False, True), pytest.param(True, False, marks=pytest.mark.statistics)],
+)
 def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(breathes, is_learned):
     rig = replace(case_of("breathing_0.3mm" if breathes else "undisturbed"), sites=4)
     learned = trial_of(rig, 0, {}).contacts[-1]
@@ -69,14 +73,14 @@ def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(breathes
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
 
 
-@pytest.mark.parametrize("number", [3, 4])
+@pytest.mark.parametrize("number", first(3, 4))
 def test_a_surface_that_stays_lower_after_a_press_is_met_within_the_deviations(number):
     """A press of 1.25 s after another: without a shift alpha was 2.8 to 3.3 deviations off."""
     for contact in trial_of(case_of("plastic_0.1mm"), number, {}).contacts:
         assert np.all(np.abs(contact.error) < 2.0 * contact.deviation)
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", first(1, 2))
 def test_a_noisy_marker_of_the_surface_is_not_taken_for_slow_tissue(number):
     """It was 2.6 to 4.6 deviations of alpha."""
     (contact,) = trial_of(case_of("breathing_1mm_measured"), number, {}).contacts
@@ -90,9 +94,10 @@ def ratios(name, numbers):
     return np.array([contact.error / contact.deviation for contact in contacts])
 
 
-def test_a_surface_that_moves_far_more_than_is_stated_is_no_silent_error():
+@pytest.mark.parametrize("numbers", counts(1, 8))
+def test_a_surface_that_moves_far_more_than_is_stated_is_no_silent_error(numbers):
     """Breathing of 1 mm is smooth: the parameters follow it, 2.7 standard deviations off."""
-    assert np.all(np.abs(ratios("breathing_1mm", range(8))) < 5.0)
+    assert np.all(np.abs(ratios("breathing_1mm", range(numbers))) < 5.0)
 
 
 def test_the_steps_of_an_encoder_count_as_noise(monkeypatch):

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from property_helpers import counts, first
 
 from benchmark.laws import (
     ARM,
@@ -42,6 +43,7 @@ def by_name(name: str) -> Case:
     return CASES[name]
 
 
+@pytest.mark.parametrize("seeds", counts(2, 8))
 @pytest.mark.parametrize(
     ("name", "rig"),
     [
@@ -52,12 +54,12 @@ def by_name(name: str) -> Case:
     ],
 )
 def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
-    name: str, rig: str
+    name: str, rig: str, seeds: int
 ) -> None:
     """Or nothing is predicted: what is no FDEN is not known, or said not to follow the law."""
     made = [
         prediction
-        for seed in range(40, 48)
+        for seed in range(40, 40 + seeds)
         for prediction in run_trial((name, rig), seed).predictions
         if prediction.moment in IN_THE_HOLD
     ]
@@ -66,10 +68,11 @@ def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
     assert np.count_nonzero(predicted) >= 0.9 * len(predicted)
 
 
-def test_an_interval_in_a_hold_of_the_laws_own_tissue_is_narrow() -> None:
+@pytest.mark.parametrize("seeds", counts(1, 4))
+def test_an_interval_in_a_hold_of_the_laws_own_tissue_is_narrow(seeds: int) -> None:
     widths = [
         prediction.half_width
-        for seed in range(40, 44)
+        for seed in range(40, 40 + seeds)
         for prediction in run_trial(("fden", RIGID), seed).predictions
         if not prediction.refusal and prediction.moment in IN_THE_HOLD
     ]
@@ -157,7 +160,7 @@ def pressed(number: int) -> tuple[Recording, float]:
 
 
 @pytest.mark.parametrize("learn", [True, False])
-@pytest.mark.parametrize("number", range(40, 44))
+@pytest.mark.parametrize("number", first(*range(40, 44)))
 def test_a_stated_alpha_is_told_as_wrong_where_it_is(number: int, learn: bool) -> None:
     recording, order = pressed(number)
     stated = {"alpha.learn": learn, "prior.alpha_sd": 0.01}

@@ -95,13 +95,13 @@ def deviations(result: Replay, recording: Recording) -> tuple[np.ndarray, np.nda
     return (summary.estimate.mean - np.array(truth)) / sd, sd
 
 
-@pytest.mark.parametrize("seeds", counts(2, 4))
+@pytest.mark.parametrize("seeds", counts(1, 4))
 def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(
     tmp_path: Path, seeds: int
 ) -> None:
     """Parameters of a rigid rig on tissue that rests: what is left of the breath counts in full.
 
-    Twelve normal errors have a root mean square below 1.5 in 99.9 %, six below 2.
+    Twelve normal errors have a root mean square below 1.5 in 99.9 %, three below 2.4.
     """
     still, measured, unmeasured = [], [], []
     for seed in range(seeds):
@@ -115,7 +115,7 @@ def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(
         float(np.sqrt(np.mean([np.square(error) for error, _ in one])))
         for one in (still, measured, unmeasured)
     ]
-    assert rms[1] < (1.5 if seeds == 4 else 2.0)
+    assert rms[1] < (1.5 if seeds == 4 else 2.4)
     usual, with_marker, without = (
         np.median([sd for _, sd in one], axis=0) for one in (still, measured, unmeasured)
     )
