@@ -72,10 +72,8 @@ setup(
         ],
         # `fden batch` alone. rosdep has no keys for these, so a robot does without them.
         "batch": ["bokeh>=3.1", "dask>=2024.2", "distributed>=2024.2", "pyarrow>=15.0"],
-        # The fuzzer; tests skip without it. Like what follows, without a rosdep key.
+        # The fuzzer; tests skip without it. No rosdep key.
         "fuzz": ["atheris; python_version < '3.14'"],
-        # What `fden benchmark` compares with.
-        "benchmark": ["scikit-learn>=1.4"],
         "lint": ["mypy", "ruff"],
     },
     entry_points={

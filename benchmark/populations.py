@@ -222,19 +222,6 @@ def training_contacts(
     return Contacts(tuple(tissues), tuple(names), likelihood)
 
 
-def published(likelihood: Likelihood) -> Array:
-    """Return what the pipeline would publish: the posterior's mean, shape (n, 3)."""
-    g, g_n = math.log(PRIOR.linear_stiffness), math.log(PRIOR.nonlinear_stiffness)
-    sd = (PRIOR.linear_stiffness_log_sd, PRIOR.nonlinear_stiffness_log_sd)
-    before = np.diag(np.array([*sd, PRIOR.fractional_order_sd]) ** -2.0)
-    off = np.array([g, g_n, PRIOR.fractional_order]) - likelihood.centre
-    right = (likelihood.score + off @ before)[..., None]
-    result: Array = (
-        likelihood.centre + np.linalg.solve(likelihood.information + before, right)[..., 0]
-    )
-    return result
-
-
 # Scores of probabilities
 
 

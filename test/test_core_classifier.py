@@ -68,14 +68,6 @@ def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
     assert stiff.label == UNKNOWN and probability(stiff, UNKNOWN) > 0.99
 
 
-def test_estimate_that_is_not_sure_softens_the_answer():
-    stiff = liver_moved(1.2, 0.0, 0.0)
-    sharp = classify(LIBRARY, seen(stiff, (0.01, 0.01, 0.01), order_counts=False))
-    soft = classify(LIBRARY, seen(stiff, (1.5, 0.7, 0.01), order_counts=False))
-    assert probability(sharp, UNKNOWN) > 0.95
-    assert 0.05 < probability(soft, UNKNOWN) < 0.5
-
-
 def test_order_that_was_given_does_not_count():
     far = liver_moved(0.0, 0.0, 0.3)
     given_order = classify(LIBRARY, seen(far, order_counts=False))
@@ -148,17 +140,6 @@ def test_prior_of_the_estimator_is_taken_out_again():
         np.testing.assert_allclose(peak, truth, rtol=1e-6)
 
 
-def test_tissues_of_the_same_parameters_are_told_apart_by_their_priors():
-    twins = TissueLibrary(
-        "twins",
-        (replace(LIVER, name="a", prior=3.0), replace(LIVER, name="b", prior=1.0)),
-        replace(LIBRARY.unknown, prior=1e-9),
-    )
-    assert twins.class_names == ("a", "b", UNKNOWN)
-    probabilities = classify(twins, seen(LIVER.mean)).probabilities
-    assert probabilities[:2] == pytest.approx((0.75, 0.25), abs=1e-6)
-
-
 def test_contact_that_showed_nothing_leaves_the_priors():
     twins = TissueLibrary(
         "two",
@@ -183,17 +164,6 @@ def test_classes_that_differ_in_the_order_wait_for_the_order():
     hold = np.diag(np.square([0.01, 0.01, 0.002]))
     after = classify(library, likelihood_of(slow.mean, hold, PRIOR))
     assert after.is_observable and after.label == "slow"
-
-
-def test_prior_odds_multiply_the_odds():
-    likelihood = seen(liver_moved(0.9, 0.0, 0.0))
-    tenfold = replace(LIBRARY, unknown=replace(LIBRARY.unknown, prior=10 * LIBRARY.unknown.prior))
-
-    def odds(library):
-        liver, unknown = classify(library, likelihood).probabilities
-        return unknown / liver
-
-    assert odds(tenfold) == pytest.approx(10.0 * odds(LIBRARY))
 
 
 def drawn(count, rng, covariances):
@@ -228,17 +198,6 @@ def test_probabilities_are_calibrated():
         scatter = math.sqrt(np.mean(said[inside] * (1 - said[inside])) / inside.sum())
         # Four standard deviations of the share of right answers in the bin.
         assert abs(np.mean(right[inside]) - np.mean(said[inside])) < 4.0 * scatter
-
-
-def test_typicality_is_uniform_for_contacts_of_the_tissue():
-    rng = np.random.default_rng(3)
-    error = np.diag(np.square([0.2, 0.1, 5.0]))
-    tissue = rng.multivariate_normal(LIVER.mean, LIVER.covariance, 20_000)
-    values = tissue + rng.multivariate_normal(np.zeros(3), error, 20_000)
-    _, fits = log_evidence(LIBRARY, likelihood_of(values, np.broadcast_to(error, (20_000, 3, 3))))
-    for level in (0.01, 0.05, 0.5):
-        scatter = math.sqrt(level * (1.0 - level) / 20_000)
-        assert abs(np.mean(fits < level) - level) < 4.0 * scatter
 
 
 def test_far_from_all_is_unknown_even_where_its_prior_is_small():
@@ -319,9 +278,3 @@ def test_label_does_not_flicker_where_the_probability_does():
     changes = sum(a != b for a, b in itertools.pairwise(steady_label))
     assert raw > 800
     assert changes < raw / 10
-
-
-def test_last_answer_need_not_stand():
-    decider = Decider(DecisionConfig())
-    decider.update(0, said(0.8, 0.2, 0.0))
-    assert decider.update(1, said(0.1, 0.9, 0.0), last=True) == "b"

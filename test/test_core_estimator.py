@@ -11,18 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from hypothesis import example, given
-from hypothesis import strategies as st
 from pipeline_helpers import LIVER
-from property_helpers import examples
 from scipy.special import gamma
 
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalBlock, GaussianSum
 from fden_ros.core.law.geometry import PassThrough, Sphere
-
-#: No test depends on the time it takes, nor on chance.
-steady = examples(30)
 
 PRIOR = replace(LIVER, fractional_order_sd=0.0)
 ORDER = PRIOR.fractional_order
@@ -108,66 +102,6 @@ def test_one_member_is_the_plain_extended_kalman_filter(geometry):
     assert estimate.log_nonlinear_stiffness == pytest.approx(plain.x[1], rel=1e-6)
     assert estimate.strain_origin == pytest.approx(plain.x[2], abs=1e-7)
     assert estimate.covariance[:2, :2] == pytest.approx(plain.P[:2, :2], rel=1e-4)
-
-
-numbers = st.floats(-1.0, 1.0)
-
-
-@steady
-@given(
-    rows=st.lists(
-        st.tuples(st.floats(-2.0, 2.0), st.floats(-1e6, 1e6), numbers, st.integers(1, 100)),
-        max_size=40,
-    ),
-    bias_sd=st.sampled_from([0.0, 0.5]),
-    origin_sd=st.sampled_from([0.0, 0.01]),
-    spread=st.sampled_from([0.2, 2.0]),
-)
-@example(
-    rows=[
-        (0.8879438229944889, -511314.33781271597, 0.0, 48),
-        (0.39927282729618385, 0.0, 0.018, 60),
-        (0.29062434528181713, 606666.919672, 0.7, 20),
-        (0.0, -895634.2674869276, 0.0, 36),
-        (0.0, -1.9, 0.0, 100),
-        (-6.103515625e-05, 0.0, 0.0, 1),
-        (0.0, 0.0, 0.0, 1),
-        (0.0, 0.0, 0.0, 1),
-    ],
-    bias_sd=0.5,
-    origin_sd=0.01,
-    spread=0.2,
-)
-@example(
-    rows=[
-        (1.0, 0.0, 0.0, 1),
-        (0.0, 0.0, 0.0, 2),
-        (0.0, 623.0, 0.0, 37),
-        (2.0, 0.0, 0.0, 2),
-        (0.0, 0.0, 1.0, 10),
-    ],
-    bias_sd=0.5,
-    origin_sd=0.01,
-    spread=2.0,
-)
-def test_covariance_is_positive_whatever_the_blocks(rows, bias_sd, origin_sd, spread):
-    prior = replace(
-        PRIOR,
-        fractional_order_sd=0.01,
-        nonlinear_stiffness_log_sd=spread,
-        linear_stiffness_log_sd=2.5 * spread,
-    )
-    estimator = estimator_of(prior, bias_sd=bias_sd, origin_sd=origin_sd)
-    for n, (u, stress, by_order, size) in enumerate(rows, start=1):
-        innovation = estimator.update(FractionalBlock(u, stress, 1e3 * by_order, 0.01 * n, size))
-        assert innovation.variance > 0.0
-    estimate = estimator.estimate()
-    assert np.all(np.isfinite(estimate.covariance))
-    assert np.array_equal(estimate.covariance, estimate.covariance.T)
-    assert np.linalg.eigvalsh(estimate.covariance)[0] > -1e-12 * np.trace(estimate.covariance)
-    assert np.all(np.diag(estimate.covariance) > 0.0)
-    assert math.isfinite(estimate.strain_origin)
-    assert 0.0 <= estimate.probability_beyond_boundary <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -267,50 +201,3 @@ def test_sensitivity_to_the_order_is_the_derivative_of_the_estimate(options):
     difference = (means(step) - means(-step)) / (2.0 * step)
     # The gains are held in the sensitivity, but move with the estimate in the difference.
     assert sensitivity == pytest.approx(difference, rel=0.05, abs=0.05)
-
-
-def test_uncertain_order_widens_the_covariance_by_its_sensitivity():
-    blocks = [
-        b._replace(fractional_stress_by_order=0.5 * b.fractional_stress)
-        for b in ramp_blocks(np.random.default_rng(5), 560.0, 9.0)
-    ]
-    sure = fed(estimator_of(PRIOR), blocks)
-    unsure = fed(estimator_of(replace(PRIOR, fractional_order_sd=0.02)), blocks)
-    assert unsure[:2] == sure[:2]
-    sensitivity = unsure.covariance[:2, 2] / 0.02**2
-    assert unsure.covariance[:2, :2] - sure.covariance[:2, :2] == pytest.approx(
-        np.outer(sensitivity, sensitivity) * 0.02**2, rel=1e-9
-    )
-
-
-@pytest.mark.parametrize("spread", [0.05, 0.2, 0.5, 1.0])
-def test_wider_prior_takes_more_members_and_not_wider_ones(spread):
-    estimator = estimator_of(replace(PRIOR, nonlinear_stiffness_log_sd=spread))
-    centres = np.array([m.filter.x[1] for m in estimator._members])
-    assert np.max(np.diff(centres)) <= 0.1125 + 1e-12
-    assert {m.filter.P[1, 1] for m in estimator._members} == {0.06**2}
-    assert centres[-1] - centres[0] == pytest.approx(4.5 * spread)
-
-
-def test_wide_prior_finds_a_tissue_far_from_its_median():
-    prior = replace(PRIOR, nonlinear_stiffness_log_sd=0.6, linear_stiffness_log_sd=1.0)
-    estimate = fed(estimator_of(prior), ramp_blocks(np.random.default_rng(6), 2000.0, 20.0))
-    assert estimate.converged
-    assert math.exp(estimate.log_linear_stiffness) == pytest.approx(2000.0, rel=0.05)
-    assert math.exp(estimate.log_nonlinear_stiffness) == pytest.approx(20.0, rel=0.05)
-
-
-def test_innovations_are_normalised_by_their_own_variance():
-    # White noise of the filter's own R: the mean of 600 squares is 1 +- 0.06; five deviations.
-    estimator = estimator_of()
-    squares = []
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        estimator = estimator_of()
-        squares += [estimator.update(b).normalized_squared for b in ramp_blocks(rng, 530.0, 8.6)]
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
-
-
-def test_samples_are_counted():
-    estimate = fed(estimator_of(), ramp_blocks(np.random.default_rng(7), 520.0, 8.4, count=30))
-    assert estimate.sample_count == 300

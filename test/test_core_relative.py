@@ -15,13 +15,11 @@ from fden_ros.core.classification.classifier import likelihood_of
 from fden_ros.core.classification.relative import (
     LEAST_SURROUNDINGS,
     compare,
-    neighbours,
     stack,
     without_prior,
 )
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
-from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import Classification as Answer
 from fden_ros.core.outputs import Decision
 from fden_ros.simulation.scenario import (
@@ -35,8 +33,6 @@ from fden_ros.simulation.scenario import (
 )
 from fden_ros.simulation.simulate import simulate
 from fden_ros.simulation.trajectory import Approach
-
-NOTHING = np.zeros((3, 3))
 
 
 def place(value, sd=0.0):
@@ -52,16 +48,6 @@ def drawn(rng, *, natural=0.1, sd=0.05, count=30, ratio=1.0):
     own = rng.normal(0.0, natural, count) + rng.normal(0.0, sd, count)
     mine = math.log(ratio) + rng.normal(0.0, sd)
     return place(mine, sd), around(own, sd)
-
-
-@pytest.mark.parametrize("strain", [0.05, 0.1, 0.25])
-def test_log_stiffness_is_the_slope_of_the_law_at_a_time_scale(strain):
-    g, g_n, order, tau = 600.0, 8.0, 0.2, 0.3
-    mean = np.array([math.log(g), math.log(g_n), order])
-    expected = elastic_response(strain, g, g_n).by_strain * tau**-order / math.gamma(1.0 - order)
-    assert float(log_stiffness(mean, NOTHING, strain, tau).value) == pytest.approx(
-        math.log(expected)
-    )
 
 
 @pytest.mark.parametrize("strain", [0.05, 0.2])
@@ -104,12 +90,6 @@ def test_probability_of_being_stiffer_is_calibrated():
     assert abs(np.mean(said) - np.mean(right)) < 0.03
 
 
-def test_natural_variation_is_measured_without_the_errors():
-    rng = np.random.default_rng(3)
-    found = [compare(*drawn(rng, natural=0.2, sd=0.15, count=200)).natural_sd for _ in range(50)]
-    assert np.mean(found) == pytest.approx(0.2, rel=0.1)
-
-
 def test_lesions_among_the_surroundings_do_not_hide_a_lesion():
     rng = np.random.default_rng(4)
     healthy = rng.normal(0.0, 0.1, 24)
@@ -124,17 +104,6 @@ def test_too_few_surroundings_make_no_comparison():
     assert compare(place(0.0), around([0.0] * (LEAST_SURROUNDINGS - 1))) is None
     assert compare(place(0.0), stack([])) is None
     assert compare(place(0.0, 0.1), around([0.0] * LEAST_SURROUNDINGS)) is not None
-
-
-def test_poor_contacts_say_so():
-    rng = np.random.default_rng(5)
-    surroundings = around(rng.normal(0.0, 0.05, 30), 0.02)
-    sharp = compare(place(math.log(2.0), 0.02), surroundings)
-    poor = compare(place(math.log(2.0), 1.0), surroundings)
-    assert sharp.probability_stiffer(1.5) > 0.99
-    assert 0.5 < poor.probability_stiffer(1.5) < 0.75
-    low, high = poor.interval()
-    assert low < 0.4 and high > 10.0
 
 
 def test_answers_are_probabilities_of_softer_alike_stiffer():
@@ -157,12 +126,6 @@ def test_prior_of_the_estimator_does_not_draw_the_ratio_to_one():
     assert own is not None
     np.testing.assert_allclose(own[0], truth, atol=1e-9)
     assert without_prior(likelihood_of(centre, before, prior)) is None
-
-
-def test_surroundings_are_what_is_near():
-    positions = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 3.0], [5.0, 5.0]])
-    assert neighbours(positions, 0, 3.0).tolist() == [1, 2]
-    assert neighbours(positions, 0, 0.0).tolist() == [1, 2, 3]
 
 
 def six_sites(last):

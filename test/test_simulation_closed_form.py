@@ -17,7 +17,6 @@ from property_helpers import first
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import (
     FdenModel,
-    LinearMove,
     SineMove,
     stress_of_moves,
     stress_of_piecewise_linear_strain,
@@ -148,28 +147,6 @@ def test_phi_is_odd_smooth_and_inverted(model, strain):
     for place in (strain, model.boundary_strain, -model.boundary_strain):
         slope = (model.phi(place + 1e-7) - model.phi(place - 1e-7)) / 2e-7
         assert model.phi_derivative(place) == pytest.approx(slope, rel=1e-5)
-
-
-def test_cutting_a_move_in_two_changes_nothing():
-    model = FdenModel(520.0, 8.5, 0.131)
-    times = np.linspace(0.0, 3.0, 301)
-    for move in (LinearMove(0.0, 2.0, 0.0, 0.3), SineMove(0.0, 2.0, 0.1, 0.2, 0.7, 0.0)):
-        whole = stress_of_moves([move], times, model)
-        halves = stress_of_moves([move.between(0.0, 0.77), move.between(0.77, 2.0)], times, model)
-        np.testing.assert_allclose(halves, whole, rtol=0.0, atol=1e-12 * np.abs(whole).max())
-
-
-def test_times_may_come_in_any_order_and_shape():
-    model = FdenModel(520.0, 8.5, 0.131)
-    times = np.linspace(-1.0, 5.0, 24)
-    shuffled = np.random.default_rng(0).permutation(times).reshape(4, 6)
-    knots = [0.0, 1.0, 2.0, 2.5], [0.0, 0.3, 0.3, 0.1]
-    in_order = stress_of_piecewise_linear_strain(*knots, times, model)
-    by_time = dict(zip(times, in_order, strict=True))
-    stress = stress_of_piecewise_linear_strain(*knots, shuffled, model)
-    assert stress.shape == (4, 6)
-    np.testing.assert_allclose(stress, np.vectorize(by_time.get)(shuffled), rtol=1e-13)
-    assert np.all(stress[shuffled <= 0.0] == 0.0)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from fden_ros.simulation.disturbance import (
     Phases,
     SurfaceMotion,
     low_pass,
-    with_backlash,
 )
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
@@ -122,23 +121,6 @@ def test_disturbed_motion_changes_the_strain_and_not_the_reading(kind):
         assert np.ptp(lost) == pytest.approx(1e-3, rel=0.02)
 
 
-def test_rate_of_breathing_varies_slowly_by_the_stated_share():
-    times = np.linspace(0.0, 200.0, 200_001)
-    height = SurfaceMotion(2e-3, 0.5, 0.2).height(times, 0.0, 0.0)
-    upward = times[1:][(height[:-1] < 0.0) & (height[1:] >= 0.0)]
-    rates = 1.0 / np.diff(upward)
-    assert rates.max() == pytest.approx(0.6, rel=0.02)
-    assert rates.min() == pytest.approx(0.4, rel=0.03)
-    assert upward.size == pytest.approx(100, abs=1)
-
-
-def test_drive_with_play_follows_late_on_every_reversal():
-    places = np.array([0.0, 1.0, 2.0, 1.8, 1.4, 1.0, 1.2, 1.4, 1.6, 2.0])
-    expected = [0.0, 1.0, 2.0, 2.0, 1.9, 1.5, 1.5, 1.5, 1.6, 2.0]
-    np.testing.assert_allclose(with_backlash(places, 0.5), expected)
-    assert with_backlash(places, 0.0) is places
-
-
 def test_play_keeps_the_tip_in_the_tissue_when_the_probe_turns():
     play = 5e-4
     ramp = Ramp(0.2, 0.25, 0.4)
@@ -197,25 +179,6 @@ def test_force_has_the_error_of_the_stated_course(given, expected):
     edges = np.array([start, start + 1.25, start + 2.25, stop])
     away = np.all(np.abs(times[:, None] - edges) > 0.01, axis=1)
     np.testing.assert_allclose(error[away], expected(times, start, stop)[away], atol=1e-7)
-
-
-def test_hum_is_a_sine_of_the_stated_amplitude_and_frequency():
-    times, error, _ = added(hum_n=0.02, hum_hz=50.0)
-    design = np.column_stack([f(2.0 * np.pi * 50.0 * times) for f in (np.sin, np.cos)])
-    found, *_ = np.linalg.lstsq(design, error, rcond=None)
-    assert np.hypot(*found) == pytest.approx(0.02, rel=1e-9)
-    np.testing.assert_allclose(design @ found, error, atol=1e-12)
-
-
-@pytest.mark.parametrize("always", [False, True])
-def test_arm_vibrates_while_it_moves_or_always(always):
-    times, error, (start, _) = added(vibration_n=0.05, vibration_hz=12.0, vibration_at_rest=always)
-    for span in ((0.0, 0.49), (start + 1.26, start + 2.24)):
-        still = (times > span[0]) & (times < span[1])
-        amplitude = np.abs(error[still]).max()
-        assert amplitude == pytest.approx(0.05, rel=0.02) if always else amplitude == 0.0
-    moving = (times > start) & (times < start + 1.2)
-    assert np.abs(error[moving]).max() == pytest.approx(0.05, rel=0.02)
 
 
 def test_filter_delays_a_ramp_by_its_time_constant_and_damps_a_sine():

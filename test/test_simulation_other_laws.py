@@ -10,7 +10,6 @@ import math
 import numpy as np
 import pytest
 
-from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.other_laws import (
     Law,
@@ -88,8 +87,3 @@ def test_contact_pushes_and_the_tissue_wears_with_each_press():
     assert second == pytest.approx(0.9 * first, rel=2e-3)
     first, second = peaks(set_strain=0.02)
     assert second == pytest.approx(0.9 * first, rel=0.02)
-
-
-def test_no_relaxation_is_none():
-    with pytest.raises(InputError, match="neither"):
-        Relaxation()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +19,10 @@ from fden_ros.simulation.scenario import (
     Geometry,
     Tissue,
     load_scenario,
-    ramp_scenario,
     scenario_names,
     scenario_of_mapping,
 )
-from fden_ros.simulation.trajectory import Palpation, Ramp
+from fden_ros.simulation.trajectory import Palpation
 
 GOOD = {
     "name": "trial",
@@ -165,13 +164,6 @@ def test_unknown_name_is_answered_with_the_nearest_one():
         load_scenario("somewhere/else.yaml")
 
 
-def test_replaced_value_is_checked_too():
-    scenario = ramp_scenario()
-    with pytest.raises(InputError, match="rate_hz"):
-        replace(scenario.force, rate_hz=-1.0)
-    assert ramp_scenario(sites=2).sites[1].presses == (Ramp(0.1, 0.3),)
-
-
 def test_drawn_liver_has_the_statistics_of_the_paper_within_its_ranges():
     generator = np.random.default_rng(0)
     models = [Tissue(draw="liver").model(generator) for _ in range(4000)]
@@ -186,11 +178,3 @@ def test_drawn_liver_has_the_statistics_of_the_paper_within_its_ranges():
     assert np.mean(gn) == pytest.approx(8.547, rel=0.02)
     assert np.std(gn) == pytest.approx(1.604, rel=0.1)
     assert np.mean(alpha) == pytest.approx(0.131, rel=0.01)
-
-
-def test_giving_one_parameter_leaves_the_other_draws_alone():
-    free = Tissue(draw="liver").model(np.random.default_rng(3))
-    fixed = Tissue(draw="liver", fractional_order=0.2).model(np.random.default_rng(3))
-    assert fixed.fractional_order == 0.2
-    assert fixed.linear_stiffness == free.linear_stiffness
-    assert fixed.nonlinear_stiffness == free.nonlinear_stiffness

@@ -19,14 +19,12 @@ from fden_ros.simulation.scenario import (
     DisplacementSensor,
     Dropout,
     ForceSensor,
-    Geometry,
     Tissue,
     load_scenario,
     ramp_scenario,
     scenario_names,
 )
 from fden_ros.simulation.simulate import START_NS, simulate
-from fden_ros.simulation.trajectory import Staircase
 
 LIVER = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
 AREA_M2 = np.pi * 0.01**2
@@ -146,14 +144,6 @@ def test_jitter_moves_the_samples_with_their_stamps_and_keeps_them_in_order(jitt
         assert off.max() < tolerance
 
 
-def test_delay_stamps_the_displacement_late():
-    late = simulate(quiet_ramp(displacement=DisplacementSensor(delay_s=0.02)))
-    prompt = simulate(quiet_ramp())
-    assert np.all(late.displacement.stamp_ns - prompt.displacement.stamp_ns == 20_000_000)
-    np.testing.assert_array_equal(late.displacement.value, prompt.displacement.value)
-    assert late.truth["identifier_parameters"]["displacement.delay"] == 0.02
-
-
 def test_dropouts_are_where_they_are_said_to_be():
     dropouts = (Dropout("displacement", 3.0, 0.1), Dropout("both", 4.0, 0.25))
     recording = simulate(quiet_ramp(dropouts=dropouts))
@@ -180,33 +170,3 @@ def test_poses_move_sideways_between_sites_only_while_in_the_air():
         across = stream.position[during, :2]
         np.testing.assert_allclose(across - site.position_m, 0.0, atol=2e-5)
     assert np.ptp(stream.position[:, 0]) > 0.01
-
-
-@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -0.6, 0.8)])
-def test_tip_follows_the_approach_axis(axis):
-    sensor = DisplacementSensor(message="point", axis=axis, surface_m=0.2)
-    stream = simulate(quiet_ramp(displacement=sensor)).displacement
-    np.testing.assert_allclose(stream.position, np.outer(stream.value, axis), atol=1e-15)
-
-
-def test_sphere_follows_hertz_where_the_tissue_is_linear():
-    radius = 0.005
-    soft = Tissue(linear_stiffness=520.0, nonlinear_stiffness=4.0, fractional_order=1e-6)
-    scenario = replace(
-        ramp_scenario(tissue=soft, max_strain=0.2, noise_stress_pa=0.0),
-        geometry=Geometry("sphere", radius_m=radius),
-    )
-    recording = simulate(scenario)
-    depth = np.maximum(recording.displacement.value, 0.0)
-    hertz = 4.0 / 3.0 * 520.0 * np.sqrt(radius) * depth**1.5
-    peak = hertz.max()
-    np.testing.assert_allclose(recording.force.value, hertz, rtol=0.0, atol=1e-4 * peak)
-
-
-def test_staircase_goes_in_by_equal_steps_and_holds_each():
-    scenario = quiet_ramp()
-    (site,) = scenario.sites
-    stairs = replace(site, presses=(Staircase(0.5, 0.3, steps=3, hold_s=2.0),))
-    strain = simulate(replace(scenario, sites=(stairs,))).displacement.value / 0.02
-    held = [np.count_nonzero(np.abs(strain - level) < 1e-9) for level in (0.1, 0.2, 0.3)]
-    assert held == pytest.approx([2000] * 3, abs=10)
