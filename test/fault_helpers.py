@@ -52,7 +52,7 @@ WARNING_FLAGS = (
 _DEVIATIONS, _SLACK = 5.0, 0.02
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shift:
     """Samples of three sites, and the truth behind them."""
 

@@ -125,24 +125,25 @@ def _path() -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def forces(s: Shift, weight: np.ndarray | None = None) -> list[Vector]:
-    """Return the forces in the sensor's frame, and a weight [N] in the base's."""
+@functools.cache
+def forces(s: Shift) -> tuple[Vector, ...]:
+    """Return the forces in the sensor's frame."""
     vectors = []
     for item in s.items:
         if item.stream == FORCE:
             second = s.second(item.stamp_ns)
             turn = turn_of(second) * TIP[1].inv()
-            in_base = np.array([0.0, 0.0, item.value]) + (0.0 if weight is None else weight)
-            x, y, z = map(float, turn.inv().apply(in_base))
+            x, y, z = map(float, turn.inv().apply([0.0, 0.0, item.value]))
             vectors.append(Vector(item.stamp_ns, (x, y, z)))
-    return vectors
+    return tuple(vectors)
 
 
-def transforms(s: Shift) -> list[Place]:
+@functools.cache
+def transforms(s: Shift) -> tuple[Place, ...]:
     """Return the transforms of a shift, three milliseconds off the samples."""
     step, first = round(NANOSECONDS / RATE), s.items[0].stamp_ns - 2_000_000
     instants = range(first, s.items[-1].stamp_ns + step, step)
-    return [one for instant in instants for one in places(s, instant)]
+    return tuple(one for instant in instants for one in places(s, instant))
 
 
 def arm(s: Shift, moving: Iterable[Place] | None = None) -> list[Vector | Place]:

@@ -148,14 +148,6 @@ def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     assert "by its edge first, over 7.3 mm" in words
 
 
-def test_an_unstated_tilt_makes_gn_too_small_by_its_cosine(still: Outcome) -> None:
-    found = by_messages(poses(stretch=1.0 / math.cos(TILT)))
-    for a, b in zip(found.summaries, still.summaries, strict=True):
-        assert a.estimate is not None and b.estimate is not None
-        ratio = a.estimate.nonlinear_stiffness / b.estimate.nonlinear_stiffness
-        assert ratio == pytest.approx(math.cos(TILT), rel=0.01)
-
-
 def test_a_pose_without_an_orientation_is_counted(still: Outcome) -> None:
     values = check(ALONG)
     pipeline = Pipeline(pipeline_config(values), lambda output: None)

@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 import pytest
-from property_helpers import counts
+from property_helpers import counts, first
 from scipy.special import ndtr
 
 from benchmark import (
@@ -317,11 +317,11 @@ def test_accuracy_is_measured_with_the_parameters_of_a_file(tmp_path, capsys):
     path = tmp_path / "mine.yaml"
     path.write_text("/**: {ros__parameters: {model_error: {sd: 0.0}}}\n")
     own = ("accuracy", "--cases", "ten_samples", "--contacts", 3, "--jobs", 1)
-    first = benchmark(capsys, tmp_path, *own)["cases"]["ten_samples"]
+    plain = benchmark(capsys, tmp_path, *own)["cases"]["ten_samples"]
     second = benchmark(capsys, tmp_path, *own, "--parameters", path)["cases"]["ten_samples"]
     # The scale of the law's error is learned: ten samples do not rule it out.
-    assert first["error over the bound"] != second["error over the bound"]
-    assert second["silent"] == [0, 3] and first["error over the bound"][2] is None
+    assert plain["error over the bound"] != second["error over the bound"]
+    assert second["silent"] == [0, 3] and plain["error over the bound"][2] is None
 
 
 def test_a_site_pressed_before_goes_on_where_noise_hides_the_surface():
@@ -363,13 +363,14 @@ def test_study_stands_beside_the_paper_without_and_with_noise(tmp_path, capsys):
 SLIDE, INCLUSION = changes.CHANGES[:2]
 
 
-@pytest.mark.parametrize("numbers", counts(1, 4))
+@pytest.mark.parametrize("numbers", first((1,), (0, 1, 2, 3)))
 @pytest.mark.parametrize("row", ["flat_30", "sphere_30", "flat_100_arm"])
 def test_changes_are_told_in_time_at_slow_rates_too(row, numbers):
     for change in (SLIDE, INCLUSION):
-        delays = [changes.run_trial((row, change.name), number, {}) for number in range(numbers)]
+        delays = [changes.run_trial((row, change.name), number, {}) for number in numbers]
         # With the open questions of an arm an inclusion of 1.5 is told in time in half of them.
-        least = numbers // 2 if row.endswith("_arm") and change is INCLUSION else 0.75 * numbers
+        share = 0.5 if row.endswith("_arm") and change is INCLUSION else 0.75
+        least = math.ceil(share * len(numbers))
         assert changes.told_in(delays)["in time"].part >= least, change.name
 
 
@@ -397,7 +398,7 @@ def test_too_soon_and_too_late_are_not_in_time(tmp_path, capsys):
 def tables(tmp_path_factory):
     """A folder with a table of two materials: soft and slow, stiff and quick."""
     rng, lines = np.random.default_rng(7), []
-    for index in range(12):
+    for index in range(8):
         name, g, order = (("beef_x", 2.0, 0.32), ("silicone", 6.0, 0.1))[index % 2]
         model = FdenModel(g * math.exp(rng.normal(0, 0.1)), 8.0, order + rng.normal(0, 0.01))
         times = 0.1 * np.arange(80)
@@ -416,7 +417,7 @@ def tables(tmp_path_factory):
 
 
 def test_measured_tests_of_two_materials_are_told_apart(tables):
-    assert told(read_tests(tables))["beef | silicone: errors"] == Share(0, 12)
+    assert told(read_tests(tables))["beef | silicone: errors"] == Share(0, 8)
 
 
 def test_rest_of_a_hold_is_predicted_beside_the_peers(tables, tmp_path, capsys):

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from pipeline_helpers import FORCE, feed, identified, items_of, parameters_of, summaries_of
 
 from fden_ros.core.outputs import Flag
@@ -69,9 +68,8 @@ def test_first_contact_whose_air_was_none_is_withdrawn():
     assert last.flags & Flag.ORIGIN_UNCERTAIN
 
 
-@pytest.mark.parametrize("creep_n", [0.0, 0.03])
-def test_air_that_ends_too_soon_says_nothing(creep_n):
-    items, parameters = recorded(creep_n=creep_n)
+def test_air_that_ends_too_soon_says_nothing():
+    items, parameters = recorded(creep_n=0.03)
     (touched, *_) = summaries_of(identified(items, parameters)[1])
     short = [item for item in items if item.stamp_ns < touched.end_ns + 300_000_000]
     (summary,) = summaries_of(identified(short, parameters)[1])

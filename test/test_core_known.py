@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from rich.console import Console
 
 from benchmark.measured import Test as Measured
 from benchmark.measured import identify as identify_measured
-from benchmark.measured import read_tests
 from fden_ros.control.live_tissue import LiveTissue, Refusal
 from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
@@ -34,8 +31,6 @@ from fden_ros.simulation.simulate import simulate
 
 G, GN = ParameterSet.LINEAR_STIFFNESS, ParameterSet.NONLINEAR_STIFFNESS
 ALPHA = ParameterSet.FRACTIONAL_ORDER
-#: Folder of the measured data: not part of the repository.
-DATA = os.environ.get("FDEN_DATA")
 LINEAR, ELASTIC = (20000.0, 1.5, 0.2), (2000.0, 8.0, 1e-6)
 
 
@@ -178,18 +173,6 @@ def test_what_is_known_survives_the_message() -> None:
         one, other = sent.estimate, heard.estimate
         assert one is not None and other is not None
         assert (other.valid, other.known, other.at_edge) == (one.valid, one.known, one.at_edge)
-
-
-def test_measured_beef_and_silicone_are_identified_without_a_setting() -> None:
-    if not DATA:
-        pytest.skip("set FDEN_DATA to the folder of the measured data")
-    tests = read_tests(Path(DATA))
-    found = {
-        kind: [identify_measured(test)[0] for test in [t for t in tests if t.kind == kind][::step]]
-        for kind, step in (("beef", 8), ("silicone", 1))
-    }
-    assert np.mean([estimate.converged for estimate in found["beef"]]) >= 0.8
-    assert np.mean([estimate.knows(0) for estimate in found["silicone"]]) >= 0.8
 
 
 @pytest.mark.parametrize("toe", [0.0, 0.5])

@@ -65,8 +65,11 @@ def test_a_contact_that_moves_more_than_was_learned_is_widened():
     ("breathes", "is_learned"),
     [(False, True), pytest.param(True, False, marks=pytest.mark.statistics)],
 )
-def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(breathes, is_learned):
-    rig = replace(case_of("breathing_0.3mm" if breathes else "undisturbed"), sites=4)
+def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(
+    breathes, is_learned, monkeypatch
+):
+    monkeypatch.setattr(presses, "RATE_HZ", 100.0)
+    rig = replace(case_of("breathing_0.3mm" if breathes else "undisturbed"), sites=3)
     learned = trial_of(rig, 0, {}).contacts[-1]
     stated = trial_of(rig, 0, {"surface.learn_motion": False}).contacts[-1]
     assert bool(np.all(learned.deviation < 0.9 * stated.deviation)) == is_learned

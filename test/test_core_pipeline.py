@@ -90,6 +90,12 @@ def outcome(data: Presses, items: Sequence[Any] | None = None, **parameters: obj
     return outcome_of(data.items if items is None else items, data.parameters | own)
 
 
+@functools.cache
+def undisturbed() -> Outcome:
+    """What is made of three presses of one place."""
+    return outcome(presses())
+
+
 @pytest.mark.parametrize(("sites", "expected"), [(1, [1, 1]), (2, [1, 2])])
 def test_without_positions_the_surface_tells_a_second_press_of_one_place(sites, expected):
     press = Palpation(0.3, 0.26, 2.0, presses=3 - sites, lift_m=0.002, pause_s=2.2)
@@ -131,8 +137,7 @@ def without_ids(output: Output) -> bytes:
 
 
 def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> None:
-    data = presses()
-    result = outcome(data)
+    data, result = presses(), undisturbed()
     assert ids(result.summaries) == [(1, 1), (1, 2), (1, 3)]
     assert all(s.complete and s.converged and not s.flags for s in result.summaries)
     deviations = [sd_of(summary) for summary in result.summaries]
@@ -146,8 +151,7 @@ def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> No
 
 
 def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
-    data = presses()
-    result = outcome(data)
+    data, result = presses(), undisturbed()
     begin, end = result.summaries[0].stamp_ns + RELEASE_NS, data.contacts[1]["start_ns"]
     between = [state for state in result.states if begin < state.stamp_ns < end]
     assert len(between) > 20
@@ -332,7 +336,7 @@ def test_a_reset_in_contact_is_refused_and_changes_nothing() -> None:
     asked = outcome(data, [*data.between(0, stamp_ns), *ask, *data.between(stamp_ns, math.inf)])
     lift = "the probe is in contact: lift it, then "
     assert answers == [lift + what for what in ("reset", "tare")]
-    assert [repr(o) for o in asked.outputs] == [repr(o) for o in outcome(data).outputs]
+    assert [repr(o) for o in asked.outputs] == [repr(o) for o in undisturbed().outputs]
 
 
 def test_a_tare_takes_the_force_of_the_air_off_what_comes_after_it() -> None:
@@ -373,8 +377,7 @@ def test_after_a_clock_jumps_back_in_contact_the_state_is_unknown_until_the_prob
 
 def test_a_second_pipeline_knows_nothing_of_the_first() -> None:
     """Activating a node makes a new one."""
-    data = presses()
-    first, second = outcome(data), outcome(data)
+    first, second = undisturbed(), outcome(presses())
     assert pickle.dumps(first.outputs) == pickle.dumps(second.outputs)
     assert ids(second.summaries) == [(1, 1), (1, 2), (1, 3)]
 
@@ -404,8 +407,7 @@ def test_an_open_contact_is_reported_once_at_the_end_with_all_that_was_learned()
 def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_its_state() -> (
     None
 ):
-    data = presses()
-    outputs = outcome(data).outputs
+    outputs = undisturbed().outputs
     open_contact = 0
     for before, output in itertools.pairwise(outputs):
         if isinstance(output, TissueState):
@@ -425,7 +427,7 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
     assert open_contact == 3
     assert ids(outputs) == sorted(ids(outputs))
     # A contact begins undetermined, before its first label, and ends with the summary's.
-    for summary in outcome(data).summaries:
+    for summary in undisturbed().summaries:
         own = [
             o
             for o in outputs

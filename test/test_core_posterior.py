@@ -338,9 +338,8 @@ def test_the_boundary_strain_is_passed_with_the_probability_of_a_logarithm() -> 
     assert probability_beyond(0.0, 0.01, math.log(10.0), 0.1) == 0.0
 
 
-@pytest.mark.parametrize("name", ["ramp", "palpation", "robot_arm"])
-def test_the_pipeline_identifies_by_the_posterior(name: str) -> None:
-    contacts = contact_errors(load_scenario(name), 1000)
+def test_an_arm_s_presses_are_identified_within_their_deviations() -> None:
+    contacts = contact_errors(load_scenario("robot_arm"), 1000)
     assert all(contact.converged for contact in contacts)
     for contact in contacts:
         assert np.all(np.abs(contact.error) < 3.5 * np.array(contact.sd)), contact

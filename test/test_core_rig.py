@@ -93,9 +93,9 @@ def test_what_is_said_to_be_exact_is_not_learned():
 
 @functools.cache
 def touches():
-    """Return items and parameters of three sites on one rig, at 100 Hz."""
+    """Return items and parameters of two sites on one rig, at 100 Hz."""
     case = CASES["ten_sites"]
-    scenario = scenario_of(replace(case, sites=3), 0)
+    scenario = scenario_of(replace(case, sites=2), 1)
     scenario = replace(
         scenario,
         geometry=replace(scenario.geometry, thickness_m=0.02),
@@ -138,11 +138,11 @@ def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset(
     feed(pipeline, items)
     pipeline.finish()
     known = [summary.rig for summary in summaries_of(outputs)]
-    assert [rig.contacts for rig in known] == [1, 2, 3]
+    assert [rig.contacts for rig in known] == [1, 2]
     frictions = [rig.values["friction"].sd for rig in known]
     assert frictions[0] < ARM.friction_sd
     for quantity in known[0].values:
-        assert known[2].values[quantity].sd <= known[0].values[quantity].sd
+        assert known[1].values[quantity].sd <= known[0].values[quantity].sd
     pipeline.reset()
     assert pipeline.rig == replace(known[-1], drift=pipeline.rig.drift)
     pipeline.forget_rig()
@@ -151,8 +151,8 @@ def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset(
 
 def test_a_contact_that_is_cut_short_or_not_to_be_learned_from_teaches_nothing():
     items, parameters = touches()
-    half = items[: len(items) // 8]
-    for own, some in (({"rig.learn": False}, items), ({}, half)):
+    half, first = items[: len(items) // 5], items[: len(items) // 2]
+    for own, some in (({"rig.learn": False}, first), ({}, half)):
         _, outputs = identified(some, {**parameters, **own})
         summaries = summaries_of(outputs)
         assert summaries and all(summary.rig.contacts == 0 for summary in summaries)
@@ -164,11 +164,11 @@ def test_forgetting_the_rig_at_a_site_that_began_with_it_lets_that_site_teach_no
     pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
     for number, item in enumerate(items):
         feed(pipeline, [item])
-        if number == len(items) // 6:
+        if number == len(items) // 4:
             assert math.isfinite(pipeline.newest_ns)
             pipeline.forget_rig()
     pipeline.finish()
-    assert [summary.rig.contacts for summary in summaries_of(outputs)] == [0, 1, 2]
+    assert [summary.rig.contacts for summary in summaries_of(outputs)] == [0, 1]
 
 
 def test_forgetting_the_rig_before_the_air_was_judged_lets_that_contact_teach_nothing():

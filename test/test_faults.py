@@ -16,7 +16,7 @@ import math
 import pickle
 import random
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from fault_helpers import (
 )
 from frame_helpers import FRAMES, Place, arm, transforms
 from pipeline_helpers import Item, feed
-from property_helpers import counts
+from property_helpers import counts, first
 from scipy.spatial.transform import Rotation
 
 from fden_ros.core.outputs import Flag, Status
@@ -282,7 +282,9 @@ def break_estimator(pipeline: Pipeline) -> None:
     pipeline._site._estimator.update = update  # type: ignore[method-assign, assignment]
 
 
-def arm_with(change: Callable[[Shift, list[Place]], list[Place]]) -> Callable[[Shift], list[Step]]:
+def arm_with(
+    change: Callable[[Shift, Sequence[Place]], Sequence[Place]],
+) -> Callable[[Shift], list[Step]]:
     """Let an arm that turns carry the probe, and something happen to its transforms."""
     return lambda s: list(arm(s, change(s, transforms(s))))
 
@@ -290,7 +292,7 @@ def arm_with(change: Callable[[Shift, list[Place]], list[Place]]) -> Callable[[S
 def some_places(change: Callable[[Place], Place]) -> Callable[[Shift], list[Step]]:
     """Change a few transforms of one link in the second contact, never two in a row."""
 
-    def changed(s: Shift, moving: list[Place]) -> list[Place]:
+    def changed(s: Shift, moving: Sequence[Place]) -> Sequence[Place]:
         near = [k for k, one in enumerate(moving) if s.at(BEGIN) <= one.stamp_ns < s.at(END)]
         chosen = set(near[10::33])
         return [change(one) if k in chosen else one for k, one in enumerate(moving)]
@@ -483,7 +485,7 @@ def assert_third_site(s: Shift, outcome: Outcome, clean: Outcome) -> None:
     assert abs(difference) < sd
 
 
-@pytest.mark.parametrize("skipped", [2, 4, 6])
+@pytest.mark.parametrize("skipped", first(2, 4, 6))
 def test_a_clock_that_jumps_back_between_any_two_samples_is_followed(skipped: int) -> None:
     # The force is looked at in chunks of a few samples: the jump may fall within one.
     s = shift()

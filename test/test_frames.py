@@ -112,22 +112,6 @@ def test_the_touch_is_where_the_tip_of_the_arm_is(turning: Outcome) -> None:
         assert np.allclose(summary.position, tip_position(summary.start_ns), atol=1e-4)
 
 
-def test_without_frames_the_turning_force_is_wrong(still: Outcome) -> None:
-    s = first_press()
-    items = list(s.items)
-    sensed = {one.stamp_ns: one.force[2] for one in forces(s)}
-    wrong = outcome_of(
-        [i._replace(value=sensed[i.stamp_ns]) if i.stream == 0 else i for i in items],
-        s.parameters,
-    )
-    worst = max(
-        abs(a.estimate.log_linear_stiffness - b.estimate.log_linear_stiffness)
-        for a, b in zip(wrong.summaries, still.summaries, strict=False)
-        if a.estimate is not None and b.estimate is not None
-    )
-    assert worst > 0.05
-
-
 def test_a_displacement_topic_beside_the_frames_turns_the_force_alone(still: Outcome) -> None:
     s = first_press()
     moved = [item for item in s.items if item.stream != 0]
@@ -203,17 +187,6 @@ def test_static_transforms_outlive_a_reset() -> None:
     samples: list[Any] = arm(s)
     middle = len(samples) // 3
     outcome = run([*samples[:middle], lambda p: p.reset(), *samples[middle:]])
-    assert outcome.summaries[-1].converged
-
-
-def test_a_tare_counts_along_the_axis_of_the_base() -> None:
-    samples: list[Any] = arm(first_press())
-    middle = len(samples) // 3
-    outcome = run(
-        [*samples[:middle], lambda p: p.tare(), *samples[middle:]],
-        force__measure_bias=False,
-        force__threshold=0.02,
-    )
     assert outcome.summaries[-1].converged
 
 

@@ -130,13 +130,6 @@ def test_stiffness_is_the_colour_and_uncertainty_the_transparency() -> None:
     assert opacities[0] == 1.0 and opacities[2] == pytest.approx(0.5) and opacities[-1] >= 0.1
 
 
-def test_a_contact_without_position_or_estimate_is_not_on_the_map() -> None:
-    stiffness_map = StiffnessMap()
-    assert not stiffness_map.add(replace(summary(1), position=None))
-    assert not stiffness_map.add(replace(summary(1), estimate=None))
-    assert stiffness_map.cloud().width == 0
-
-
 def drawn(messages: list[MarkerArray]) -> set[int]:
     """The sites that are left on the screen after messages: what RViz makes of their actions."""
     shown: dict[tuple[str, int], Marker] = {}
@@ -235,18 +228,6 @@ def test_the_monitor_draws_the_force_and_g_with_its_band() -> None:
     assert min(dots) > 9 + 20 and max(dots) > 9 + 40
     assert sum("░" in line for line in stiffness_chart) >= 4
     assert "stress [Pa]" in shown(MonitorView("/i", trace=replace(trace, stress_per_force=None)))
-
-
-def test_the_axis_of_g_is_that_of_what_is_known_and_its_labels_are_whole() -> None:
-    ages = np.linspace(10.0, 0.0, 501)
-    is_prior = ages > 8.0
-    stiffness = np.where(is_prior, 10330.0, 698.0)
-    spread = np.where(is_prior, 100.0, 1.02)
-    stress = np.full(ages.size, -0.0005922)
-    trace = Trace(ages, stress, stiffness, stiffness / spread, stiffness * spread)
-    text = shown(MonitorView("/identifier", trace=trace))
-    assert "…" not in text and "-0.0006514" in text
-    assert "714.2 " in text and "682.1 " in text
 
 
 def test_the_monitor_tells_a_bag_that_is_over_from_a_node_that_is_gone() -> None:

@@ -89,24 +89,12 @@ def test_touches_on_one_line_are_refused_however_exact() -> None:
     assert "mm aside of it" in words
 
 
-def test_touches_that_are_too_uncertain_for_their_distances_are_refused() -> None:
-    places, normal = touches(3, 8, noise=1e-4)
-    near = places.mean(axis=0) + 0.2 * (places - places.mean(axis=0))
-    assert "touch at more places, farther apart" in refusal(near, normal, 1e-3)
-
-
 @pytest.mark.parametrize("stated", [0.0, 1e-4])
 def test_a_curved_surface_is_refused(stated: float) -> None:
     """A radius of 50 mm: at 20 mm from the middle it slopes by 22 degrees."""
     for seed in range(100):
         places, normal = touches(seed, 12, noise=1e-4, curvature=20.0)
         assert "the surface is curved or moves: touch within" in refusal(places, normal, stated)
-
-
-def test_a_flat_surface_is_not_told_as_curved() -> None:
-    for seed in range(200):
-        places, normal = touches(seed, 12, noise=1e-4)
-        fit_plane(places, normal, 1e-4)
 
 
 def test_the_tilt_of_a_probe_is_told_with_its_deviation() -> None:

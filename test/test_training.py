@@ -23,7 +23,6 @@ from fden_ros.tissues.training import (
     learn,
     library_of,
     library_text,
-    share_interval,
 )
 
 MEAN = np.array([6.3, 2.1, 0.13])
@@ -91,31 +90,6 @@ def test_order_that_no_contact_showed_is_learned_from_those_that_did():
         assert math.sqrt(one.between[2, 2] + one.within[2, 2]) == pytest.approx(0.017, rel=0.4)
 
 
-def test_single_specimen_takes_the_spread_of_the_others():
-    rng = np.random.default_rng(3)
-    many, one = drawn(rng, classes=1, specimens=30), drawn(rng, classes=1, specimens=1, each=5)
-    both = joined([many, Contacts(("z",) * 5, one.specimens, one.likelihood)])
-    spreads = learn(both)
-    assert spreads["z"].specimens == 1
-    np.testing.assert_allclose(
-        np.diag(spreads["z"].between), np.diag(spreads["a"].between), rtol=0.6
-    )
-    assert library_of(spreads).tissues[1].degrees_of_freedom == 4.0
-
-
-def test_contacts_of_one_specimen_are_not_so_many_specimens():
-    rng = np.random.default_rng(4)
-    few = drawn(rng, classes=1, specimens=4, each=25)
-    named, unnamed = (
-        learn(few)["a"],
-        learn(Contacts(few.tissues, ("",) * 100, few.likelihood))["a"],
-    )
-    assert (named.specimens, unnamed.specimens) == (4, 100)
-    wide, narrow = named.tissue("a"), unnamed.tissue("a")
-    assert wide.degrees_of_freedom < 8.0 < narrow.degrees_of_freedom
-    assert named.mean_covariance[0, 0] > 5.0 * unnamed.mean_covariance[0, 0]
-
-
 def test_prediction_from_few_specimens_is_the_golden_one():
     learned = learn(drawn(np.random.default_rng(5), specimens=4, each=2))
     prediction = learned["a"].tissue("a")
@@ -171,14 +145,6 @@ def test_check_says_what_it_could_not_do():
     said = check_object(check(unnamed, learn(unnamed)))
     assert said["without_named_specimens"] == ["a", "b"]
     assert said["left_out"] == "one contact at a time: no specimen is named"
-
-
-def test_interval_of_errors_counts_specimens():
-    # Whole specimens go wrong together.
-    hits = np.repeat(np.random.default_rng(8).random(30) < 0.3, 10)
-    low, high = share_interval(hits, [str(i // 10) for i in range(300)])
-    assert low < 0.3 < high and 0.2 < high - low < 0.4
-    assert share_interval(np.zeros(50, dtype=bool), ["a"] * 25 + ["b"] * 25)[1] > 0.5
 
 
 # The file
