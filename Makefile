@@ -1,6 +1,8 @@
 # Every target sets up what it needs first; PYTHON=python3.12 make ... chooses the interpreter.
 ENV := scripts/ros_env
-PYTEST_ARGS ?= -n 2
+# A file stays with one process: what its tests share is made once.
+PYTEST_ARGS ?= -n 2 --dist loadfile
+STATISTICS_ARGS ?= -n 2
 PYTEST := $(ENV) python -m pytest --durations=10
 SEARCH_TIME ?= 3600
 
@@ -40,7 +42,7 @@ test:
 
 statistics:
 	@echo "make statistics: statistical claims at their full counts, on all their seeds"
-	@$(PYTEST) $(PYTEST_ARGS) -m statistics
+	@$(PYTEST) $(STATISTICS_ARGS) -m statistics
 
 search: setup
 	@$(ENV) python test/search.py $(SEARCH_TIME)
