@@ -57,7 +57,6 @@ def load_profile() -> None:
 def _ignore_local_constants() -> None:
     from hypothesis.internal.conjecture import providers
 
-    # Older versions take no constants from modules and have no such function;
-    # test_properties.py holds whether this works.
+    # Older versions take no constants from modules and have no such function.
     if hasattr(providers, "is_local_module_file"):
         providers.is_local_module_file = lambda path: False

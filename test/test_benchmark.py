@@ -29,7 +29,7 @@ from benchmark import (
 )
 from benchmark.bound import bounds, contact_bounds
 from benchmark.classification import told
-from benchmark.harness import Goal, Report, Table, by_case, within
+from benchmark.harness import Goal, Report, Table, within
 from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order, read_tests
 from benchmark.peers import PEERS, Samples
@@ -132,16 +132,6 @@ def test_report_becomes_plain_json_without_numbers_that_json_lacks():
         "goals": [{"name": "speed", "value": 1.5, "goal": "<= 2", "met": True}],
         "figures": {"table": {"row": {"array": [1.0, None], "inf": None, "share": [1, 3]}}},
     }
-
-
-def _sum(name, number, more):
-    return f"{name}{number + more}"
-
-
-def test_trials_come_in_their_order_whatever_the_number_of_processes():
-    tasks = [(name, number) for name in "ab" for number in range(3)]
-    expected = {"a": ["a1", "a2", "a3"], "b": ["b1", "b2", "b3"]}
-    assert by_case(_sum, tasks, 1, jobs=1) == by_case(_sum, tasks, 1, jobs=2) == expected
 
 
 # Scores

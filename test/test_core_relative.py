@@ -146,17 +146,10 @@ def six_sites(last):
     )
 
 
-def compared_row(last, **parameters):
-    recording = simulate(six_sites(last), 1)
-    own = parameters_of(recording) | {
-        "classification.mode": "relative",
-        "prior.linear_stiffness_log_sd": 1.0,
-    }
-    return identified(items_of(recording), own | parameters)[1]
-
-
 def test_pipeline_tells_the_stiff_site_from_those_before_it():
-    outputs = compared_row(1500.0)
+    recording = simulate(six_sites(1500.0), 1)
+    own = {"classification.mode": "relative", "prior.linear_stiffness_log_sd": 1.0}
+    _, outputs = identified(items_of(recording), parameters_of(recording) | own)
     summaries = summaries_of(outputs)
     assert len(summaries) == 6
     # The first four have too few before them.
@@ -169,8 +162,3 @@ def test_pipeline_tells_the_stiff_site_from_those_before_it():
     assert answers[-1].decision is Decision.CLASS
     assert answers[-1].library_name == ""
     assert answers[-1].decided.strain > 0.12
-
-
-def test_sites_beyond_the_distance_are_no_surroundings():
-    summaries = summaries_of(compared_row(1500.0, **{"classification.distance": 0.025}))
-    assert all(summary.classes is None for summary in summaries)

@@ -20,6 +20,7 @@ from benchmark.accuracy import CASES, Case, trial_of
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.geometry import PassThrough
 from fden_ros.core.outputs import Flag, TissueState
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
@@ -279,3 +280,20 @@ def test_inclusion_met_on_the_way_is_told_at_once_and_its_stiffness_learned(seed
             assert np.all(np.abs(error) < 0.02)
             errors.append(error / np.sqrt(summary.estimate.covariance.diagonal()[:2]))
     assert np.sum(np.square(errors)) < chi2.ppf(0.9999, np.size(errors)), errors
+
+
+# Whitened residuals
+
+
+def test_white_residuals_contradict_the_model_in_less_than_one_contact_of_a_thousand():
+    # More than 4 of 1,000 would come by chance in 1 of 270 runs only.
+    rng = np.random.default_rng(5)
+    assert sum(contradicts(rng.standard_normal(1000)) for _ in range(1000)) <= 4
+
+
+def test_underestimated_noise_and_slow_deviations_below_the_noise_do():
+    rng = np.random.default_rng(1)
+    assert contradicts(1.3 * rng.standard_normal(2000))
+    slow = 0.5 * np.sin(2.0 * np.pi * np.arange(4000) / 1000)
+    assert contradicts(slow + rng.standard_normal(4000))
+    assert not contradicts(rng.standard_normal(0))

@@ -42,11 +42,22 @@ RIGID = {
 SPHERE = {**RIGID, "geometry.kind": "sphere", "geometry.radius": 0.01}
 
 
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording up to the air after its first press."""
+    path = tmp_path_factory.mktemp("once") / "press.csv"
+    path.write_text("\n".join(PRESS.read_text(encoding="utf-8").splitlines()[:1250]))
+    return path
+
+
 def identified(
-    columns: str, parameters: dict[str, object], outputs: list[Output] | None = None
+    recording: Path,
+    columns: str,
+    parameters: dict[str, object],
+    outputs: list[Output] | None = None,
 ) -> Replay:
     return replay(
-        PRESS,
+        recording,
         check(parameters),
         Selection(columns=Columns.parse(columns)),
         on_output=None if outputs is None else lambda output, _frame: outputs.append(output),
@@ -77,10 +88,10 @@ WRONG = {
 
 @pytest.mark.parametrize(("columns", "parameters", "words"), WRONG.values(), ids=WRONG)
 def test_wrong_unit_is_never_converged_and_said_with_its_factor(
-    columns: str, parameters: dict[str, object], words: str
+    columns: str, parameters: dict[str, object], words: str, once: Path
 ) -> None:
     outputs: list[Output] = []
-    result = identified(columns, parameters, outputs)
+    result = identified(once, columns, parameters, outputs)
     assert result.summaries and not result.has_identified
     assert all(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
     assert any(words in warning for warning in result.warnings), result.warnings
@@ -99,16 +110,19 @@ def test_wrong_unit_is_never_converged_and_said_with_its_factor(
     ids=["ms for s", "beyond the limit"],
 )
 def test_stream_without_a_usable_sample_is_explained(
-    columns: str, parameters: dict[str, object], words: str
+    columns: str, parameters: dict[str, object], words: str, once: Path
 ) -> None:
-    result = identified(columns, parameters)
+    result = identified(once, columns, parameters)
     assert not result.summaries and any(words in warning for warning in result.warnings)
     assert not any("overlap" in warning or "axis" in warning for warning in result.warnings)
 
 
-def test_what_is_stated_to_be_so_is_plausible() -> None:
-    slow = identified("time_s*1e3,force_N,depth_mm*1e-3", {**RIGID, "plausible.strain_rate": 0.0})
+def test_what_is_stated_to_be_so_is_plausible(once: Path) -> None:
+    slow = identified(
+        once, "time_s*1e3,force_N,depth_mm*1e-3", {**RIGID, "plausible.strain_rate": 0.0}
+    )
     strong = identified(
+        once,
         "time_s,force_N*1e4,depth_mm*1e-3",
         {**RIGID, "prior.linear_stiffness": 5e6, "plausible.force": 2e3},
     )
@@ -120,7 +134,7 @@ def test_what_is_stated_to_be_so_is_plausible() -> None:
 @pytest.mark.parametrize("factor", [10, 100])
 def test_slow_recording_is_identified(factor: int) -> None:
     # 20 and 2 samples a second become one in 50 ms and in 0.5 s; G goes with time^alpha.
-    result = identified(f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
+    result = identified(PRESS, f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
     assert not result.rejected and not result.warnings
     for summary, (g, g_n) in zip(result.summaries, ((450.0, 9.0), (700.0, 8.0)), strict=True):
         assert summary.converged and summary.estimate is not None
@@ -178,10 +192,11 @@ def test_nothing_identified_is_an_exit_code_of_its_own(
     ],
 )
 def test_without_a_stated_geometry_nothing_is_converged(
-    parameters: dict[str, object], example: str
+    parameters: dict[str, object], example: str, once: Path
 ) -> None:
     outputs: list[Output] = []
-    result = identified(RIGHT, {**RIGID, **dict.fromkeys(PROBE, 0.0), **parameters}, outputs)
+    unstated = {**RIGID, **dict.fromkeys(PROBE, 0.0), **parameters}
+    result = identified(once, RIGHT, unstated, outputs)
     assert not result.has_identified and example in result.warnings[0]
     flagged = [o for o in outputs if isinstance(o, (TissueState, Classification, ContactSummary))]
     assert len(flagged) > 100 and all(o.flags & Flag.GEOMETRY_UNSTATED for o in flagged)
@@ -218,9 +233,9 @@ def test_every_output_says_that_the_geometry_is_not_stated(
         assert status.level == status.WARN and "the geometry is not stated" in status.message
 
 
-def test_monitor_says_that_the_geometry_is_not_stated() -> None:
+def test_monitor_says_that_the_geometry_is_not_stated(once: Path) -> None:
     outputs: list[Output] = []
-    identified(RIGHT, {}, outputs)
+    identified(once, RIGHT, {}, outputs)
     state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
     console = Console(width=120, file=io.StringIO(), record=True)
     console.print(monitor_view(MonitorView("/identifier", state, age=0.0, refusal=None)))

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The scale of the surface's motion, learned over contacts; and a surface that has shifted."""
+"""The scales of the surface's motion and of the force's drift, learned over contacts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ from property_helpers import counts, first
 
 from benchmark import presses
 from benchmark.presses import CASES, trial_of
+from fden_ros.core.estimation.drift_scale import (
+    DRIFT_SCALES,
+    NO_DRIFT_EVIDENCE,
+    drift_evidence,
+    drift_share,
+)
 from fden_ros.core.estimation.motion_scale import (
     LEAST_SHARE,
     NO_EVIDENCE,
@@ -25,14 +31,24 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 AT_REST = (0.0, 9.0, 13.0, 15.0, 15.5)
 BREATHES = (0.0, 8.0, 6.0, -6.0, -24.0)
+NOISE, STATED = 1e-3**2, 10e-3**2
+UNKNOWN = RigKnowledge((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)))
+
+
+def after(changes):
+    """Return what is known after changes of the air's force [N]."""
+    known = UNKNOWN
+    for change in changes:
+        known = known.drifted(drift_evidence(change, NOISE, STATED))
+    return known
 
 
 def case_of(name):
     return CASES[name]
 
 
-def test_without_any_contact_all_of_the_stated_motion_counts():
-    assert share_of(NO_EVIDENCE) == 1.0
+def test_without_any_contact_all_of_the_stated_motion_and_drift_counts():
+    assert share_of(NO_EVIDENCE) == drift_share(NO_DRIFT_EVIDENCE) == UNKNOWN.drift_share == 1.0
 
 
 def test_contacts_at_rest_leave_a_quarter_of_the_stated_motion_and_no_less():
@@ -61,6 +77,38 @@ def test_a_contact_that_moves_more_than_was_learned_is_widened():
     assert known.motion_factor([0.0, 2.0, -20.0, -60.0, -90.0]) > 2.0
 
 
+def test_one_contact_after_which_the_air_is_as_before_makes_nothing_sharper():
+    assert after([0.0]).drift_share == 1.0
+
+
+def test_many_such_contacts_leave_a_quarter():
+    generator = np.random.default_rng(3)
+    assert after(generator.normal(0.0, 1e-3, 12)).drift_share == DRIFT_SCALES[-1] == 0.25
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_the_drift_that_there_is_is_hardly_ever_taken_for_less(scale):
+    """Of 400 rigs, after ten contacts each; nor what is stated for more."""
+    generator = np.random.default_rng(7)
+    sd = np.hypot(scale * 10e-3, 1e-3)
+    shares = np.array([after(generator.normal(0.0, sd, 10)).drift_share for _ in range(400)])
+    assert np.mean(shares < min(scale, 1.0)) < 0.05
+    assert np.mean(shares > max(scale, 1.0)) < 0.05
+
+
+def test_one_contact_that_drifts_outweighs_a_hundred_that_did_not():
+    calm = after([0.0] * 100)
+    assert calm.drift_share == 0.25
+    assert calm.drifted(drift_evidence(0.015, NOISE, STATED)).drift_share >= 1.0
+    assert calm.drift_factor(drift_evidence(0.015, NOISE, STATED)) >= 4.0
+    assert calm.drift_factor(drift_evidence(0.0, NOISE, STATED)) == 1.0
+
+
+def of_three_sites(name, own):
+    """Return the last contact of three sites."""
+    return trial_of(replace(case_of(name), sites=3), 0, own).contacts[-1]
+
+
 @pytest.mark.parametrize(
     ("breathes", "is_learned"),
     [(False, True), pytest.param(True, False, marks=pytest.mark.statistics)],
@@ -69,11 +117,14 @@ def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(
     breathes, is_learned, monkeypatch
 ):
     monkeypatch.setattr(presses, "RATE_HZ", 100.0)
-    rig = replace(case_of("breathing_0.3mm" if breathes else "undisturbed"), sites=3)
-    learned = trial_of(rig, 0, {}).contacts[-1]
-    stated = trial_of(rig, 0, {"surface.learn_motion": False}).contacts[-1]
+    name = "breathing_0.3mm" if breathes else "undisturbed"
+    learned = of_three_sites(name, {})
+    stated = of_three_sites(name, {"surface.learn_motion": False})
     assert bool(np.all(learned.deviation < 0.9 * stated.deviation)) == is_learned
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
+    if not breathes:
+        stated = of_three_sites(name, {"force.learn_drift": False})
+        assert learned.deviation[0] < 0.95 * stated.deviation[0]
 
 
 @pytest.mark.parametrize("number", first(3, 4))
