@@ -11,12 +11,23 @@ from typing import NamedTuple
 from fden_ros.core.outputs import Phase
 from fden_ros.core.streams.samples import NANOSECONDS
 
-#: A block is complete at this share of its duration, so that jitter does not add a sample.
-_BLOCK_SHARE = 0.95
+#: A block is complete at this part of its duration [1], so that jitter does not add a sample.
+_COMPLETE = 0.95
 #: The probe holds while the compression changes by less than this per second [1/s] ...
 _HOLDING_RATE = 0.005
 #: ... over the last 10 blocks.
 _RATE_BLOCKS = 10
+
+
+class ContactSample(NamedTuple):
+    """A sample of a contact, on the tissue."""
+
+    stamp_ns: int
+    step: float  #: since the last sample in contact [s]
+    force: float  #: of the contact [N]
+    compression: float  #: from the nominal origin [1]
+    stress: float  #: [Pa]
+    is_free: bool  #: the tissue is not on the probe
 
 
 class Means(NamedTuple):
@@ -41,13 +52,22 @@ class BlockSums:
         A block is complete after this [s] ...
     compression : float
         ... or when the compression has changed by more than this within [1].
+
+    Attributes
+    ----------
+    number : int
+        Of the last complete block.
     """
 
     def __init__(self, duration: float, compression: float) -> None:
-        self._duration_ns = round(_BLOCK_SHARE * duration * NANOSECONDS)
+        self._duration_ns = round(_COMPLETE * duration * NANOSECONDS)
         self._most_compression = compression
-        self._end_ns = 0
-        self.clear()
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop all samples, and number the blocks anew."""
+        self.number = 0
+        self.restart(0)
 
     def clear(self) -> None:
         """Drop the samples of the block that is not complete."""
@@ -67,32 +87,25 @@ class BlockSums:
         self._end_ns = stamp_ns
         return True
 
-    def add(
-        self,
-        stamp_ns: int,
-        step: float,
-        compression: float,
-        stress: float,
-        force: float,
-        is_free: bool,
-    ) -> bool:
-        """Take a sample, `step` seconds after the last; return whether the block is complete."""
+    def take(self, sample: ContactSample) -> bool:
+        """Take a sample; return whether the block is complete."""
         if self._count == 0:
-            self._start_ns, self._start_compression = stamp_ns, compression
-            self._first_step = step
-        self._has_free |= is_free
+            self._start_ns, self._start_compression = sample.stamp_ns, sample.compression
+            self._first_step = sample.step
+        self._has_free |= sample.is_free
         self._count += 1
-        self._compression += compression
-        self._stress += stress
-        self._force += force
+        self._compression += sample.compression
+        self._stress += sample.stress
+        self._force += sample.force
         return (
-            stamp_ns - self._end_ns >= self._duration_ns
-            or abs(compression - self._start_compression) > self._most_compression
+            sample.stamp_ns - self._end_ns >= self._duration_ns
+            or abs(sample.compression - self._start_compression) > self._most_compression
         )
 
     def close(self, stamp_ns: int) -> Means:
         """Return the means of the block, which ends at `stamp_ns`, and begin the next."""
         count = self._count
+        self.number += 1
         means = Means(
             start_ns=self._start_ns,
             end_ns=stamp_ns,

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from fden_ros.core.contact.detector import ContactDetector
 from fden_ros.core.plausibility import of_stream
 from fden_ros.core.streams.direction import Direction
 from fden_ros.core.streams.samples import Reason
@@ -21,7 +20,7 @@ _USUAL_UNPAIRED = 2
 def input_warnings(
     config: SynchronizeConfig,
     synchronizer: Synchronizer,
-    detector: ContactDetector,
+    air_events: tuple[int, int],
     direction: Direction,
     rejected: Mapping[str, int],
     clock_jumps: int,
@@ -31,19 +30,22 @@ def input_warnings(
     Parameters
     ----------
     config : SynchronizeConfig
-    synchronizer, detector, direction
+    synchronizer, direction
         What saw the samples.
+    air_events : tuple of int
+        How often the force fell below its value in the air, and how often it drifted there.
     rejected : mapping
         Counts of rejected samples, keyed ``"<stream>.<reason>"``.
     clock_jumps : int
         How often the clock jumped.
     """
+    falls, drifts = air_events
     counts = {
         of_stream("force", synchronizer.force_guard, config.force_limit): 1,
         of_stream("displacement", synchronizer.displacement_guard, config.displacement_limit): 1,
         "the clock jumped back: everything learned was reset": clock_jumps,
-        f"the force fell below its value in the air: {direction.hint}": detector.below_baseline,
-        "the force drifts in the air: tare, or let the sensor warm up": detector.drifts,
+        f"the force fell below its value in the air: {direction.hint}": falls,
+        "the force drifts in the air: tare, or let the sensor warm up": drifts,
         "the force repeated one value: is the sensor dead, or at its end?": rejected.get(
             f"force.{Reason.STUCK}", 0
         ),

@@ -249,14 +249,17 @@ def estimate_flags(estimate: Estimate | None) -> Flag:
 
 
 def apparent_stiffness_of(
-    estimate: Estimate, geometry: Geometry, compression: float, time_scale: float
-) -> ApparentStiffness:
+    estimate: Estimate | None, geometry: Geometry, compression: float | None, time_scale: float
+) -> ApparentStiffness | None:
     """Return the apparent stiffness about `compression` [1] for a motion of `time_scale` [s].
 
-    `compression` counts from the estimate's strain origin.
+    `compression` counts from the nominal origin. None while one of both is not known.
     """
+    if estimate is None or compression is None:
+        return None
     mean, covariance = estimate.mean, estimate.covariance
-    stiffness = apparent_stiffness(mean, covariance, geometry, compression, time_scale)
+    depth = compression - estimate.strain_origin
+    stiffness = apparent_stiffness(mean, covariance, geometry, depth, time_scale)
     return ApparentStiffness(*stiffness, time_scale)
 
 

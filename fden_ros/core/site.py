@@ -6,13 +6,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.block import Means
+from fden_ros.core.arrays import Array
+from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged, without_surface
+from fden_ros.core.contact.detector import ContactConfig, Onset
+from fden_ros.core.estimation.claims import Reservations, reserved
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.fractional_stress_estimator import (
@@ -21,31 +24,29 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
 )
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
-from fden_ros.core.law.fractional_integral import FractionalIntegral
-from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
+from fden_ros.core.law.kernel import SHORTEST_STEP
+from fden_ros.core.law.stress_memory import StressMemory
+from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.outputs import WITHHELD, Flag
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, PathNoise, lateral_distance
+from fden_ros.core.streams.samples import (
+    NANOSECONDS,
+    Pair,
+    PathNoise,
+    Position,
+    lateral_distance,
+)
 
-#: The orders of the integral from here on are those between which it is interpolated; before them
-#: stand the exact ones.
-_NODES = 3
-#: The tissue's relaxation between two contacts is followed in steps, the first of 1 ms [s], each
-#: longer by 4 %. (Eight steps a decade would bias Gn by a third of its error's bound.)
-_FIRST_REST, _REST_RATIO = 1e-3, 1.04
 #: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a
 #: palpation of 1 Hz dips out of the tissue for at most half of its period.
 _DIP_TIME = 0.5
-#: The surface found at the touch starts the filter; its deviation is multiplied by this, since the
-#: filter sees those samples again.
+#: The surface found at the touch starts the estimator; its standard deviation is multiplied by
+#: this, since the estimator sees those samples again.
 ORIGIN_WIDENING = 3.0
-
-#: The force where a touch is found is the mean of its last samples, as many [1].
+#: The force where a touch is found is the mean of this number of samples.
 _DETECTED = 3
-
 #: Without positions a touch after the timeout is at the same place where the surface, more than 5
-#: of its deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the tissue
-#: has not recovered of the last contact; after 5 timeouts that is too little to tell.
+#: of its standard deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the
+#: tissue has not recovered of the last contact; after 5 timeouts that is too little to tell.
 _CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
 #: A probe is dragged beyond this multiple of the distance of two sites [1], so that noise of the
 #: position drags none.
@@ -53,6 +54,119 @@ _DRAGGED = 2.0
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations [1]: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
+
+
+class Learned(NamedTuple):
+    """What a block has told."""
+
+    compression: float  #: [1]
+    stress: float  #: [Pa]
+    fractional_stress: float  #: at the newest alpha [Pa s^alpha]
+    innovation: Innovation | None  #: None: the law does not hold for it
+
+
+class _Whereabouts:
+    """Where a site was touched, and where the probe has gone since."""
+
+    def __init__(self, first: Pair, config: ContactConfig) -> None:
+        self._config, self._touched_at = config, first.displacement
+        self.touched = self.left = first.position
+
+    def is_apart(self, position: Position | None) -> bool | None:
+        """Whether a position is of another site; None: it is not known."""
+        if self.touched is None or position is None:
+            return None
+        config = self._config
+        apart = lateral_distance(config.approach_axis, self.touched, position)
+        return apart > config.site_distance
+
+    def is_dragged(self, pair: Pair) -> bool:
+        """Whether the probe has gone aside from its touch, and farther than in.
+
+        It then presses on tissue whose past was not seen. What is not the displacement's part of
+        its path is aside, in whatever frame the approach axis is. (Along an axis that is tilted by
+        less than 45 degrees it goes less to the side than in.)
+        """
+        if self.touched is None or pair.position is None:
+            return False
+        path = math.dist(self.touched, pair.position)
+        inward = abs(pair.displacement - self._touched_at)
+        least = _DRAGGED * self._config.site_distance
+        return path**2 > inward**2 + max(least, inward) ** 2
+
+
+class _Finding:
+    """The estimate of a site's data, and what stands against it."""
+
+    def __init__(self, onset: Onset, config: PipelineConfig) -> None:
+        self._config = config
+        self._rise = onset.rise if config.strain_origin is None else None
+        self._own: Estimate | None = None
+        self._variance_factor = 1.0
+        self._is_withheld = False
+        self.estimate: Estimate | None = None
+
+    def update(self, own: Estimate | None) -> None:
+        """Take the newest estimate of the data alone; None: there is none any more."""
+        self._own = own
+        self._reserve()
+
+    def doubt(self, flags: Flag, variance_factor: float) -> None:
+        """Let the flags of the site, and a factor of the covariance, stand against it."""
+        self._is_withheld = bool(flags & WITHHELD)
+        self._variance_factor = max(self._variance_factor, variance_factor)
+        self._reserve()
+
+    def _reserve(self) -> None:
+        self.estimate = own = self._own
+        if own is None:
+            return
+        found = Reservations(
+            is_surface_hidden=self._is_surface_hidden(own),
+            variance_factor=self._variance_factor,
+            is_withheld=self._is_withheld,
+        )
+        self.estimate = reserved(self._config.estimator, own, found)
+
+    def _is_surface_hidden(self, estimate: Estimate) -> bool:
+        """Whether the touch did not show where the surface is."""
+        if self._rise is None:
+            return False
+        geometry = self._config.geometry
+        depth = self._rise.depth / geometry.length
+        growth = estimate.nonlinear_stiffness * geometry.strain_slope(depth) * depth
+        return not self._rise.shows_surface(growth)
+
+
+class _Lessons:
+    """What the contacts of a site tell of rig and surface, for other sites."""
+
+    def __init__(self, config: PipelineConfig, known: RigKnowledge) -> None:
+        self._config, self._known = config, known
+        self.are_used = True
+        #: For the surface's motion: of the newest contact, and of the first, the only one that
+        #: begins at rest.
+        self._newest: list[float] | None = None
+        self._first: list[float] | None = None
+
+    def motion_factor(self, estimator: Estimator) -> float:
+        """Return the factor of the variances where a contact tells of more motion than known."""
+        teaches = self._config.learns_motion and self.are_used
+        is_asked = teaches or self._known.motion_share < 1.0
+        self._newest = estimator.motion_evidence() if is_asked else None
+        return self._known.motion_factor(self._newest) if self._newest is not None else 1.0
+
+    def rig(self, estimator: Estimator) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
+        if not self.are_used:
+            return None
+        known = estimator.rig() if self._config.learns_rig else None
+        if not self._config.learns_motion:
+            return known
+        self._first = self._newest or self._first
+        if self._first is None:
+            return known
+        return (known or self._known).moved(self._first)
 
 
 class Site:
@@ -71,19 +185,14 @@ class Site:
 
     Attributes
     ----------
+    position : Position or None
+        Of the first touch [m].
     origin : float
         Nominal displacement at zero strain [m].
     origin_sd : float
         Its standard deviation, as compression [1].
     is_usable : bool
         The history has been seen from the first touch, without a gap.
-    estimate : Estimate or None
-        The newest.
-    left : Position or None
-        Where the probe was when the tissue was last on it.
-    teaches_rig, teaches_motion, teaches_drift : bool
-        What is learned here of the rig, of the surface's motion and of the force's drift, may be
-        used at other sites.
     known_rig : RigKnowledge
         What was known of the rig before the first touch.
     """
@@ -98,37 +207,25 @@ class Site:
     ) -> None:
         first = onset.samples[0]
         self.site_id = site_id
-        self.start_ns = self.last_ns = first.stamp_ns
-        self.position = self.left = first.position
-        self._touched_at = first.displacement
+        self.start_ns = self._last_ns = first.stamp_ns
+        self.position = first.position
         self.is_usable = True
         self.flags = flags
-        self.estimate: Estimate | None = None
-        self._config = config
         self.known_rig = rig
-        self.teaches_rig, self.teaches_motion = config.learns_rig, config.learns_motion
-        self.teaches_drift = config.learns_drift
-        if config.strain_origin is not None:
-            self.origin, self.origin_sd = config.strain_origin, 0.0
-        else:
-            self.origin = onset.displacement
-            found = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
-            self.origin_sd = math.hypot(found, _hidden_strain(onset, config))
-        self._interpolation = order_interpolation()
-        self._integral = FractionalIntegral(_orders(config))
-        self._integral.start(0.0)
+        self._config = config
+        self._whereabouts = _Whereabouts(first, config.contact)
+        self._lessons = _Lessons(config, rig)
+        self._finding = _Finding(onset, config)
+        self._finding.doubt(flags, 1.0)
+        self.origin, self.origin_sd = _origin(onset, config)
+        self._memory = StressMemory(exact_orders(config.estimator))
         self._estimator: Estimator | None = None
-        self._rise = onset.rise if config.strain_origin is None else None
-        self._variance_factor = 1.0
-        #: For the surface's motion: of the newest contact, and of the first, the only one that
-        #: begins at rest.
-        self._newest_evidence: list[float] | None = None
-        self._motion_evidence: list[float] | None = None
+        self._lift_off: LiftOff | None = None
 
     @property
-    def has_failed(self) -> bool:
-        """Whether the computation failed here."""
-        return bool(self.flags & Flag.ESTIMATION_FAILED)
+    def estimate(self) -> Estimate | None:
+        """The newest estimate, with no more claimed than may be."""
+        return self._finding.estimate
 
     @property
     def usable_estimate(self) -> Estimate | None:
@@ -136,35 +233,37 @@ class Site:
         return self.estimate if self.is_usable else None
 
     @property
-    def is_learning(self) -> bool:
-        """Whether blocks are of use."""
-        return self._estimator is not None and self.is_usable
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the estimate has converged and the model describes the tissue."""
-        return (
-            self.is_usable
-            and self.estimate is not None
-            and self.estimate.converged
-            and self._estimator is not None
-            and not self._estimator.is_mismatch
-        )
+    def live_estimate(self) -> Estimate | None:
+        """The usable estimate, of which nothing is known while the newest data are unexplained."""
+        estimate = self.usable_estimate
+        if estimate is None or self._estimator is None or not self._estimator.is_doubtful:
+            return estimate
+        return reserved(self._config.estimator, estimate, Reservations(is_doubtful=True))
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the innovations are larger or slower than model and noise explain."""
+        """Whether the data contradict the law."""
         return self._estimator is not None and self._estimator.is_mismatch
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether the newest innovations are not explained yet."""
-        return self._estimator is not None and self._estimator.is_doubtful
 
     @property
     def change_count(self) -> int:
         """How often the tissue was found to have changed under the probe."""
         return self._estimator.change_count if self._estimator is not None else 0
+
+    @property
+    def teaches_drift(self) -> bool:
+        """Whether other sites may use what is learned here of the force's drift."""
+        return self._config.learns_drift and self._lessons.are_used
+
+    @property
+    def _known(self) -> KnownTissue | None:
+        """The tissue, where the estimate has converged and the law describes it."""
+        estimate = self.usable_estimate
+        if estimate is None or not estimate.converged or self._estimator is None:
+            return None
+        if self._estimator.is_mismatch:
+            return None
+        return KnownTissue(estimate, self._memory, self._config.geometry)
 
     # Touch
 
@@ -174,36 +273,27 @@ class Site:
         Without positions that is after the timeout, unless the tissue pressed here would be just
         where the surface was met: nothing else says that it has not moved.
         """
-        contact, first = self._config.contact, onset.samples[0]
-        if self.position is None or first.position is None:
-            timeouts = self.seconds_to(first.stamp_ns) / contact.site_timeout
-            if timeouts <= 1.0:
-                return False
-            return timeouts > _MOST_TIMEOUTS or not self._has_recovered_to(onset)
-        apart = lateral_distance(contact.approach_axis, self.position, first.position)
-        return apart > contact.site_distance
+        first = onset.samples[0]
+        is_apart = self._whereabouts.is_apart(first.position)
+        if is_apart is not None:
+            return is_apart
+        timeouts = self._seconds_to(first.stamp_ns) / self._config.contact.site_timeout
+        if timeouts <= 1.0:
+            return False
+        return timeouts > _MOST_TIMEOUTS or not self._has_recovered_to(onset)
 
     def _has_recovered_to(self, onset: Onset) -> bool:
         """Whether the tissue has come back from the last contact as far as a touch met it."""
-        estimate = self.estimate
-        if estimate is None or not self.is_known:
+        known = self._known
+        if known is None:
             return False
-        length = self._config.geometry.length
-        way = (onset.displacement - self.origin) / length - estimate.strain_origin
-        if way * length <= _CLEARLY_BELOW * onset.displacement_sd:
+        length, origin = self._config.geometry.length, known.estimate.strain_origin
+        depth = (onset.displacement - self.origin) / length - origin
+        if depth * length <= _CLEARLY_BELOW * onset.displacement_sd:
             return False
-        step = self.seconds_to(onset.samples[0].stamp_ns)
-        deepest, highest = (way / share + estimate.strain_origin for share in _RECOVERED)
-        return self.is_above_surface(step, highest) and not self.is_above_surface(step, deepest)
-
-    def check_history(self, onset: Onset) -> None:
-        """Become unusable if the tissue may have been pressed unseen before a touch."""
-        first = onset.samples[0]
-        # A site that was pressed before needs no surface, only to be left alone in between.
-        is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
-        if not is_followed and not self._begins_at_origin(first):
-            self.is_usable = False
-            self.flags |= Flag.ORIGIN_UNCERTAIN
+        step = self._seconds_to(onset.samples[0].stamp_ns)
+        deepest, highest = (depth / part + origin for part in _RECOVERED)
+        return known.is_above_surface(step, highest) and not known.is_above_surface(step, deepest)
 
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
@@ -212,286 +302,186 @@ class Site:
         or in which it went as far to the side as to another site: the tissue that it meets next
         is of what it has just dragged along.
         """
-        is_doubted = Flag.ORIGIN_UNCERTAIN in self.flags or self._has_slid
-        return is_doubted and dips(stamp_ns - self.last_ns)
+        has_slid = self._whereabouts.is_apart(self._whereabouts.left)
+        is_doubted = Flag.ORIGIN_UNCERTAIN in self.flags or bool(has_slid)
+        return is_doubted and dips(stamp_ns - self._last_ns)
 
-    @property
-    def _has_slid(self) -> bool:
-        """Whether the probe left the tissue beside this site."""
-        if self.position is None or self.left is None:
-            return False
-        contact = self._config.contact
-        apart = lateral_distance(contact.approach_axis, self.position, self.left)
-        return apart > contact.site_distance
+    def check_history(self, onset: Onset) -> None:
+        """Become unusable if the tissue may have been pressed unseen before a touch."""
+        first = onset.samples[0]
+        # A site that was pressed before needs no surface, only to be left alone in between.
+        is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
+        if not is_followed and not _begins_at_origin(first, self._config):
+            self.withdraw()
 
-    def is_dragged_over(self, pair: Pair) -> bool:
-        """Whether the probe has gone aside from its touch, and farther than in.
-
-        It then presses on tissue whose past was not seen. What is not the displacement's part of
-        its way is aside, in whatever frame the approach axis is. (Along an axis that is tilted by
-        less than 45 degrees it goes less to the side than in.)
-        """
-        if self.position is None or pair.position is None:
-            return False
-        way = math.dist(self.position, pair.position)
-        inward = abs(pair.displacement - self._touched_at)
-        least = _DRAGGED * self._config.contact.site_distance
-        return way**2 > inward**2 + max(least, inward) ** 2
-
-    def _begins_at_origin(self, pair: Pair) -> bool:
-        """Whether the origin is given and a sample is there, so that no press came before it."""
-        origin = self._config.strain_origin
-        if origin is None:
-            return False
-        compression = (pair.displacement - origin) / self._config.geometry.length
-        return compression <= self._config.block_compression
-
-    def begin_contact(self, onset: Onset, noise: PathNoise) -> None:
+    def touch(self, onset: Onset, release_force: float, noise: PathNoise) -> None:
         """Let the tissue relax until a touch, and start the estimator.
 
         `noise` is that of displacement and surface.
         """
-        scale = self._config.geometry.stress_per_force
+        config, first = self._config, onset.samples[0]
+        scale = config.geometry.stress_per_force
+        is_first = first.stamp_ns == self.start_ns
+        self._lift_off = LiftOff(release_force, scale, is_first=is_first)
         if self.is_usable and self._estimator is None:
             self._estimator = _new_estimator(
-                self._config, onset.noise_sd * scale, self.origin_sd, noise, self.known_rig
+                config, onset.noise_sd * scale, self.origin_sd, noise, self.known_rig
             )
-        self._rest_until(onset.samples[0].stamp_ns)
-        self._integral.take_sum()
+        self._rest_until(first.stamp_ns)
+        self._memory.begin_block()
         if self._estimator is not None:
             self._estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""
-        step = self.seconds_to(stamp_ns)
+        step = self._seconds_to(stamp_ns)
         if step < 4.0 * SHORTEST_STEP:
             return
-        end = step - SHORTEST_STEP
-        first = min(_FIRST_REST, 0.5 * end)
-        count = 2 + math.ceil(math.log(end / first) / math.log(_REST_RATIO))
-        elapsed = np.geomspace(first, end, count if first == _FIRST_REST else 2)
-        steps = tuple(np.diff(elapsed, prepend=0.0).tolist())
-        self._integral.relax(steps)
+        self._memory.rest(step - SHORTEST_STEP)
         if self._estimator is not None and self.is_usable:
-            self._estimator.rest(end)
-        self.last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
+            self._estimator.rest(step - SHORTEST_STEP)
+        self._last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
-    # Samples
-
-    def seconds_to(self, stamp_ns: int) -> float:
+    def _seconds_to(self, stamp_ns: int) -> float:
         """Return the time since the last sample in contact [s]."""
-        return (stamp_ns - self.last_ns) / NANOSECONDS
+        return (stamp_ns - self._last_ns) / NANOSECONDS
 
-    def compression(self, displacement: float) -> float:
-        """Return the compression from the nominal origin [1]."""
-        return (displacement - self.origin) / self._config.geometry.length
+    # Samples and blocks
 
-    def add(
-        self,
-        pair: Pair,
-        compression: float,
-        stress: float,
-        *,
-        is_free: bool,
-        learns: bool,
-    ) -> None:
-        """Take a sample of a contact; `is_free`: the tissue is not on the probe.
+    def follow(self, pair: Pair, force: float, *, learns: bool) -> ContactSample:
+        """Take a sample of a contact and its force [N] into the memory.
 
-        `learns`: the estimator takes it too, not only the memory.
+        `learns`: the estimator takes it too.
         """
-        stamp_ns = pair.stamp_ns
-        step = self.seconds_to(stamp_ns)
-        estimator = self._estimator if learns and self.is_usable else None
-        if estimator is not None:
-            estimator.take(step, compression, stress, is_free=is_free)
+        assert self._lift_off is not None
+        geometry = self._config.geometry
+        displacement = self._config.contact.compliance_free(pair, force)
+        compression = (displacement - self.origin) / geometry.length
+        stress, step = force * geometry.stress_per_force, self._seconds_to(pair.stamp_ns)
+        is_free = self._lift_off.is_free(step, force, compression, self._known)
+        if not is_free:
+            self._whereabouts.left = pair.position
+            if self.is_usable and self._whereabouts.is_dragged(pair):
+                self.withdraw()
+        if learns and self.is_usable and self._estimator is not None:
+            self._estimator.take(step, compression, stress, is_free=is_free)
         if step > 0.0:
             if is_free:
-                self._integral.advance(step, 0.0)
+                self._memory.release(step)
             else:
-                self._integral.add(step, stress)
-        self.last_ns = stamp_ns
+                self._memory.press(step, stress)
+        self._last_ns = pair.stamp_ns
+        return ContactSample(pair.stamp_ns, step, force, compression, stress, is_free)
 
-    def is_above_surface(self, step: float, compression: float) -> bool:
-        """Whether the tissue would have to pull at the probe `step` seconds after the last sample.
+    def learn(self, means: Means, *, learns: bool, is_silent: bool) -> Learned:
+        """Take a block of a contact.
 
-        By the newest estimate; without one False.
+        `learns`: the estimator takes it too; `is_silent`: the estimate is not asked for.
+
+        Raises
+        ------
+        FloatingPointError
+            If innovation or estimate is not finite.
         """
-        estimate = self.estimate
-        if estimate is None:
-            return False
-        weights, _ = self._interpolation(estimate.fractional_order)
-        free = float(weights @ self._integral.ahead(step)[_NODES:])
-        strain = self._config.geometry.strain(compression - estimate.strain_origin)
-        return estimate.is_above_surface(strain, free)
+        integrals, innovation = self._memory.means(means.size), None
+        fractional_stress = self._fractional_stress(integrals)
+        if learns and self.is_usable and self._estimator is not None:
+            if self._is_informative(means):
+                memory_time = 0.5 * (means.start_ns + means.end_ns - 2 * self.start_ns)
+                innovation = self._estimator.update(
+                    Block(
+                        compression=means.compression,
+                        stress=means.stress,
+                        memory_time=memory_time / NANOSECONDS,
+                        size=means.size,
+                        duration=means.duration,
+                        fractional_integrals=integrals,
+                    )
+                )
+                _check_finite(innovation.innovation, innovation.variance)
+            else:
+                self._estimator.skip()
+            if not is_silent:
+                self._finding.update(_checked(self._estimator.estimate()))
+        return Learned(means.compression, means.stress, fractional_stress, innovation)
 
-    def change_of_stress(self, before: float, compression: float, elapsed: float) -> float:
-        """Return by how much the stress changes [Pa] when the compression does, in some time [s].
-
-        By the newest estimate; without one 0.
-        """
-        estimate = self.estimate
-        if estimate is None or elapsed <= 0.0:
-            return 0.0
-        strains = np.array([before, compression]) - estimate.strain_origin
-        elastic = elastic_responses(
-            np.array([self._config.geometry.strain(float(u)) for u in strains]),
-            estimate.linear_stiffness,
-            estimate.nonlinear_stiffness,
-        )
-        step = float(elastic.value[1] - elastic.value[0])
-        return step * apparent_stiffness_factor(estimate.fractional_order, elapsed)
-
-    # Blocks
-
-    def block_of(self, means: Means) -> Block:
-        """Return a block for the estimator: means, and the memory's means since the last."""
-        return Block(
-            compression=means.compression,
-            stress=means.stress,
-            memory_time=0.5 * (means.start_ns + means.end_ns - 2 * self.start_ns) / NANOSECONDS,
-            size=means.size,
-            duration=means.duration,
-            fractional_integrals=self._integral.take_sum() / means.size,
-        )
-
-    def fractional_stress(self, block: Block) -> float:
-        """Return D^-alpha of the stress of a block, at the newest alpha [Pa s^alpha]."""
-        integrals = block.fractional_integrals
+    def _fractional_stress(self, integrals: Array) -> float:
+        """Return D^-alpha of the stress at the newest alpha [Pa s^alpha]."""
         order = prior = self._config.estimator.prior.fractional_order
         if self.estimate is not None:
             order = self.estimate.fractional_order
-        if order == prior:
-            return float(integrals[0])
-        return float(self._interpolation(order)[0] @ integrals[_NODES:])
+        return float(integrals[0]) if order == prior else self._memory.at_order(integrals, order)
 
-    def update(self, block: Block) -> Innovation:
-        """Learn from a block of a site that is learning.
+    def _is_informative(self, means: Means) -> bool:
+        """Whether the law holds for a block: not behind the surface, nor while letting go."""
+        assert self._lift_off is not None
+        if self._config.estimator.observation is Observation.FRACTIONAL_STRESS:
+            return self._lift_off.is_pressing(means.force) and means.compression > self.origin_sd
+        self._lift_off.see_mean(means.force)
+        return not means.has_free
 
-        Raises
-        ------
-        FloatingPointError
-            If the innovation is not finite.
-        """
-        assert self._estimator is not None
-        innovation = self._estimator.update(block)
-        _check_finite(innovation.innovation, innovation.variance)
-        return innovation
+    # What stands against the estimate
 
-    def skip(self) -> None:
-        """Let a block go by."""
-        assert self._estimator is not None
-        self._estimator.skip()
-
-    def refresh(self) -> None:
-        """Bring the estimate up to date.
-
-        Raises
-        ------
-        FloatingPointError
-            If it is not finite.
-        """
-        assert self._estimator is not None
-        estimate = _checked(self._estimator.estimate())
-        self.estimate = self._withheld(self._widened(self._as_touched(estimate)))
-
-    def _as_touched(self, estimate: Estimate) -> Estimate:
-        """Return an estimate that claims no stiffness where the touch did not show the surface."""
-        if self._rise is None:
-            return estimate
-        geometry = self._config.geometry
-        depth = self._rise.depth / geometry.length
-        growth = estimate.nonlinear_stiffness * geometry.strain_slope(depth) * depth
-        if self._rise.shows_surface(growth):
-            return estimate
-        return without_surface(estimate, self._config.estimator.prior)
-
-    def withhold(self, flag: Flag) -> None:
-        """Take no estimate of this site for converged any more."""
-        self.flags |= flag
-        if self.estimate is not None:
-            self.estimate = self._withheld(self.estimate)
-
-    def _withheld(self, estimate: Estimate) -> Estimate:
-        """Return an estimate of which nothing is known where something stands against it."""
-        is_withheld = bool(self.flags & WITHHELD)
-        return estimate._replace(known=ParameterSet.NONE) if is_withheld else estimate
-
-    def _widened(self, estimate: Estimate) -> Estimate:
-        """Return an estimate with the variance that contradictions of its data ask for."""
-        if self._variance_factor == 1.0:
-            return estimate
-        wide = estimate._replace(covariance=self._variance_factor * estimate.covariance)
-        sharp = converged(self._config.estimator, wide.deviations, estimate.valid)
-        return wide._replace(known=estimate.known & sharp)
-
-    def doubt(self, flag: Flag, variance_factor: float) -> None:
+    def doubt(self, flag: Flag, variance_factor: float = 1.0) -> None:
         """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
         self.flags |= flag
-        if variance_factor > self._variance_factor:
-            self._variance_factor, before = variance_factor, self._variance_factor
-            if self.estimate is not None:
-                covariance = self.estimate.covariance / before
-                self.estimate = self._widened(self.estimate._replace(covariance=covariance))
+        self._finding.doubt(self.flags, variance_factor)
 
     def withdraw(self) -> None:
         """Become unusable: the tissue under the probe has a past that was not seen."""
         self.is_usable = False
         self.flags |= Flag.ORIGIN_UNCERTAIN
 
-    def end_contact(self) -> None:
-        """Bring the estimate to its best at the end of a contact."""
-        if self._estimator is not None and self.is_usable and self.estimate is not None:
-            self._estimator.finish()
-            self.refresh()
-            self._newest_evidence = self._evidence_of_motion(self._estimator)
-            if self._newest_evidence is not None:
-                self.doubt(Flag.NONE, self.known_rig.motion_factor(self._newest_evidence))
-            off = self._estimator.rig_misfit / _CONTRADICTION
-            if off > 1.0:
-                self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
-
-    def _evidence_of_motion(self, estimator: Estimator) -> list[float] | None:
-        """Return the evidence of a contact for the surface's motion where it is of use."""
-        if self.teaches_motion or self.known_rig.motion_share < 1.0:
-            return estimator.motion_evidence()
-        return None
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after a contact; None where it tells nothing."""
-        if self._estimator is None or not self.is_usable or self.is_doubtful:
-            return None
-        known = self._estimator.rig() if self.teaches_rig else None
-        if not self.teaches_motion:
-            return known
-        self._motion_evidence = self._newest_evidence or self._motion_evidence
-        if self._motion_evidence is None:
-            return known
-        return (known or self.known_rig).moved(self._motion_evidence)
-
-    def teach_nothing(self) -> None:
-        """Let no other site use what is learned here."""
-        self.teaches_rig = self.teaches_motion = self.teaches_drift = False
-
     def fail(self) -> None:
         """Become unusable after an exception."""
         self.is_usable = False
         self.flags |= Flag.ESTIMATION_FAILED
-        self._estimator = self.estimate = None
+        self._estimator = None
+        self._finding.update(None)
+
+    # The end of a contact
+
+    def leave(self) -> None:
+        """Bring the estimate to its best at the end of a contact."""
+        estimator = self._estimator
+        if estimator is None or not self.is_usable or self.estimate is None:
+            return
+        estimator.finish()
+        self._finding.update(_checked(estimator.estimate()))
+        self.doubt(Flag.NONE, self._lessons.motion_factor(estimator))
+        off = estimator.rig_misfit / _CONTRADICTION
+        if off > 1.0:
+            self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
+        estimator = self._estimator
+        if estimator is None or not self.is_usable or estimator.is_doubtful:
+            return None
+        return self._lessons.rig(estimator)
+
+    def teach_nothing(self) -> None:
+        """Let no other site use what is learned here."""
+        self._lessons.are_used = False
+
+
+def _begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
+    """Whether the origin is given and a sample is there, so that no press came before it."""
+    if config.strain_origin is None:
+        return False
+    compression = (pair.displacement - config.strain_origin) / config.geometry.length
+    return compression <= config.block_compression
 
 
 def prepare(config: PipelineConfig) -> None:
     """Compute the kernels' weights, which takes a moment: not only at the first touch."""
-    FractionalIntegral(_orders(config))
+    StressMemory(exact_orders(config.estimator))
     _new_estimator(config, 1.0, 1.0, PathNoise(), RigKnowledge.stated(config.estimator))
 
 
 def dips(duration_ns: int) -> bool:
     """Whether a probe that was off the tissue for so long may just have dipped out of it."""
     return duration_ns < _DIP_TIME * NANOSECONDS
-
-
-def _orders(config: PipelineConfig) -> tuple[float, ...]:
-    return (*exact_orders(config.estimator), *order_nodes())
 
 
 def _new_estimator(
@@ -530,6 +520,14 @@ def _checked(estimate: Estimate) -> Estimate:
 def _check_finite(*numbers: float) -> None:
     if not math.isfinite(sum(numbers)):
         raise FloatingPointError(f"the estimate is not finite: {numbers}")
+
+
+def _origin(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
+    """Return the displacement at zero strain [m] and its standard deviation as compression [1]."""
+    if config.strain_origin is not None:
+        return config.strain_origin, 0.0
+    found = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+    return onset.displacement, math.hypot(found, _hidden_strain(onset, config))
 
 
 def _hidden_strain(onset: Onset, config: PipelineConfig) -> float:

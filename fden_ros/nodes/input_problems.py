@@ -141,9 +141,7 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
     )
 
 
-def lost_problem(
-    one: ListenedTo, received: int, fastest: int, lost: int, dropped: int
-) -> str:
+def lost_problem(one: ListenedTo, received: int, fastest: int, lost: int, dropped: int) -> str:
     """Return how many messages of an input were lost in the last second, and what mends it.
 
     Parameters

@@ -28,9 +28,7 @@ from fden_ros.ros.status import type_name
 
 #: Types that carry force or displacement.
 INPUT_TYPES = frozenset(
-    type_name(kind)
-    for name in ("force", "displacement")
-    for kind in INPUT_MESSAGES[name].values()
+    type_name(kind) for name in ("force", "displacement") for kind in INPUT_MESSAGES[name].values()
 )
 _POLL_S = 0.02
 # What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:

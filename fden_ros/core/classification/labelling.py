@@ -178,6 +178,8 @@ class Labelling:
         Of the site [m].
     start_ns : int
         Stamp of the touch.
+    change_count : int
+        How often the site's tissue has changed before.
     """
 
     def __init__(
@@ -186,19 +188,16 @@ class Labelling:
         site_id: int,
         position: Position | None,
         start_ns: int,
+        change_count: int,
     ) -> None:
         self._labeller = labeller
         self._site_id = site_id
         self._position = position
         self._start_ns = start_ns
-        self._change_count = 0
+        self._change_count = change_count
         self._is_mismatch = False
         self._decider: Decider | None = None
         self._answer = Answer()
-
-    def begin(self, change_count: int) -> None:
-        """Begin with a site whose tissue has changed `change_count` times before."""
-        self._change_count = change_count
 
     def update(self, evidence: Evidence) -> Iterator[Answer]:
         """Take what is known after a block; give each answer that differs from the last."""

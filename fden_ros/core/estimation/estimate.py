@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The parameters of the tissue and how well they are known; indices of a state."""
+"""The parameters of the tissue and how well they are known."""
 
 from __future__ import annotations
 
@@ -12,27 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.law.characteristic import elastic_response, exponential_scale
 
 
 class StateIndex(enum.IntEnum):
-    """Places of the parameters in a state; the first three also in an estimate's covariance."""
+    """Places of the parameters in an estimate's mean and covariance."""
 
     LOG_LINEAR_STIFFNESS = 0  #: ln G, G in Pa s^alpha
     LOG_NONLINEAR_STIFFNESS = 1  #: ln Gn
     FRACTIONAL_ORDER = 2  #: alpha [1]
-    STRAIN_ORIGIN = 3  #: o, as compression [1]
-    BIAS = 4  #: of the stress in this contact [Pa]
-    DRIFT = 5  #: of the stress in this contact [Pa/s]
-    PULSE = 6  #: of phi, at a change of the tissue [Pa s^alpha]
-    COMPLIANCE = 7  #: of the rig, in its standard deviations [1]
-    DELAY = 8  #: between the streams, in its standard deviations [1]
-    FRICTION = 9  #: against the motion, in its standard deviations [1]
-    JITTER = 10  #: share by which noise of a resting displacement counts too much or little [1]
-    SHIFT = 11  #: of the surface since the last contact, in its standard deviations [1]
-    WALK = 12  #: stress left out by law and rig at the last knot, in the walk's unit [1]
-    WALK_NEXT = 13  #: at the next knot [1]
 
 
 class ParameterSet(enum.IntFlag):
@@ -48,20 +36,14 @@ class ParameterSet(enum.IntFlag):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters in the set, in the order of a state."""
-        return tuple(one.name.lower() for one in _EACH if one in self and one.name)
+        return tuple(one.name.lower() for one in EACH if one in self and one.name)
 
 
-_EACH = (
+EACH = (
     ParameterSet.LINEAR_STIFFNESS,
     ParameterSet.NONLINEAR_STIFFNESS,
     ParameterSet.FRACTIONAL_ORDER,
 )
-#: The data have determined ln G or alpha when its standard deviation is below this share of its
-#: prior's [1]: then they say three times as much as the prior.
-_LEARNED_SHARE = 0.5
-#: Share of the prior's deviation of ln Gn that is added where the surface was not seen [1]: of 60
-#: simulated touches two were 8 and 6 deviations off without it, by 0.12 and 0.52.
-_HIDDEN_SHARE = 0.25
 
 
 class LawError(NamedTuple):
@@ -132,15 +114,15 @@ class Estimate(NamedTuple):
 
     def determines(self, index: int) -> bool:
         """Whether the data, or a setting, say what the parameter at `index` is."""
-        return bool(self.valid & _EACH[index])
+        return bool(self.valid & EACH[index])
 
     def knows(self, index: int) -> bool:
         """Whether the parameter at `index` has converged."""
-        return bool(self.known & _EACH[index])
+        return bool(self.known & EACH[index])
 
     def is_at_edge(self, index: int) -> bool:
         """Whether the parameter at `index` is at an end of what can be represented."""
-        return bool(self.at_edge & _EACH[index])
+        return bool(self.at_edge & EACH[index])
 
     def is_above_surface(self, strain: float, free_response: float) -> bool:
         """Whether the tissue would have to pull at a probe to follow it to a strain [1].
@@ -218,59 +200,3 @@ PUBLISHED = {
 #: Those that have a key, by their keys.
 KEYS = {key: name for name, key in PUBLISHED.items() if key}
 _ITS_OWN = tuple(name for name in PUBLISHED if name not in LawError.names())
-
-
-def determined(
-    config: EstimatorConfig, deviations: Array, probability_beyond_boundary: float
-) -> ParameterSet:
-    """Return the parameters that the data determine, or a setting.
-
-    Gn is where the strain has passed 1/Gn: below, the law is linear. G and alpha are where their
-    deviations are below half of their priors'. An alpha that is given is as it was stated.
-
-    Parameters
-    ----------
-    config : EstimatorConfig
-    deviations : ndarray, shape (3,)
-        Standard deviations of (ln G, ln Gn, alpha) [1].
-    probability_beyond_boundary : float
-        P(largest strain > 1/Gn) [1].
-    """
-    log_g, _, order = (deviations < _LEARNED_SHARE * config.prior.deviations).tolist()
-    found = ParameterSet.NONE
-    if probability_beyond_boundary >= config.converged_probability:
-        # A stress-strain curve that is seen to bend has a scale, too.
-        found |= ParameterSet.STIFFNESS
-    if log_g:
-        found |= ParameterSet.LINEAR_STIFFNESS
-    if order or config.is_order_given:
-        found |= ParameterSet.FRACTIONAL_ORDER
-    return found
-
-
-def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -> ParameterSet:
-    """Return those of the parameters `valid` whose deviations, shape (3,), are small enough."""
-    limits = np.array(
-        [config.converged_linear_log_sd, config.converged_log_sd, config.converged_order_sd]
-    )
-    found = ParameterSet.NONE
-    for parameter, is_close in zip(_EACH, deviations <= limits, strict=True):
-        if is_close:
-            found |= parameter
-    return found & valid
-
-
-def without_surface(estimate: Estimate, prior: Prior) -> Estimate:
-    """Return an estimate of a touch whose surface was not seen: G is open, Gn is not claimed.
-
-    The prior's variance of ln G is added, and a share of that of ln Gn.
-    """
-    covariance = estimate.covariance.copy()
-    log_g, log_gn = StateIndex.LOG_LINEAR_STIFFNESS, StateIndex.LOG_NONLINEAR_STIFFNESS
-    covariance[log_g, log_g] += prior.linear_stiffness_log_sd**2
-    covariance[log_gn, log_gn] += (_HIDDEN_SHARE * prior.nonlinear_stiffness_log_sd) ** 2
-    return estimate._replace(
-        covariance=covariance,
-        valid=estimate.valid & ~ParameterSet.LINEAR_STIFFNESS,
-        known=estimate.known & ~ParameterSet.STIFFNESS,
-    )

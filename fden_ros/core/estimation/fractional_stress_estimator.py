@@ -39,7 +39,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, converged, determined
+from fden_ros.core.estimation.claims import converged, determined
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.characteristic import elastic_response

@@ -22,7 +22,8 @@ import numpy as np
 from scipy.special import digamma
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet, converged, determined
+from fden_ros.core.estimation.claims import converged, determined
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
 from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER

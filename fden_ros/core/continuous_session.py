@@ -16,9 +16,11 @@ contact, so summaries, map and table hold the path.
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 from fden_ros.core.oscillation.palpation import Palpated
@@ -34,7 +36,6 @@ from fden_ros.core.outputs import (
     estimate_flags,
     order_source,
 )
-from fden_ros.core.place import Place, Window
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
 
@@ -44,37 +45,112 @@ _LEAST_AMPLITUDE = 1e-4
 _SILENT_TIME = 10.0
 
 
-class ContinuousContact:
+class Window:
+    """The samples of one window of the palpation."""
+
+    def __init__(self) -> None:
+        self.samples = self.stop_ns = self.start_ns = 0
+        self.max_force = 0.0
+        self._sum = (0.0, 0.0, 0.0)
+        self._located = 0
+
+    def take(self, pair: Pair) -> None:
+        """Take a sample."""
+        self.start_ns = self.start_ns or pair.stamp_ns
+        self.stop_ns = pair.stamp_ns
+        self.samples += 1
+        self.max_force = max(self.max_force, pair.force)
+        if pair.position is not None:
+            x, y, z = (a + b for a, b in zip(self._sum, pair.position, strict=True))
+            self._sum = (x, y, z)
+            self._located += 1
+
+    @property
+    def position(self) -> Position | None:
+        """Mean position [m]; None where one is not known."""
+        if not self._located or self._located < self.samples:
+            return None
+        x, y, z = (value / self._located for value in self._sum)
+        return x, y, z
+
+
+class Place:
+    """What is gathered at one place of the path."""
+
+    def __init__(self, number: int, start_ns: int, position: Position | None) -> None:
+        self.number = number
+        self.start_ns = self.end_ns = start_ns
+        self.first = position
+        self.samples = 0
+        self.max_force = 0.0
+        self.flags = Flag.ORIGIN_UNCERTAIN
+        self.rejected = 0
+        self.found: Palpated | None = None
+        self._sum = (0.0, 0.0, 0.0)
+        self._windows = 0
+
+    def take(self, window: Window, found: Palpated | None) -> None:
+        """Take a window of this place."""
+        self.end_ns = window.stop_ns
+        self.samples += window.samples
+        self.max_force = max(self.max_force, window.max_force)
+        self.found = found if found is not None else self.found
+        self._windows += 1
+        if window.position is not None:
+            x, y, z = (a + b for a, b in zip(self._sum, window.position, strict=True))
+            self._sum = (x, y, z)
+
+    @property
+    def position(self) -> Position | None:
+        """Mean position of its windows [m]."""
+        if self.first is None:
+            return None
+        x, y, z = (value / self._windows for value in self._sum)
+        return x, y, z
+
+
+class ContinuousSession:
     """From pairs to states, moduli and one summary a place.
 
     Parameters
     ----------
     config : PipelineConfig
-    first_number : int
-        Of the places from here on.
+    rejected : collections.Counter
+        Counts of rejected samples so far.
 
     Attributes
     ----------
     place_count : int
         Number of the newest place.
+    rig : RigKnowledge
+        What is stated of the rig: nothing is learned.
     """
 
-    def __init__(self, config: PipelineConfig, first_number: int = 1) -> None:
-        self._config = config
-        self.place_count = first_number - 1
+    #: No touch is looked for.
+    in_contact = False
+    air_events = (0, 0)
+
+    def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
+        self._config, self._rejected = config, rejected
+        self.place_count = 0
+        self.rig = RigKnowledge.stated(config.estimator)
         self._place: Place | None = None
-        self._blocks = BlockSums(config.block_duration, math.inf)
-        self._has_found = False
-        self._elapsed = 0.0
-        self._lags = 0
         # A sphere's modulus would need its depth.
         geometry = config.geometry
         self._is_flat = not stands_against(geometry) and geometry.strain_slope(0.0) > 0.0
         self._modulus_per_stiffness = geometry.length * geometry.stress_per_force
-        self._forget()
+        self.forget()
 
-    def _forget(self) -> None:
-        """Forget all but the numbers."""
+    def forget(self, *, keeps_contact: bool = False) -> None:
+        """Forget all but the numbers of the places."""
+        self._blocks = BlockSums(self._config.block_duration, math.inf)
+        self._has_found = False
+        self._elapsed = 0.0
+        self._lags = 0
+        self._restart()
+
+    def _restart(self) -> None:
+        """Look for an oscillation anew."""
         config, frequencies = self._config, self._config.dither_frequencies
         self._meter = PalpationMeter(
             frequencies[0] if frequencies else None,
@@ -86,6 +162,25 @@ class ContinuousContact:
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
         self._window = Window()
+
+    def forget_rig(self) -> None:
+        """Do nothing: nothing was learned of the rig."""
+
+    def zero(self) -> str:
+        """Return why there is no force in the air."""
+        return "contact.mode is continuous: the force's zero plays no part"
+
+    @property
+    def site_count(self) -> int:
+        """Places so far."""
+        return self.place_count
+
+    contact_count = site_count
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Number of the present place, as a site and as a contact; 0: there is none."""
+        return self.place_count, self.place_count
 
     @property
     def warnings(self) -> dict[str, int]:
@@ -102,8 +197,8 @@ class ContinuousContact:
 
     # Samples
 
-    def add(self, pair: Pair, rejected: int) -> list[Output]:
-        """Take a pair; return what comes of it; `rejected`: samples rejected so far."""
+    def take(self, pair: Pair) -> list[Output]:
+        """Take a pair; return what comes of it."""
         if self._start_ns is None:
             self._start_ns = pair.stamp_ns
             self._blocks.restart(pair.stamp_ns)
@@ -112,18 +207,18 @@ class ContinuousContact:
         displacement = pair.displacement - self._config.contact.series_compliance * pair.force
         measured = self._meter.add(time, displacement, pair.force)
         if measured is not None:
-            outputs += self._close_window(measured, pair.stamp_ns, rejected)
+            outputs += self._close_window(measured, pair.stamp_ns)
         if self._meter.begins_window:
             self._window = Window()
-        self._window.add(pair)
+        self._window.take(pair)
         if self._blocks.passes(pair.stamp_ns):
             outputs.append(self._state(pair.stamp_ns, time, displacement))
         return outputs
 
-    def _close_window(self, measured: Measured, stamp_ns: int, rejected: int) -> list[Output]:
+    def _close_window(self, measured: Measured, stamp_ns: int) -> list[Output]:
         found, window = measured.found, self._window
         self._has_found = True
-        outputs = self._follow(window, found, stamp_ns, rejected)
+        outputs = self._follow(window, found, stamp_ns)
         if found is None:
             return outputs
         self._lags += bool(found.estimate.at_edge)
@@ -133,18 +228,16 @@ class ContinuousContact:
 
     # Places
 
-    def _follow(
-        self, window: Window, found: Palpated | None, stamp_ns: int, rejected: int
-    ) -> list[Output]:
+    def _follow(self, window: Window, found: Palpated | None, stamp_ns: int) -> list[Output]:
         """Give a window to its place; return the summary of one that the probe has left."""
         outputs: list[Output] = []
         place = self._place
         if place is None or self._is_elsewhere(place, window.position):
-            outputs = self._leave(stamp_ns, rejected, complete=True)
+            outputs = self._leave(stamp_ns, complete=True)
             self.place_count += 1
             place = self._place = Place(self.place_count, window.start_ns, window.position)
-            place.rejected = rejected
-        place.add(window, found)
+            place.rejected = self._rejected.total()
+        place.take(window, found)
         return outputs
 
     def _is_elsewhere(self, place: Place, position: Position | None) -> bool:
@@ -154,26 +247,32 @@ class ContinuousContact:
         apart = lateral_distance(contact.approach_axis, place.first, position)
         return apart > contact.site_distance
 
-    def _leave(self, stamp_ns: int, rejected: int, *, complete: bool) -> list[Output]:
+    def _leave(self, stamp_ns: int, *, complete: bool) -> list[Output]:
         place, self._place = self._place, None
-        return [self._summary(place, stamp_ns, rejected, complete)] if place is not None else []
+        return [self._summary(place, stamp_ns, complete)] if place is not None else []
 
-    def see_gap(self) -> None:
-        """Take note that samples are missing before the next."""
+    def see_gap(self, before_ns: int, *, is_long: bool) -> list[Output]:
+        """Take note that samples are missing since a stamp; a long gap ends the place."""
+        if is_long:
+            return self.break_off(before_ns)
         self._meter.skip()
         if self._place is not None:
             self._place.flags |= Flag.GAP
+        return []
 
-    def end(self, stamp_ns: int, rejected: int, flags: Flag = Flag.NONE) -> list[Output]:
-        """Forget all but the numbers; return the summary of the place that is still open.
-
-        `flags` say why it ends.
-        """
-        if self._place is not None:
-            self._place.flags |= flags
-        outputs = self._leave(stamp_ns, rejected, complete=False)
-        self._forget()
+    def break_off(self, stamp_ns: int) -> list[Output]:
+        """Return the summary of the place that is still open; look for an oscillation anew."""
+        outputs = self._leave(stamp_ns, complete=False)
+        self._restart()
         return outputs
+
+    finish = break_off
+
+    def fail(self, stamp_ns: int) -> list[Output]:
+        """End the place after an exception."""
+        if self._place is not None:
+            self._place.flags |= Flag.ESTIMATION_FAILED
+        return self.break_off(stamp_ns)
 
     # Outputs
 
@@ -221,11 +320,9 @@ class ContinuousContact:
             ),
         )
 
-    def _summary(
-        self, place: Place, stamp_ns: int, rejected: int, complete: bool
-    ) -> ContactSummary:
+    def _summary(self, place: Place, stamp_ns: int, complete: bool) -> ContactSummary:
         estimate = place.found.estimate if place.found is not None else None
-        count = rejected - place.rejected
+        count = self._rejected.total() - place.rejected
         return ContactSummary(
             stamp_ns=stamp_ns,
             start_ns=place.start_ns,

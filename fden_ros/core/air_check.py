@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The judging of a contact after its release: the air after it may contradict that before it."""
+"""A contact judged by the air behind it, which may contradict the air before."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.aftermath import Aftermath
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.drift_scale import drift_evidence
 from fden_ros.core.estimation.motion_scale import Evidence
@@ -17,13 +17,81 @@ from fden_ros.core.outputs import ContactSummary, Flag, order_source
 from fden_ros.core.site import Site
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
-#: The air after a contact is judged 1 s after its release [ns], and 0.15 s after it was averaged
-#: [ns]: a slow contact that begins before is known by then.
+#: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
+#: it touched [ns]: by then what stuck has let go, and a sensor that creeps has hardly recovered.
+_SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
+#: At least this number of samples is averaged.
+_LEAST_SAMPLES = 12
+#: It is judged 1 s after the release [ns], and 0.15 s after it was averaged [ns]: a slow contact
+#: that begins before is known by then.
 _JUDGED_AFTER_NS, _AVERAGED_BEFORE_NS = NANOSECONDS, 150_000_000
-#: The air after a contact contradicts that before it beyond this many stated deviations [1].
+#: It contradicts the air before the contact beyond this many stated standard deviations [1].
 _CONTRADICTION = 5.0
 #: Of the summary of a contact that is withdrawn.
 _NO_LABEL: dict[str, Any] = {"classes": None, "decided": None, "comparison": None}
+
+
+class AirChange(NamedTuple):
+    """The air's force after a contact less that before it, its drift there taken on."""
+
+    change: float  #: [N]
+    noise_variance: float  #: of that, by what is not known of the air [N^2]
+    drift_variance: float  #: of the drift that is stated for the contact [N^2]
+
+    @property
+    def deviations(self) -> float:
+        """The change over its stated standard deviation [1]; below 0: the force has fallen."""
+        return self.change / math.sqrt(self.noise_variance + self.drift_variance)
+
+
+class AirAfter:
+    """Averages the force in the air behind the surface of a contact.
+
+    Parameters
+    ----------
+    onset : Onset
+    drift_sd : float
+        Of the force over one second in contact [N], as stated.
+    """
+
+    def __init__(self, onset: Onset, drift_sd: float) -> None:
+        self._onset = onset
+        self._drift_sd = drift_sd
+        self._behind_ns: int | None = None
+        self._size, self._sum = 0, 0.0
+        self.is_complete = False
+
+    @property
+    def end_ns(self) -> int:
+        """When the averaging ends [ns]; 0: it has not begun."""
+        return 0 if self._behind_ns is None else self._behind_ns + _WINDOW_NS
+
+    def average(self, pair: Pair) -> None:
+        """Take a pair after the release."""
+        if self.is_complete:
+            return
+        if pair.displacement >= self._onset.displacement:
+            self._behind_ns, self._size, self._sum = None, 0, 0.0
+            return
+        if self._behind_ns is None:
+            self._behind_ns = pair.stamp_ns
+        elapsed_ns = pair.stamp_ns - self._behind_ns
+        self.is_complete = elapsed_ns > _WINDOW_NS
+        if _SETTLING_NS <= elapsed_ns <= _WINDOW_NS:
+            self._size += 1
+            self._sum += pair.force
+
+    def change(self) -> AirChange | None:
+        """Return how the air has changed; None where too few samples say nothing."""
+        onset = self._onset
+        if not self.is_complete or self._size < _LEAST_SAMPLES:
+            return None
+        elapsed = (self.end_ns - onset.samples[0].stamp_ns) / NANOSECONDS
+        return AirChange(
+            self._sum / self._size - onset.bias - onset.drift * elapsed,
+            onset.bias_sd**2 + (onset.drift_sd * elapsed) ** 2 + onset.noise_sd**2 / self._size,
+            self._drift_sd**2 * elapsed,
+        )
 
 
 class _Ended(NamedTuple):
@@ -31,7 +99,7 @@ class _Ended(NamedTuple):
 
     summary: ContactSummary
     site: Site
-    aftermath: Aftermath
+    air: AirAfter
 
 
 class Verdict(NamedTuple):
@@ -44,7 +112,7 @@ class Verdict(NamedTuple):
 _NOTHING = Verdict()
 
 
-class Hindsight:
+class AirCheck:
     """Judges each contact by the air after it, once.
 
     A contact that is contradicted gets a second summary. Its site is doubted: the covariance is
@@ -65,7 +133,7 @@ class Hindsight:
         self._ended: _Ended | None = None
         self._is_air_proved = False
 
-    def acquit(self) -> None:
+    def drop(self) -> None:
         """Let the last contact stand: what comes now cannot be compared with the air before."""
         self._ended = None
 
@@ -74,20 +142,20 @@ class Hindsight:
         if self._ended is not None:
             self._ended.site.teach_nothing()
 
-    def begin(self, summary: ContactSummary, site: Site, onset: Onset) -> None:
+    def watch(self, summary: ContactSummary, site: Site, onset: Onset) -> None:
         """Begin with a contact that has ended with its release."""
         if self._config.contact.measure_bias:
             drift_sd = self._config.estimator.uncertainty.force_drift_sd
-            self._ended = _Ended(summary, site, Aftermath(onset, drift_sd))
+            self._ended = _Ended(summary, site, AirAfter(onset, drift_sd))
 
-    def add(self, pair: Pair) -> Verdict:
+    def hear(self, pair: Pair) -> Verdict:
         """Take a pair in the air; return what is found, once it can be."""
         if self._ended is None:
             return _NOTHING
-        summary, _, aftermath = self._ended
-        aftermath.add(pair)
+        summary, _, air = self._ended
+        air.average(pair)
         earliest_ns = summary.end_ns + _JUDGED_AFTER_NS
-        if pair.stamp_ns <= max(earliest_ns, aftermath.end_ns + _AVERAGED_BEFORE_NS):
+        if pair.stamp_ns <= max(earliest_ns, air.end_ns + _AVERAGED_BEFORE_NS):
             return _NOTHING
         return self.judge(pair.stamp_ns)
 
@@ -97,12 +165,12 @@ class Hindsight:
         `before_ns`: when the next contact began.
         """
         ended, self._ended = self._ended, None
-        if ended is None or not ended.aftermath.is_complete:
+        if ended is None or not ended.air.is_complete:
             return _NOTHING
-        if before_ns is not None and ended.aftermath.end_ns > before_ns:
+        if before_ns is not None and ended.air.end_ns > before_ns:
             return _NOTHING
         was_proved, self._is_air_proved = self._is_air_proved, True
-        found, site = ended.aftermath.change(), ended.site
+        found, site = ended.air.change(), ended.site
         if found is None:
             return _NOTHING
         deviations = found.deviations

@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A probe that presses and leaves: contacts of sites, and the air between."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from fden_ros.core.air_check import AirCheck, Verdict
+from fden_ros.core.block import BlockSums
+from fden_ros.core.config import PipelineConfig, labeller_of
+from fden_ros.core.contact.detector import ContactDetector, Onset, Release
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.outputs import (
+    Flag,
+    Output,
+    Phase,
+    Status,
+    TissueState,
+    estimate_flags,
+    order_source,
+)
+from fden_ros.core.plausibility import Plausibility, Tilt
+from fden_ros.core.press import Common, Press
+from fden_ros.core.site import Site, dips, prepare
+from fden_ros.core.streams.samples import Pair, PathNoise
+
+
+class ContactSession:
+    """One press after the other.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+    rejected : collections.Counter
+        Counts of rejected samples so far.
+    path_noise : callable
+        Returns the noise of the motion so far.
+    flags : Flag
+        What stands against every estimate.
+
+    Attributes
+    ----------
+    site_count, contact_count : int
+        So far.
+    rig : RigKnowledge
+        What is known of the rig.
+    """
+
+    def __init__(
+        self,
+        config: PipelineConfig,
+        rejected: Counter[str],
+        path_noise: Callable[[], PathNoise],
+        flags: Flag,
+    ) -> None:
+        self.site_count = self.contact_count = 0
+        self._config, self._path_noise, self._flags = config, path_noise, flags
+        self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
+        self._air = AirCheck(config)
+        self._tilt = Tilt(config.geometry)
+        self._common = Common(
+            config,
+            rejected,
+            labeller_of(config),
+            Plausibility(config.plausibility, config.geometry, config.estimator.prior),
+            BlockSums(config.block_duration, config.block_compression),
+        )
+        self.forget()
+        self.forget_rig()
+        prepare(config)
+
+    def forget(self, *, keeps_contact: bool = False) -> None:
+        """Forget what was learned but of the rig, and the air's force; ids are kept.
+
+        `keeps_contact`: a detector in contact waits for the release, and keeps the air's force.
+        """
+        self._site: Site | None = None
+        self._press: Press | None = None
+        self._air.forget()
+        self._common.labeller.forget()
+        self._common.sums.forget()
+        if not (keeps_contact and self._detector.in_contact):
+            self._detector.reset()
+
+    def forget_rig(self) -> None:
+        """Let the next site begin with what is stated of the rig."""
+        self.rig = RigKnowledge.stated(self._config.estimator)
+        # These began with what is forgotten now.
+        if self._site is not None:
+            self._site.teach_nothing()
+        self._air.teach_nothing()
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the probe presses."""
+        return self._detector.in_contact
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Numbers of the present site and contact; 0: there is none."""
+        site_id = self._site.site_id if self._site is not None else 0
+        return site_id, self._press.contact_id if self._press is not None else 0
+
+    @property
+    def air_events(self) -> tuple[int, int]:
+        """How often the force fell below its value in the air, and how often it drifted."""
+        return self._detector.below_baseline, self._detector.drifts
+
+    @property
+    def warnings(self) -> dict[str, int]:
+        """What was odd about the contacts, in words, and how often."""
+        return {**self._common.plausibility.found, self._tilt.words: self._tilt.count}
+
+    def zero(self) -> float | str:
+        """Measure the force in the air anew; return what it was [N], or why it is not known."""
+        mean = self._detector.mean_air_force()
+        if mean is None:
+            if self._detector.in_contact:
+                return "the probe is in contact: lift it, then tare"
+            return "no force has been measured in the air yet: wait for samples, then tare"
+        self._detector.reset()
+        # The air from now on has another bias than that before the last contact.
+        self._air.drop()
+        return mean
+
+    # Pairs
+
+    def take(self, pair: Pair) -> Iterator[Output]:
+        """Take a pair; give what comes of it."""
+        event = self._detect(pair)
+        if isinstance(event, Onset):
+            yield from self._touch(event)
+        elif self._press is None:
+            yield from self._hover(pair)
+        else:
+            yield from self._press.take(pair)
+        if isinstance(event, Release):
+            yield from self._end_press(event.stamp_ns, complete=True)
+
+    def _detect(self, pair: Pair) -> Onset | Release | None:
+        try:
+            return self._detector.add(pair)
+        except Exception:
+            self._detector.reset()
+            raise
+
+    def _touch(self, onset: Onset) -> Iterator[Output]:
+        first, newest = onset.samples[0], onset.samples[-1]
+        yield from self._heed(self._air.judge(newest.stamp_ns, before_ns=first.stamp_ns))
+        self._tilt.see(newest.tilt)
+        site = self._site = self._site_of(onset)
+        site.check_history(onset)
+        self.contact_count += 1
+        release_force = self._detector.release_threshold
+        self._press = Press(self.contact_count, onset, site, release_force, self._common)
+        yield from self._press.begin(self._path_noise())
+
+    def _site_of(self, onset: Onset) -> Site:
+        """Return the site that is touched: the last one, or another."""
+        before, first = self._site, onset.samples[0]
+        if before is not None and not before.is_elsewhere(onset):
+            return before
+        self.site_count += 1
+        site = Site(self.site_count, onset, self._config, self.rig, self._flags)
+        left_ns = self._detector.left_unseen_ns
+        is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
+        if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):
+            site.withdraw()
+        return site
+
+    def _hover(self, pair: Pair) -> Iterator[Output]:
+        """Give a state in the air, one per duration of a block."""
+        yield from self._heed(self._air.hear(pair))
+        if not self._common.sums.passes(pair.stamp_ns):
+            return
+        site = self._site
+        estimate = site.usable_estimate if site is not None else None
+        yield TissueState(
+            stamp_ns=pair.stamp_ns,
+            # After a jump of the clock the probe may press on a tissue without a site.
+            status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
+            flags=self._flags | estimate_flags(estimate),
+            site_id=site.site_id if site is not None else 0,
+            contact_id=self.contact_count if site is not None else 0,
+            phase=Phase.APPROACH,
+            estimate=estimate,
+            order_source=order_source(estimate, self._config.estimator),
+        )
+
+    def _heed(self, verdict: Verdict) -> Iterator[Output]:
+        """Learn from the air after a contact; give its second summary, if there is one."""
+        if verdict.drift is not None:
+            self.rig = self.rig.drifted(verdict.drift)
+        summary = verdict.summary
+        if summary is None:
+            return
+        if summary.estimate is None:
+            self._common.labeller.forget(summary.site_id)
+        yield summary
+
+    # Interruption and end
+
+    def _end_press(self, end_ns: int, *, complete: bool) -> Iterator[Output]:
+        press = self._press
+        if press is None:
+            return
+        yield from press.take_all()
+        site = press.site
+        if not press.has_ended:
+            summary = press.end(end_ns, complete=complete)
+            if complete and summary.converged and not press.flags:
+                self.rig = replace(site.rig() or self.rig, drift=self.rig.drift)
+            summary = replace(summary, rig=self.rig)
+            yield summary
+            if complete:
+                self._air.watch(summary, site, press.onset)
+        # An incomplete contact may go on: the probe has not left.
+        if complete:
+            self._press = None
+            self._common.sums.clear()
+            if press.is_faint and not press.has_failed:
+                # What comes next must not inherit its origin.
+                self._site = None
+
+    def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
+        """Take note that samples are missing since a stamp.
+
+        `is_long`: the memory of the site is lost; the present contact says nothing more.
+        """
+        press = self._press
+        if press is None:
+            return
+        press.see_gap()
+        if is_long:
+            yield from self._end_press(before_ns, complete=False)
+            press.site.is_usable = False
+
+    def break_off(self, stamp_ns: int) -> Iterator[Output]:
+        """Give the summary of a contact whose samples end at a stamp."""
+        return self._end_press(stamp_ns, complete=False)
+
+    def finish(self, stamp_ns: int) -> Iterator[Output]:
+        """Give what is left to say where no more samples come."""
+        yield from self._end_press(stamp_ns, complete=False)
+        yield from self._heed(self._air.judge(stamp_ns))
+
+    def fail(self, stamp_ns: int) -> Iterator[Output]:
+        """End contact and site after an exception."""
+        self._common.sums.clear()
+        site, press = self._site, self._press
+        if site is None:
+            return
+        site.fail()
+        self._common.labeller.forget(site.site_id)
+        if press is not None:
+            yield from press.fail(stamp_ns)

@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether the tissue is off the probe, sample by sample of one contact."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.stress_memory import StressMemory
+
+#: Multiple of the release force beyond which the probe meets the tissue [1]; it leaves it below 1,
+#: so that noise does neither.
+_CLEAR = 2.0
+#: A probe has moved back, or in again, when it has by this part of its compression [1].
+_RETREAT = 0.02
+
+
+class KnownTissue(NamedTuple):
+    """Tissue whose estimate has converged, by its law and its past."""
+
+    estimate: Estimate
+    memory: StressMemory
+    geometry: Geometry
+
+    def is_above_surface(self, step: float, compression: float) -> bool:
+        """Whether the tissue would have to pull at the probe `step` seconds from the last."""
+        free = self.memory.free_response(step, self.estimate.fractional_order)
+        strain = self.geometry.strain(compression - self.estimate.strain_origin)
+        return self.estimate.is_above_surface(strain, free)
+
+    def change_of_stress(self, before: float, after: float, elapsed: float) -> float:
+        """Return by how much the stress changes [Pa] between two compressions [1], in seconds."""
+        estimate = self.estimate
+        if elapsed <= 0.0:
+            return 0.0
+        strains = [self.geometry.strain(u - estimate.strain_origin) for u in (before, after)]
+        elastic = elastic_responses(
+            np.array(strains), estimate.linear_stiffness, estimate.nonlinear_stiffness
+        )
+        step = float(elastic.value[1] - elastic.value[0])
+        return step * apparent_stiffness_factor(estimate.fractional_order, elapsed)
+
+
+class LiftOff:
+    """Follows one contact.
+
+    The first touch of a site says where the origin is, so there the law holds from the origin on;
+    later ones meet a surface that still recovers.
+
+    Parameters
+    ----------
+    release_force : float
+        Below it the probe is no longer pressing [N].
+    stress_per_force : float
+        [1/m^2].
+    is_first : bool
+        Of the site.
+    """
+
+    def __init__(self, release_force: float, stress_per_force: float, *, is_first: bool) -> None:
+        self._release_force, self._clear = release_force, _CLEAR * release_force
+        self._stress_per_force = stress_per_force
+        self._is_untouched = is_first
+        self._is_free = True
+        #: Least compression since the tissue let go of the probe.
+        self._lowest = math.inf
+        #: Compression and force of the newest sample whose force noise does not make, the time
+        #: since, and the compression at which the tissue stayed behind.
+        self._pressed: tuple[float, float] | None = None
+        self._since_pressed = 0.0
+        self._left_at: float | None = None
+
+    def is_pressing(self, force: float) -> bool:
+        """Whether a force [N] is more than that of a probe that lets go."""
+        return force > self._release_force
+
+    def see_mean(self, force: float) -> None:
+        """Take the mean force of a block [N]: from a clear one on the first touch is over."""
+        self._is_untouched &= force <= self._clear
+
+    def is_free(
+        self, step: float, force: float, compression: float, known: KnownTissue | None
+    ) -> bool:
+        """Whether the tissue has left the probe, or has not met it yet, at the next sample.
+
+        `known`: None where the law does not say where the surface is.
+        """
+        hidden = 2.0 * self._clear if self._is_free else self._clear
+        self._since_pressed += step
+        if self._is_untouched:
+            self._is_free = False
+        elif step > 0.0 and known is not None and abs(force) <= hidden:
+            # Where noise hides the force, the law says where the surface is.
+            self._is_free = self._is_hidden_free(step, compression, known)
+        elif self._is_free:
+            self._is_free = force <= self._clear
+        else:
+            self._is_free = force <= self._release_force and self._has_retreated(compression)
+        if force > self._clear:
+            self._since_pressed, self._pressed, self._left_at = 0.0, (compression, force), None
+        self._lowest = min(self._lowest, compression) if self._is_free else math.inf
+        return self._is_free
+
+    def _is_hidden_free(self, step: float, compression: float, known: KnownTissue) -> bool:
+        """Whether the law says that the tissue is off the probe, where noise hides the force.
+
+        It knows the stress to a few standard deviations of the noise, not to none: near the
+        surface it would change its mind from sample to sample, and each time the memory would take
+        what noise makes for a touch or a release. So the probe has to move on: back since the last
+        force that noise does not make, or in again since the tissue let go.
+        """
+        if self._is_free and not self._has_returned(compression):
+            return True
+        if self._is_left_behind(compression, known):
+            return True
+        is_settled = self._is_free or self._has_retreated(compression)
+        return is_settled and known.is_above_surface(step, compression)
+
+    def _has_returned(self, compression: float) -> bool:
+        """Whether the probe has moved in again since the tissue let go of it."""
+        return compression > self._lowest + _RETREAT * abs(self._lowest)
+
+    def _has_retreated(self, compression: float) -> bool:
+        """Whether the probe has moved back since a force that noise does not make.
+
+        Tissue leaves no probe that holds still; to drop the samples of a hold that noise makes
+        small would leave those that it makes large.
+        """
+        if self._pressed is None:
+            return True
+        before = self._pressed[0]
+        return compression < before - _RETREAT * abs(before)
+
+    def _is_left_behind(self, compression: float, known: KnownTissue) -> bool:
+        """Whether the tissue would pull, from the last force that noise does not make.
+
+        The law of that motion alone says where the tissue stays behind; by the whole past a
+        stiffness one percent too low finds the surface two percent of the depth too far out.
+        """
+        if self._pressed is None:
+            return False
+        if self._left_at is None:
+            before, force = self._pressed
+            change = known.change_of_stress(before, compression, self._since_pressed)
+            stress = force * self._stress_per_force + change
+            if stress < -self._clear * self._stress_per_force:
+                self._left_at = compression
+        return self._left_at is not None and compression <= self._left_at
