@@ -102,7 +102,11 @@ def test_imports_run_one_way() -> None:
 
 def test_arrows_are_found() -> None:
     found = {(user, used) for _, user, used in arrows()}
-    assert {("core.pipeline", "core.site"), ("recording", "ros"), ("commands", "errors")} <= found
+    assert {
+        ("core.contact_session", "core.site"),
+        ("recording", "ros"),
+        ("commands", "errors"),
+    } <= found
 
 
 def drawn() -> str:

@@ -35,12 +35,10 @@ _SPAN, _LEAST_POINTS, _LEAST_SHARE = 0.4, 4, 0.5
 
 
 class Point(NamedTuple):
-    """The stress and the law's response at one instant of a hold."""
+    """The stress at one instant of a hold."""
 
-    time: float  #: in the hold [s]
+    time: float  #: [s]
     stress: float  #: [Pa]
-    law: Array  #: response at G = 1, shape (nodes, orders)
-    free: Array  #: of the free tissue, shape (orders,)
 
 
 class Slope(NamedTuple):
@@ -78,17 +76,17 @@ class Hold:
         self._time += step
         return self._time >= self._next
 
-    def keep(self, stress: float, law: Array, free: Array) -> None:
-        """Keep a point at the present."""
-        self._points.append(Point(self._time, stress, law, free))
+    def keep(self, time: float, stress: float) -> None:
+        """Keep a point at the present [s]."""
+        self._points.append(Point(time, stress))
         self._next = (1.0 + _SPACING) * self._time
 
-    def slope(self, age: float) -> Slope | None:
+    def slope(self, now: float, age: float) -> Slope | None:
         """Return how the slope follows where the loading's age is `age` [s]; None: not known."""
-        points = [p for p in self._points if self._time - p.time < age]
+        points = [p for p in self._points if now - p.time < age]
         if age <= 0.0 or len(points) < _LEAST_POINTS:
             return None
-        times = self._time - np.array([point.time for point in points])
+        times = now - np.array([point.time for point in points])
         log_ages = np.log1p(-times / age)
         newest = log_ages >= -_SPAN
         log_ages, times = log_ages[newest], times[newest]

@@ -17,15 +17,23 @@ solved for :math:`\Delta\varphi`.
 
 The interval is first-order: derivatives by (ln G, ln Gn, alpha, v) under the estimate's covariance
 and the variance of the last innovation. To it comes the variance by which what is left out may
-grow while the plan lasts (:mod:`fden_ros.control.unmodelled`): the relaxation by what the
-hold has shown of it.
+grow while the plan lasts, by the clocks of the posterior's error processes
+(:mod:`fden_ros.core.estimation.error_model`),
+
+.. math::
+    dv = f^2 \left( 2\sigma_c^2\,|d\ln\varphi| + \frac{2\sigma_k^2}{\ell}\,|d\ln A| \right)
+    + (k\,\sigma_s)^2\,dt + (c\,\sigma_d)^2\,dt
+
+with :math:`\sigma_c` the characteristic's relative error, :math:`\sigma_k` the kernel's over
+:math:`\ell` of ln t, and the motion of the surface against the stiffness k that it meets; and the
+relaxation by what the hold has shown of it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -35,20 +43,16 @@ from scipy.linalg import solve_triangular
 
 from fden_ros.control.left_out import Slope
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.control.unmodelled import (
-    Growth,
-    LoadingAge,
-    model_error_variance,
-    rig_error_variance,
-)
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.error_model import SURFACE_TIME
+from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.error_model import AGE_FLOOR, SURFACE_TIME
 from fden_ros.core.estimation.estimate import Estimate, StateIndex
 from fden_ros.core.estimation.estimator_config import (
     KERNEL_SHARE,
     NOTHING_UNKNOWN,
     Uncertainty,
 )
+from fden_ros.core.estimation.unknowns import KERNEL_LENGTH, STRAIN_FLOOR
 from fden_ros.core.law.characteristic import (
     apparent_stiffness_factor,
     elastic_responses,
@@ -89,11 +93,12 @@ class Prediction:
 
 
 class _Path(NamedTuple):
-    """How the loading changes along a plan."""
+    """How the loading changes along a plan, each of shape (n,)."""
 
-    steps: tuple[Growth, ...]  #: n of them
-    ageing: Array  #: of ln A from the present on [1], shape (n,)
-    stiffness: Array  #: of the stress by the displacement, relaxed [Pa/m], shape (n,)
+    steps: Array  #: of the time [s]
+    loading: Array  #: change of ln phi in each step [1]
+    ageing: Array  #: of ln A from the present on [1]
+    stiffness: Array  #: of the stress by the displacement, relaxed [Pa/m]
 
 
 class _Trend(NamedTuple):
@@ -160,7 +165,7 @@ class Predictor:
             return np.maximum(remembered + gains @ np.diff(responses) + shift, 0.0)
 
         planned = stresses(*self._parameters, 0.0)
-        left_out = self._left_out_variance(grid, path, planned)
+        left_out = self._left_out_variance(path, planned)
         variance = self._variance(stresses, planned) + left_out
         scale = 1.0 / self.geometry.stress_per_force
         return Prediction(
@@ -206,7 +211,7 @@ class Predictor:
 
         path = self._path(grid, strains(*self._parameters, 0.0))
         way = ways(*self._parameters, 0.0)
-        left_out = self._left_out_variance(grid, path, stress)
+        left_out = self._left_out_variance(path, stress)
         small = _DERIVATIVE_STEP * (float(np.max(np.abs(stress))) or 1.0)
         by_stress = (ways(*self._parameters, small) - way) / small
         variance = self._variance(ways, way) + left_out * by_stress**2
@@ -251,7 +256,7 @@ class Predictor:
             np.array([self.memory.strain]), 1.0, self.estimate.nonlinear_stiffness
         )
         stiffness = self._relaxed * float(elastic.by_strain[0])
-        walk = rig_error_variance(self.uncertainty, self.geometry, 1.0, stiffness)
+        walk = float(self._rig_variance(np.array(stiffness)))
         weights = slope.weights
         variance = self.innovation_variance * float(weights @ weights)
         variance += walk * float(weights @ np.minimum.outer(slope.times, slope.times) @ weights)
@@ -266,44 +271,40 @@ class Predictor:
 
     def _path(self, grid: Array, strains: Array) -> _Path:
         """Return how the loading changes along strains [1] at times [s], (n,) each."""
-        estimate = self.estimate
+        age = self.estimate.loading_age
         elastic = elastic_responses(
-            np.append(self.memory.strain, strains), 1.0, estimate.nonlinear_stiffness
+            np.append(self.memory.strain, strains), 1.0, self.estimate.nonlinear_stiffness
         )
-        age = LoadingAge(estimate.loading_age, float(elastic.value[0]))
-        steps, ageing = [], np.zeros_like(grid)
-        is_loaded = estimate.loading_age > 0.0
-        for k, step in enumerate(np.diff(grid, prepend=0.0).tolist()):
-            steps.append(age.grow(step, float(elastic.value[k + 1])))
-            if is_loaded:
-                ageing[k] = math.log(age.age / estimate.loading_age)
-        return _Path(tuple(steps), ageing, self._relaxed * elastic.by_strain[1:])
+        steps, loaded = np.diff(grid, prepend=0.0), elastic.value + STRAIN_FLOOR
+        state, ages = np.array([loaded[0], age]), np.empty_like(steps)
+        for k in range(steps.size):
+            loops.clock(loaded[k + 1 : k + 2], steps[k : k + 1], AGE_FLOOR, state)
+            ages[k] = state[1]
+        ageing = np.log((ages + AGE_FLOOR) / (age + AGE_FLOOR))
+        loading = np.abs(np.diff(np.log(loaded)))
+        return _Path(steps, loading, ageing, self._relaxed * elastic.by_strain[1:])
 
-    def _left_out_variance(self, grid: Array, path: _Path, stress: Array) -> Array:
+    def _left_out_variance(self, path: _Path, stress: Array) -> Array:
         """Return the variance by which the stress left out grows until each time [Pa^2]."""
-        estimate, stated, trend = self.estimate, self.uncertainty, self._trend
+        estimate, trend = self.estimate, self._trend
         if estimate.loading_age <= 0.0:
-            return np.zeros_like(grid)
-        error = estimate.model_error
+            return np.zeros_like(stress)
         kernel_error = self._kernel_error if trend is None else 0.0
-        uncertainty = replace(stated, characteristic_sd=error, kernel_sd=kernel_error)
-        grown = [
-            model_error_variance(uncertainty, at, step)
-            + rig_error_variance(uncertainty, self.geometry, duration, stiffness)
-            for at, step, duration, stiffness in zip(
-                stress.tolist(),
-                path.steps,
-                np.diff(grid, prepend=0.0).tolist(),
-                path.stiffness.tolist(),
-                strict=True,
-            )
-        ]
+        aged = np.abs(np.diff(path.ageing, prepend=0.0))
+        relative = estimate.model_error**2 * path.loading + kernel_error**2 / KERNEL_LENGTH * aged
+        grown = 2.0 * stress**2 * relative + self._rig_variance(path.stiffness) * path.steps
         relaxation = (kernel_error * stress) ** 2
         if trend is not None:
-            relaxation = (_SHOWN_RELAXATION * stated.kernel_sd * stress) ** 2
+            relaxation = (_SHOWN_RELAXATION * self.uncertainty.kernel_sd * stress) ** 2
             relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, *self._parameters)) ** 2
             relaxation += trend.kept * trend.variance
         return np.asarray(np.cumsum(grown) + path.ageing**2 * relaxation)
+
+    def _rig_variance(self, stiffness: Array) -> Array:
+        """Return by how much the variance of the rig's error grows in a second [Pa^2/s]."""
+        surface = stiffness * self.uncertainty.surface_motion_sd
+        drift = self.geometry.stress_per_force * self.uncertainty.force_drift_sd
+        return np.asarray(surface**2 + drift**2)
 
     @property
     def _kernel_error(self) -> float:

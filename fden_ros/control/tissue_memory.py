@@ -6,26 +6,28 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from fden_ros.control.left_out import Hold, Point, Slope
-from fden_ros.core.arrays import Array, own_copy
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.fractional_integral import FractionalIntegral
+from fden_ros.core.estimation.loop_arguments import Columns, LawState, ResponseState
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.record import Sample
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.interpolation import LogStiffnessGrid
-from fden_ros.core.law.kernel import SHORTEST_STEP, order_interpolation, order_nodes
-from fden_ros.core.law.stress_response import StressBasis
+from fden_ros.core.law.kernel import SHORTEST_STEP
+from fden_ros.core.law.relaxation import RATES, StressMoments, creep_weights
 
-#: Range of Gn [1] between whose nodes the response is interpolated.
-_LOWEST_GN, _HIGHEST_GN = 0.5, 60.0
+#: Samples of a contact that are kept [1]: of more than that the older half is thinned out, so that
+#: what is long ago is coarse.
+MOST_SAMPLES = 1000
 
 
 class TissueMemory:
-    """Strain in contact and free relaxation between contacts, in constant memory.
+    """The present contact, and what is left of those before, in bounded memory.
 
     Parameters
     ----------
@@ -39,14 +41,13 @@ class TissueMemory:
     """
 
     def __init__(self, geometry: Geometry) -> None:
-        middle = 0.5 * math.log(_LOWEST_GN * _HIGHEST_GN)
         self._geometry = geometry
-        self._grid = LogStiffnessGrid(middle, math.log(_HIGHEST_GN) - middle)
-        self._basis = StressBasis(geometry, self._grid.nodes)
-        self._integral = FractionalIntegral(order_nodes())
-        self._in_order = order_interpolation()
+        self._model = PressModel((), geometry, is_bent=False, last_knot=1.0)
+        self._moments = StressMoments()
+        self._free = FreeSurface(self._moments, 0.0)
+        self._samples: list[Sample] = []
         self._hold = Hold()
-        self.strain = 0.0
+        self._time = self._stress = self.strain = 0.0
 
     @property
     def compression(self) -> float:
@@ -56,31 +57,41 @@ class TissueMemory:
     def copy(self) -> TissueMemory:
         """Return the memory as it is now."""
         own = copy.copy(self)
-        own._basis, own._integral = own_copy(self._basis), own_copy(self._integral)
+        own._moments, own._samples = copy.copy(self._moments), self._samples.copy()
         own._hold = self._hold.copy()
         return own
 
     def press(self, step: float, strain: float, stress: float) -> None:
         """Take a sample in contact, `step` seconds after the last: strain [1] and stress [Pa]."""
-        self._integral.add(step, stress)
-        self._basis.press(step, self._geometry.compression(strain))
+        samples = self._samples
+        if not samples:
+            self._free = FreeSurface(copy.copy(self._moments), self._time)
+            samples.append(Sample(self._time, 0.0, 0.0))
+        self._pass(step, stress)
+        samples.append(Sample(self._time, self._geometry.compression(strain), stress))
+        if len(samples) > MOST_SAMPLES:
+            del samples[1 : MOST_SAMPLES // 2 : 2]
         self.strain = strain
         if self._hold.is_due(step, strain):
-            law, free = self._basis.held(np.array([SHORTEST_STEP]))
-            self._hold.keep(stress, law[0], free[0])
-
-    def is_free(self, step: float, strain: float, estimate: Estimate) -> bool:
-        """Whether the tissue would have to pull at the probe `step` seconds from the present."""
-        in_order, _ = self._in_order(estimate.fractional_order)
-        free = float(in_order @ self._integral.ahead(step))
-        return estimate.is_above_surface(strain, free)
+            self._hold.keep(self._time, stress)
 
     def rest(self, step: float) -> None:
         """Take `step` seconds in the air."""
-        free = self._integral.advance(step, 0.0)
-        self._basis.rest((step,), free[None])
+        self._pass(step, 0.0)
+        self._samples.clear()
         self._hold.end()
         self.strain = 0.0
+
+    def _pass(self, step: float, stress: float) -> None:
+        self._moments.add(step, self._stress, stress)
+        self._time, self._stress = self._time + step, stress
+
+    def is_free(self, step: float, strain: float, estimate: Estimate) -> bool:
+        """Whether the tissue would have to pull at the probe `step` seconds from the present."""
+        moments = copy.copy(self._moments)
+        moments.add(step, self._stress, 0.0)
+        free = float(creep_weights(estimate.fractional_order) @ moments.values)
+        return estimate.is_above_surface(strain, free)
 
     def held(self, times: Array, logs: Array, order: float) -> Array:
         """Return the law's stress [Pa] while the probe holds still, shape (n,).
@@ -94,8 +105,33 @@ class TissueMemory:
         order : float
             alpha [1].
         """
-        law, free = self._basis.held(np.maximum(times, SHORTEST_STEP))
-        return self._stress(law, free, logs, order)
+        law, state = self._model.law(np.append(logs, order)), ResponseState(0)
+        past = np.array([sample[:2] for sample in self._samples]).reshape(-1, 2)
+        self._respond(law, past[:, 0], past[:, 1], order, state)
+        instants = self._time + np.maximum(times, SHORTEST_STEP)
+        rest = np.full(times.size, self.compression)
+        return self._respond(law, instants, rest, order, state, begin=self._time)
+
+    def _respond(
+        self,
+        law: LawState,
+        times: Array,
+        compressions: Array,
+        order: float,
+        state: ResponseState,
+        begin: float | None = None,
+    ) -> Array:
+        """Return the law's stress [Pa] along a motion that goes on from `begin` [s]."""
+        if not times.size:
+            return np.zeros(0)
+        steps = np.diff(times, prepend=times[0] if begin is None else begin)
+        by_step = steps, loops.moments(steps, RATES)
+        surface = self._free.at(times) @ creep_weights(order)
+        none = np.zeros(0, dtype=np.int32)
+        columns = Columns(none, np.zeros((0, times.size)), none, np.zeros((0, RATES.size + 2)))
+        compressions = np.ascontiguousarray(compressions)
+        found = loops.respond(law, RATES, by_step, compressions, surface, columns, state)
+        return found.stress
 
     def slope(self, age: float) -> Slope | None:
         """Return how the slope of what the law leaves out follows from the present hold.
@@ -110,7 +146,7 @@ class TissueMemory:
         Slope or None
             None where there is no hold, or too little of it was seen.
         """
-        return self._hold.slope(age)
+        return self._hold.slope(self._time, age)
 
     def left_out(self, points: Sequence[Point], logs: Array, order: float) -> Array:
         """Return the stress less the law's at points of the present hold [Pa], shape (n,).
@@ -123,16 +159,8 @@ class TissueMemory:
         order : float
             alpha [1].
         """
-        law, free = np.stack([p.law for p in points]), np.stack([p.free for p in points])
-        stresses = np.array([point.stress for point in points])
-        return np.asarray(stresses - self._stress(law, free, logs, order))
-
-    def _stress(self, law: Array, free: Array, logs: Array, order: float) -> Array:
-        """Return the stress [Pa] (k,) of responses (k, nodes, orders) and (k, orders)."""
-        log_gn = min(max(float(logs[1]), self._grid.lowest), self._grid.highest)
-        first, in_gn, _ = self._grid.stencil(log_gn)
-        in_order, _ = self._in_order(order)
-        used = law[:, first : first + in_gn.size]
-        stress: Array = math.exp(logs[0]) * np.einsum("kno,n,o->k", used, in_gn, in_order)
-        stress += free @ in_order
-        return stress
+        law = self._model.law(np.append(logs, order))
+        times, compressions, _ = np.array(self._samples).T
+        own = self._respond(law, times, compressions, order, ResponseState(0))
+        instants, stresses = np.array(points).T
+        return np.asarray(stresses - np.interp(instants, times, own))

@@ -43,7 +43,7 @@ SURFACE_TIME = 0.25
 #: point.
 _CORNER = 0.2
 #: Age of the loading that counts as none [s].
-_AGE_FLOOR = 0.01
+AGE_FLOOR = 0.01
 #: Shortest time that a step of the motion counts for [s].
 _SHORTEST = 1e-4
 
@@ -150,7 +150,7 @@ class ErrorModel:
         before = before or Loading(float(points.times[0]), floor, 0.0)
         seconds = np.diff(points.middles, prepend=before.time)
         loading = np.array([before.elastic, before.age])
-        clock = loops.clock(points.mean(elastic) + floor, seconds, _AGE_FLOOR, loading)
+        clock = loops.clock(points.mean(elastic) + floor, seconds, AGE_FLOOR, loading)
         return Errors(
             noise=noise + by_block,
             gain=-stiffness * apparent_stiffness_factor(order, SURFACE_TIME),
