@@ -219,7 +219,7 @@ class FractionalIntegral:
 
     def _prepare_several(self, steps: tuple[float, ...]) -> None:
         """Set what the values before all steps and those after add to memory and sum."""
-        decays = decays_of(steps, (1.0,) * len(steps))
+        decays = decays_of(steps)
         new_gain = decays.later_mean()
         gains = np.array(steps) * np.array([decays.mean - new_gain, new_gain])
         self._start_weights = self._weights * decays.sum_of_start

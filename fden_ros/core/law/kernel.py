@@ -20,7 +20,6 @@ from numpy.polynomial import chebyshev
 from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.interpolation import Lagrange
 
 #: Shortest step [s] and longest memory [s] for which the sum of exponentials holds, to a relative
 #: 3e-11: samples at up to 100 kHz, and a site of a day.
@@ -84,8 +83,6 @@ class Decays:
     ----------
     steps : tuple of float
         [s].
-    counts : tuple of float
-        1 where the end of a step is added up, 0 where it is not.
 
     Attributes
     ----------
@@ -101,7 +98,7 @@ class Decays:
         From the beginning to the end of every step, added up.
     """
 
-    def __init__(self, steps: tuple[float, ...], counts: tuple[float, ...]) -> None:
+    def __init__(self, steps: tuple[float, ...]) -> None:
         rates = relaxation_rates()[:, None]
         self._exponent = rates * np.array(steps)
         loss = -np.expm1(-self._exponent)
@@ -113,10 +110,10 @@ class Decays:
         self.sums_after = np.zeros_like(by_step)
         later = np.zeros(rates.size)
         for k, decay in zip(range(len(steps) - 1, 0, -1), by_step.T[:0:-1].copy(), strict=True):
-            later = (later + counts[k]) * decay
+            later = (later + 1.0) * decay
             self.sums_after[:, k - 1] = later
         self.whole: Array = by_step[:, 0] * self.to_end[:, 0]
-        self.sum_of_start: Array = by_step[:, 0] * (counts[0] + self.sums_after[:, 0])
+        self.sum_of_start: Array = by_step[:, 0] * (1.0 + self.sums_after[:, 0])
 
     def later_mean(self) -> Array:
         """Return phi_2, shape (76, n)."""
@@ -127,7 +124,7 @@ class Decays:
         return result
 
 
-#: Force and motion of the same block ask for the same.
+#: Blocks have the same steps again and again.
 decays_of = functools.lru_cache(maxsize=8)(Decays)
 
 
@@ -139,14 +136,25 @@ def order_nodes() -> tuple[float, ...]:
     return tuple(float(middle + half * point) for point in points)
 
 
-def order_interpolation() -> Lagrange:
-    """Return the interpolation between :func:`order_nodes`."""
-    return Lagrange(np.array(order_nodes()))
+@functools.lru_cache(maxsize=8)
+def order_weights(order: float) -> Array:
+    """Return the weights, shape (11,), by which a polynomial through the nodes gives an order."""
+    nodes = order_nodes()
+    middle, half = 0.5 * (nodes[0] + nodes[-1]), 0.5 * (nodes[-1] - nodes[0])
+    powers = np.full(len(nodes), (order - middle) / half)
+    powers[0] = 1.0
+    weights: Array = np.multiply.accumulate(powers) @ _node_polynomials()
+    weights.flags.writeable = False
+    return weights
 
 
 @functools.cache
-def derivative_weights() -> Array:
-    """Return the weights for D^alpha at every order node, shape (11, 76)."""
-    weights = np.vstack([kernel_weights(1.0 - order) for order in order_nodes()])
-    weights.flags.writeable = False
-    return weights
+def _node_polynomials() -> Array:
+    """Return the polynomials that are 1 at one node and 0 at the others, by the powers."""
+    nodes = np.array(order_nodes())
+    middle, half = 0.5 * (nodes[0] + nodes[-1]), 0.5 * (nodes[-1] - nodes[0])
+    cardinal = np.linalg.inv(chebyshev.chebvander((nodes - middle) / half, nodes.size - 1))
+    powers = [chebyshev.cheb2poly(row) for row in np.eye(nodes.size)]
+    of_powers = np.array([np.pad(row, (0, nodes.size - row.size)) for row in powers]).T
+    result: Array = of_powers @ cardinal
+    return result

@@ -11,7 +11,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.fractional_integral import FractionalIntegral
-from fden_ros.core.law.kernel import order_interpolation, order_nodes
+from fden_ros.core.law.kernel import order_nodes, order_weights
 
 #: The tissue's relaxation between two contacts is followed in steps, the first of 1 ms [s], each
 #: longer by 4 %. (Eight steps a decade would bias Gn by a third of its error's bound.)
@@ -30,7 +30,6 @@ class StressMemory:
     def __init__(self, exact_orders: tuple[float, ...] = ()) -> None:
         self._exact = len(exact_orders)
         self._integral = FractionalIntegral((*exact_orders, *order_nodes()))
-        self._interpolation = order_interpolation()
 
     def press(self, step: float, stress: float) -> None:
         """Take a stress [Pa] `step` seconds after the last."""
@@ -59,9 +58,8 @@ class StressMemory:
 
     def at_order(self, integrals: Array, order: float) -> float:
         """Return one of the integrals, interpolated at an order [1]."""
-        return float(self._interpolation(order)[0] @ integrals[self._exact :])
+        return float(order_weights(order) @ integrals[self._exact :])
 
     def free_response(self, step: float, order: float) -> float:
         """Return phi of the free surface `step` seconds from the last sample [Pa s^alpha]."""
-        weights, _ = self._interpolation(order)
-        return float(weights @ self._integral.ahead(step)[self._exact :])
+        return float(order_weights(order) @ self._integral.ahead(step)[self._exact :])
