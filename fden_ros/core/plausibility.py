@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.samples import NANOSECONDS
 
@@ -37,11 +37,13 @@ class PlausibilityConfig:
     least_strain_rate: float = 1e-3
 
 
-#: Largest strain [1]. A flat punch cannot go deeper than the tissue is thick; a sphere may, and
-#: ten is 4.6 radii deep.
-_MOST_STRAIN, _MOST_STRAIN_OF_PUNCH, _MOST_STRAIN_OF_SPHERE = 3.0, 1.0, 10.0
-#: Largest area [m^2], thickness and radius [m]: of a face of 14 cm, a body, a ball of 20 cm.
-_MOST_AREA, _MOST_THICKNESS, _MOST_RADIUS = 0.02, 0.3, 0.1
+#: Largest sizes, the unit that may have been meant, and its factor: of a face of 14 cm, a body, a
+#: ball of 20 cm.
+_MOST_SIZES = {
+    "area": (0.02, "m^2", "cm^2", 1e-4),
+    "thickness": (0.3, "m", "cm", 1e-2),
+    "radius": (0.1, "m", "cm", 1e-2),
+}
 #: Area that stands for an unknown one [m^2]: the stress is in newtons.
 _UNKNOWN_AREA = 1.0
 #: G lies within 5 standard deviations of its prior, or a factor of 30 where they are less ...
@@ -72,29 +74,19 @@ _TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 def stands_against(geometry: Geometry) -> str:
     """Return why no estimate with a geometry can be right, in one sentence; empty: it can."""
     if not geometry.is_stated:
-        example = {
-            Sphere: "kind: sphere, radius: 0.005",
-            TorsionalRheometer: "kind: torsional_rheometer, radius: 0.01, thickness: 0.005",
-        }.get(type(geometry), "kind: flat_punch, area: 3.14e-4, thickness: 0.02")
         return (
             "the geometry is not stated, so nothing is converged: state probe and tissue in the "
-            f"parameters, such as geometry: {{{example}}}, in m and m^2"
+            f"parameters, such as geometry: {{{geometry.example}}}, in m and m^2"
         )
-    if isinstance(geometry, FlatPunch):
-        if _MOST_AREA < geometry.area < _UNKNOWN_AREA:
-            return _too_large("area", geometry.area, "m^2", "cm^2", 1e-4)
-        if geometry.thickness > _MOST_THICKNESS:
-            return _too_large("thickness", geometry.thickness, "m", "cm", 1e-2)
-    if isinstance(geometry, Sphere) and geometry.radius > _MOST_RADIUS:
-        return _too_large("radius", geometry.radius, "m", "cm", 1e-2)
+    for name, (most, unit, other, factor) in _MOST_SIZES.items():
+        value = getattr(geometry, name, 0.0)
+        if value > most and not (name == "area" and value >= _UNKNOWN_AREA):
+            return (
+                f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: "
+                f"was {other} meant? With the factor {factor:g} it would be "
+                f"{factor * value:.3g} {unit}"
+            )
     return ""
-
-
-def _too_large(name: str, value: float, unit: str, other: str, factor: float) -> str:
-    return (
-        f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: was "
-        f"{other} meant? With the factor {factor:g} it would be {factor * value:.3g} {unit}"
-    )
 
 
 class Tilt:
@@ -203,10 +195,9 @@ class Plausibility:
         self._words.setdefault(kind, words)
 
     def _of_strain(self, strain: float) -> str:
-        most = _most_strain(self._geometry)
+        most, power = self._geometry.most_strain, self._geometry.exponent
         if strain <= most:
             return ""
-        power = 1.5 if isinstance(self._geometry, Sphere) else 1.0
         values = {name: strain * factor**power for name, factor in _LENGTHS.items()}
         asked = _asked(values, _LENGTHS, _LIKELY_STRAIN, most)
         if not asked:
@@ -219,7 +210,7 @@ class Plausibility:
 
     def _of_force(self, force: float) -> str:
         most = self._config.most_force
-        if force <= most or not isinstance(self._geometry, (FlatPunch, Sphere)):
+        if force <= most or self._geometry.unit != "N":
             return ""
         asked = _asked(
             {name: force * factor for name, factor in _FORCES.items()}, _FORCES, *_LIKELY_FORCE
@@ -310,17 +301,10 @@ def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
     spread = max(_PRIOR_DEVIATIONS * prior.linear_stiffness_log_sd, math.log(_PRIOR_FACTOR))
     g = prior.linear_stiffness
     low, high = g * math.exp(-spread), g * math.exp(spread)
-    is_pascal = not isinstance(geometry, PassThrough) and geometry.stress_per_force != 1.0
-    if is_pascal:
+    if geometry.unit != "Pa" and geometry.stress_per_force != 1.0:
         low = max(low, min(_LEAST_STIFFNESS, g / _PRIOR_FACTOR))
         high = min(high, max(_MOST_STIFFNESS, g * _PRIOR_FACTOR))
     return low, high
-
-
-def _most_strain(geometry: Geometry) -> float:
-    if isinstance(geometry, FlatPunch):
-        return _MOST_STRAIN_OF_PUNCH
-    return _MOST_STRAIN_OF_SPHERE if isinstance(geometry, Sphere) else _MOST_STRAIN
 
 
 def _asked(

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from fden_ros.core.classification.classifier import UNKNOWN, Tissue, TissueLibrary
-from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.errors import InputError
 
 FORMAT = 2
@@ -25,13 +25,6 @@ FORMAT = 2
 UNITS = ("Pa", "N")
 #: A flat punch of so large an area stands for one whose area is not known [m^2].
 _NO_AREA = 1.0
-#: What a library calls the geometries.
-_KINDS: dict[type, str] = {
-    FlatPunch: "flat_punch",
-    Sphere: "sphere",
-    TorsionalRheometer: "torsional_rheometer",
-    PassThrough: "pass_through",
-}
 
 
 def load_library(path: str | Path | None = None) -> TissueLibrary:
@@ -72,7 +65,7 @@ def library_for(path: str, geometry: Geometry) -> TissueLibrary | None:
         If the file cannot be read, or is in other units or of another geometry.
     """
     library = load_library(path or None)
-    units, kind = units_of(geometry), _KINDS[type(geometry)]
+    units, kind = units_of(geometry), geometry.kind
     if library.units != units:
         if not path:
             return None

@@ -31,7 +31,7 @@ from fden_ros.core.estimation.unknowns import (
     characteristic_splines,
 )
 from fden_ros.core.law.characteristic import elastic_responses
-from fden_ros.core.law.geometry import Geometry, Sphere, TorsionalRheometer
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
@@ -135,8 +135,7 @@ class PressModel:
     ) -> None:
         self.unknowns, self.is_bent, self.last_knot = unknowns, is_bent, last_knot
         self.geometry, self._free = geometry, free
-        self.exponent = 1.5 if isinstance(geometry, Sphere) else 1.0
-        self.is_one_sided = not isinstance(geometry, TorsionalRheometer)
+        self.exponent, self.is_one_sided = geometry.exponent, geometry.is_one_sided
         self.kernel = slice(len(unknowns), len(unknowns) + KERNEL_KNOTS.size * is_bent)
         stop = self.kernel.stop + CHARACTERISTIC_KNOTS * is_bent
         self.characteristic = slice(self.kernel.stop, stop)

@@ -124,7 +124,7 @@ class PressPosterior:
         compression_sd: float = 0.0,
     ) -> None:
         self.setting, self._start = setting, start
-        reach = _REACH * setting.origin_sd if setting.geometry_is_one_sided else 0.0
+        reach = _REACH * setting.origin_sd if setting.geometry.is_one_sided else 0.0
         self.record = Record(compression_sd, reach)
         self.deepest, self.compression_sd = deepest, compression_sd
         self.solved: Solved | None = None

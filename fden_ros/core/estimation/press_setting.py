@@ -24,7 +24,7 @@ from fden_ros.core.estimation.unknowns import (
     strain_range,
     unknowns_of,
 )
-from fden_ros.core.law.geometry import Geometry, TorsionalRheometer
+from fden_ros.core.law.geometry import Geometry
 
 #: What is learned of a rig, by the names of its unknowns, in the order of its knowledge.
 RIG = ("delay", "friction")
@@ -86,11 +86,6 @@ class PressSetting:
     def is_bent(self) -> bool:
         """Whether the law may have errors."""
         return self.config.uncertainty.characteristic_sd > 0.0
-
-    @property
-    def geometry_is_one_sided(self) -> bool:
-        """Whether the tissue lets go of the probe."""
-        return not isinstance(self.geometry, TorsionalRheometer)
 
     def origin(self, mean: Array) -> float:
         """Return the strain origin of a state, as compression [1]."""

@@ -13,39 +13,68 @@ from __future__ import annotations
 
 import functools
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 
 
-class Geometry(Protocol):
-    """What a contact geometry must offer."""
+class Geometry(ABC):
+    """A contact geometry: strain is a power of the compression.
+
+    Attributes
+    ----------
+    kind : str
+        Its name in parameters and libraries.
+    unit : str
+        Of what is measured as the force.
+    exponent : float
+        Of that power [1].
+    is_one_sided : bool
+        The tissue lets go of the probe, and cannot pull at it.
+    most_strain : float
+        The largest that is plausible [1].
+    example : str
+        How it is stated in a parameter file.
+    is_stated : bool
+        Whether its sizes are those of a probe, not numbers that stand in for them: else nothing
+        can be converged.
+    """
+
+    kind: ClassVar[str]
+    unit: ClassVar[str] = "N"
+    exponent: ClassVar[float] = 1.0
+    is_one_sided: ClassVar[bool] = True
+    most_strain: ClassVar[float] = 3.0
+    example: ClassVar[str] = "kind: flat_punch, area: 3.14e-4, thickness: 0.02"
+    is_stated: bool
 
     @property
-    def is_stated(self) -> bool:
-        """Whether its sizes are those of a probe, not numbers that stand in for them."""
-
-    @property
+    @abstractmethod
     def length(self) -> float:
         """Characteristic length L [m]: compression is displacement / L."""
 
     @property
+    @abstractmethod
     def stress_per_force(self) -> float:
         """Stress per force [Pa/N]."""
 
     def strain(self, compression: float) -> float:
         """Return the strain x [1] at a compression from the strain origin [1]."""
+        return compression
 
     def strain_slope(self, compression: float) -> float:
         """Return dx/du [1] there."""
+        return 1.0
 
     def compression(self, strain: float) -> float:
         """Return the compression [1] at a strain in contact: the inverse of `strain`."""
+        return strain
 
 
 @dataclass(frozen=True)
-class FlatPunch:
+class FlatPunch(Geometry):
     """A flat-ended probe on tissue of known thickness: stress F/A, strain d/h.
 
     Parameters
@@ -57,10 +86,11 @@ class FlatPunch:
     poisson_ratio : float or None
         Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
         the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
-    is_stated : bool
-        Whether the sizes are known. False: nothing can be converged.
     """
 
+    kind = "flat_punch"
+    #: It cannot go deeper than the tissue is thick.
+    most_strain = 1.0
     area: float
     thickness: float
     poisson_ratio: float | None = None
@@ -80,21 +110,9 @@ class FlatPunch:
         kappa = hayes_factor(radius / self.thickness, self.poisson_ratio)
         return (1.0 - self.poisson_ratio**2) / (2.0 * radius * kappa * self.thickness)
 
-    def strain(self, compression: float) -> float:
-        """Return the compression itself."""
-        return compression
-
-    def strain_slope(self, compression: float) -> float:
-        """Return 1."""
-        return 1.0
-
-    def compression(self, strain: float) -> float:
-        """Return the strain itself."""
-        return strain
-
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Geometry):
     r"""A spherical tip (Hertz), with representative stress and strain.
 
     For a viscoelastic half-space under growing contact, Lee and Radok (J. Appl. Mech. 27, 1960)
@@ -109,10 +127,13 @@ class Sphere:
     ----------
     radius : float
         Radius of the tip R [m].
-    is_stated : bool
-        Whether it is known. False: nothing can be converged.
     """
 
+    kind = "sphere"
+    exponent = 1.5
+    #: 4.6 radii deep.
+    most_strain = 10.0
+    example = "kind: sphere, radius: 0.005"
     radius: float
     is_stated: bool = True
 
@@ -140,7 +161,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class TorsionalRheometer:
+class TorsionalRheometer(Geometry):
     """A cylinder twisted between plates (paper, Appendix A): torque [N m] and angle [rad].
 
     Stress f = T / (pi R^3), strain x = R theta / (2 d): the means over the sample, half of the
@@ -153,10 +174,12 @@ class TorsionalRheometer:
         factor of 8 in stress.
     height : float
         Height of the sample d [m].
-    is_stated : bool
-        Whether the sizes are known. False: nothing can be converged.
     """
 
+    kind = "torsional_rheometer"
+    unit = "N m"
+    is_one_sided = False
+    example = "kind: torsional_rheometer, radius: 0.01, thickness: 0.005"
     radius: float
     height: float
     is_stated: bool = True
@@ -171,38 +194,16 @@ class TorsionalRheometer:
         """Mean stress per torque [Pa / (N m)]."""
         return 1.0 / (math.pi * self.radius**3)
 
-    def strain(self, compression: float) -> float:
-        """Return the compression itself."""
-        return compression
-
-    def strain_slope(self, compression: float) -> float:
-        """Return 1."""
-        return 1.0
-
-    def compression(self, strain: float) -> float:
-        """Return the strain itself."""
-        return strain
-
 
 @dataclass(frozen=True)
-class PassThrough:
+class PassThrough(Geometry):
     """Inputs that are stress [Pa] and strain [1] already."""
 
+    kind = "pass_through"
+    unit = "Pa"
     length: float = 1.0
     stress_per_force: float = 1.0
     is_stated: bool = True
-
-    def strain(self, compression: float) -> float:
-        """Return the compression itself."""
-        return compression
-
-    def strain_slope(self, compression: float) -> float:
-        """Return 1."""
-        return 1.0
-
-    def compression(self, strain: float) -> float:
-        """Return the strain itself."""
-        return strain
 
 
 @functools.lru_cache(maxsize=64)
