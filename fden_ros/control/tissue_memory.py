@@ -15,11 +15,18 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.loop_arguments import Columns, LawState, ResponseState
-from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
-from fden_ros.core.law.relaxation import RATES, StressMoments, creep_weights
+from fden_ros.core.law.relaxation import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    RATES,
+    StressMoments,
+    creep_weights,
+    relaxation_weights,
+)
 
 #: Samples of a contact that are kept [1]: of more than that the older half is thinned out, so that
 #: what is long ago is coarse.
@@ -42,7 +49,6 @@ class TissueMemory:
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
-        self._model = PressModel((), geometry, is_bent=False, last_knot=1.0)
         self._moments = StressMoments()
         self._free = FreeSurface(self._moments, 0.0)
         self._samples: list[Sample] = []
@@ -105,12 +111,25 @@ class TissueMemory:
         order : float
             alpha [1].
         """
-        law, state = self._model.law(np.append(logs, order)), ResponseState(0)
+        law, state = self._law(logs, order), ResponseState(0)
         past = np.array([sample[:2] for sample in self._samples]).reshape(-1, 2)
         self._respond(law, past[:, 0], past[:, 1], order, state)
         instants = self._time + np.maximum(times, SHORTEST_STEP)
         rest = np.full(times.size, self.compression)
         return self._respond(law, instants, rest, order, state, begin=self._time)
+
+    def _law(self, logs: Array, order: float) -> LawState:
+        g, gn = np.exp(logs).tolist()
+        return LawState(
+            linear_stiffness=g,
+            nonlinear_stiffness=gn,
+            exponent=self._geometry.exponent,
+            is_one_sided=self._geometry.is_one_sided,
+            compliance=0.0,
+            weights=relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER))),
+            bend=np.zeros(0),
+            last_knot=1.0,
+        )
 
     def _respond(
         self,
@@ -159,7 +178,7 @@ class TissueMemory:
         order : float
             alpha [1].
         """
-        law = self._model.law(np.append(logs, order))
+        law = self._law(logs, order)
         times, compressions, _ = np.array(self._samples).T
         own = self._respond(law, times, compressions, order, ResponseState(0))
         instants, stresses = np.array(points).T
