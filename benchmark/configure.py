@@ -25,7 +25,6 @@ from benchmark.unknown_rigs import RigTruth, simulate_rig
 from fden_ros.configure.finding import Finding
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.geometry import FlatPunch
 
 EPILOG = """\
 examples:
@@ -154,10 +153,7 @@ def _judge_numbers(judged: Judged, by_name: Mapping[str, Finding], truth: RigTru
 def judge_rig(number: int) -> Judged:
     """Simulate a rig, look at its recording, and judge what is found."""
     rig = simulate_rig(_FIRST_SEED + number)
-    truth = rig.truth
-    stated: dict[str, float | str] = {"kind": "flat_punch", "area": truth.area}
-    found = survey([rig.streams], stated, FlatPunch(truth.area, truth.thickness))
-    return judge(found, truth)
+    return judge(survey([rig.streams]), rig.truth)
 
 
 def run(args: argparse.Namespace) -> Report:

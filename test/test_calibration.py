@@ -16,8 +16,7 @@ import pytest
 from property_helpers import counts
 
 from fden_ros.cli import main
-from fden_ros.configure.oscillations import Samples, find_delay, find_oscillations
-from fden_ros.errors import InputError
+from fden_ros.configure.delay import Phases, Samples, find_oscillations, phases_of
 from fden_ros.recording.synthetic import write_recording
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import Recording, Stream, simulate
@@ -56,75 +55,58 @@ def order_of(recording: Recording) -> float:
 @pytest.mark.parametrize("delay", [-0.008, 0.0, 0.012, 0.035])
 def test_delay_and_alpha_are_told_apart_by_two_frequencies(delay):
     recording = recorded(delay)
-    result = find_delay(*samples_of(recording))
-    assert result.delay == pytest.approx(delay, abs=HALF_A_MILLISECOND)
-    assert result.order == pytest.approx(order_of(recording), abs=0.005)
-    assert not result.warnings
+    result = phases_of(*samples_of(recording))
+    assert result.delay.value == pytest.approx(delay, abs=HALF_A_MILLISECOND)
+    assert result.order.value == pytest.approx(order_of(recording), abs=0.005)
+    assert result.by_slope is None
 
 
 @pytest.mark.parametrize("seeds", counts(3, 8))
 def test_deviation_that_is_told_holds_the_truth(seeds):
     normalized = []
     for seed in range(seeds):
-        result = find_delay(*samples_of(recorded(seed=seed)))
-        assert result.delay == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
-        normalized.append((result.delay - 0.012) / result.delay_sd)
+        delay, sd = phases_of(*samples_of(recorded(seed=seed))).delay
+        assert delay == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
+        normalized.append((delay - 0.012) / sd)
     assert 0.2 < math.sqrt(np.mean(np.square(normalized))) < 2.0
-
-
-def test_one_frequency_with_alpha_given_is_enough():
-    recording = recorded(presses=1)
-    result = find_delay(*samples_of(recording), order_of(recording))
-    assert result.order_given
-    assert result.delay == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
 
 
 def test_one_frequency_alone_leaves_the_delay_undecided():
     recording = recorded(presses=1)
-    result = find_delay(*samples_of(recording))
+    result = phases_of(*samples_of(recording))
     assert result.delay is None and result.order is None
     (oscillation,) = result.oscillations
     by_truth = oscillation.delay(order_of(recording))
     assert by_truth == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
 
 
-def test_oscillation_that_lifts_off_is_left_out_and_said():
+def test_an_oscillation_that_lifts_off_and_a_ramp_are_none():
     times = np.arange(0.0, 20.0, 0.002)
     displacement = Samples(times, 1e-3 * np.sin(2.0 * math.pi * times))
     force = Samples(times, np.maximum(displacement.values, 0.0))
-    warnings: list[str] = []
-    assert find_oscillations(force, displacement, warnings) == ()
-    assert "lifts off" in warnings[0]
-
-
-def test_ramp_says_what_to_record():
-    times = np.arange(0.0, 2.0, 0.01)
+    assert find_oscillations(force, displacement) == ()
     ramp = Samples(times, 1e-3 * times)
-    with pytest.raises(InputError, match="no steady oscillation"):
-        find_delay(ramp, ramp)
+    assert phases_of(ramp, ramp) == Phases(())
 
 
-def test_command_prints_the_parameter_to_set(tmp_path, capsys):
+def delay_told(capsys, *arguments) -> dict:
+    assert main(["configure", *map(str, arguments), "--json"]) == 0
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    return next(finding for finding in findings if finding["subject"] == "delay")
+
+
+def test_command_finds_the_delay_of_a_recording(tmp_path, capsys):
     write_recording(recorded(), tmp_path / "sweep")
-    assert main(["calibrate", "delay", str(tmp_path / "sweep"), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["delay_s"] == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
-    assert main(["calibrate", "delay", str(tmp_path / "sweep")]) == 0
-    assert f"displacement.delay: {result['delay_s']:.6f}" in capsys.readouterr().out
+    found = delay_told(capsys, tmp_path / "sweep")
+    assert found["claim"]
+    assert found["value"] == pytest.approx(0.012, abs=HALF_A_MILLISECOND)
 
 
-@pytest.mark.skipif(not DATA, reason="measured data: set FDEN_DATA to their folder")
-def test_measured_robot_is_31_ms_out_of_step_if_alpha_is_0(capsys):
-    table = Path(str(DATA)) / "robot_on_silicone_500hz.csv"
-    if not table.is_file():
-        pytest.skip(f"no {table.name} in FDEN_DATA")
-    assert main(["calibrate", "delay", str(table), "--columns", "@500,5,3*1e-3", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    (oscillation,) = result["oscillations"]
-    assert result["delay_s"] is None
-    assert oscillation["frequency_hz"] == pytest.approx(2.0, abs=0.01)
-    assert oscillation["lead_deg"] == pytest.approx(22.0, abs=1.0)
-    assert oscillation["delay_s_by_alpha"]["0.0"] == pytest.approx(0.031, abs=0.001)
+def test_command_says_that_one_frequency_cannot_tell(tmp_path, capsys):
+    write_recording(recorded(presses=1), tmp_path / "sine")
+    found = delay_told(capsys, tmp_path / "sine")
+    assert not found["claim"] and "if alpha is 0" in found["evidence"]
+    assert "a second frequency" in found["motion"]
 
 
 def tones(
@@ -161,33 +143,24 @@ def test_a_phase_beyond_that_of_the_slope_is_not_told_from_a_delay(
         rng = np.random.default_rng(seed)
         slope, delay = rng.uniform(0.08, 0.25), rng.uniform(-0.005, 0.02)
         phase = share * 0.5 * math.pi * slope
-        result = find_delay(*tones(slope, phase, delay, seed))
-        assert result.slope == pytest.approx(slope, abs=4.0 * result.slope_sd)
+        result = phases_of(*tones(slope, phase, delay, seed))
+        assert result.slope is not None and result.delay is not None
+        assert result.slope.value == pytest.approx(slope, abs=4.0 * result.slope.sd)
+        errors.append((result.delay.value - delay) / result.delay.sd)
         if share == 1.0:
-            assert not result.explanations
-            assert result.delay is not None
-            errors.append((result.delay - delay) / result.delay_sd)
+            assert result.by_slope is None
             continue
-        assert result.delay is None and result.order is None
-        constant, by_slope = result.explanations
-        assert constant.delay == pytest.approx(delay, abs=4.0 * constant.delay_sd)
-        assert by_slope.delay - delay > 5.0 * by_slope.delay_sd
-    if errors:
-        assert 0.4 < math.sqrt(np.mean(np.square(errors))) < 1.5
+        assert result.by_slope is not None
+        assert result.by_slope.value - delay > 5.0 * result.by_slope.sd
+    assert 0.4 < math.sqrt(np.mean(np.square(errors))) < 1.5
 
 
-def test_a_given_alpha_that_the_phases_contradict_gives_no_delay(tmp_path, capsys) -> None:
+def test_the_command_states_no_delay_where_slope_and_phase_differ(tmp_path, capsys) -> None:
     force, displacement = tones(0.15, 0.45, 0.01, 3)
-    assert find_delay(force, displacement, 0.15, 0.005).delay is None
-    # One frequency shows no contradiction: then it is said what the delay rests on.
-    single = find_delay(*tones(0.15, 0.45, 0.01, 3, (2.0,)), 0.15, 0.005)
-    assert single.delay is not None
-    assert "a degree of it counts as 1.4 ms" in single.warnings[0]
     table = tmp_path / "tones.csv"
     at = np.interp(force.times, displacement.times, displacement.values)
     rows = np.column_stack([force.times, force.values, at])
     np.savetxt(table, rows, delimiter=",", header="time_s,force_N,depth_m", comments="")
-    assert main(["calibrate", "delay", str(table)]) == 0
-    printed = capsys.readouterr().out
-    assert "to the power 0.15" in printed
-    assert "cannot be told from a delay" in printed and "Parameter:" not in printed
+    found = delay_told(capsys, table)
+    assert not found["claim"]
+    assert "to the power 0.15" in found["evidence"]

@@ -26,7 +26,6 @@ from fden_ros.configure.reading import read
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.writer import parameter_file
-from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import read_sections
 from fden_ros.recording.table import guessed_columns
@@ -76,13 +75,7 @@ def whole_rig(seed: int = 7, **chosen: Any) -> SimulatedRig:
 
 
 def look(rig: SimulatedRig, **options: Any) -> Survey:
-    truth = rig.truth
-    stated: dict[str, float | str] = {
-        "kind": "flat_punch",
-        "area": truth.area,
-        "thickness": truth.thickness,
-    }
-    return survey([rig.streams], stated, FlatPunch(truth.area, truth.thickness), **options)
+    return survey([rig.streams], {"kind": "flat_punch", "area": rig.truth.area}, **options)
 
 
 def run(*arguments: Any) -> int:
@@ -108,10 +101,7 @@ def test_what_is_stated_of_an_unknown_rig_is_right(
     rig = simulate_rig(seed, **chosen)
     path = RigBag(rig.streams).write(tmp_path / "bag")
     reading = read(path)
-    truth = rig.truth
-    stated: dict[str, float | str] = {"kind": "flat_punch"}
-    found = survey([reading.streams], stated, FlatPunch(truth.area, truth.thickness))
-    judged = judge(found, truth)
+    judged = judge(survey([reading.streams]), rig.truth)
     assert not judged.misses
     assert not judged.unfounded
     worst = {name: max(map(abs, errors)) for name, errors in judged.errors.items()}
@@ -309,6 +299,18 @@ def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_pa
     assert values["displacement.message"] == "pose"
 
 
+def test_presses_of_one_place_are_one_site_without_positions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "probe.yaml"
+    for more, sites in ([], [1, 2]), (["--one-place"], [1, 1]):
+        assert run("configure", PRESS, "-o", output, *more) == 0
+        capsys.readouterr()
+        run("replay", PRESS, "--config", output, "--json")
+        contacts = json.loads(capsys.readouterr().out)["contacts"]
+        assert [contact["site"] for contact in contacts] == sites
+
+
 def test_of_several_joints_that_is_taken_which_moves_with_the_force(tmp_path: Path) -> None:
     rig = whole_rig(turns=False, mass=0.0)
     way = (rig.streams.position @ rig.truth.displacement_axis)[:, None]
@@ -317,7 +319,7 @@ def test_of_several_joints_that_is_taken_which_moves_with_the_force(tmp_path: Pa
     assert reading.joints == {"displacement": "probe"}
     found = survey([reading.streams])
     assert found.finding("displacement axis").parameters == {"displacement.inverted": True}
-    assert 'name: "probe"' in parameter_file(found, [reading])
+    assert "name: probe" in parameter_file(found, [reading])
 
 
 def test_a_table_in_millimetres_is_told_and_its_headings_are_read(

@@ -143,5 +143,5 @@ def test_a_file_from_conventions_alone_can_be_read(name: str, tmp_path: Path) ->
     assert run("configure", "--robot", name, "-o", path) == 0
     parameters = read_parameter_file(path)
     axis = robot_named(name).force.axis
-    assert parameters.force.axis == (axis or (0.0, 0.0, 1.0))
+    assert list(parameters.force.axis) == (axis or [0.0, 0.0, 1.0])
     assert "# source: " in path.read_text(encoding="utf-8")

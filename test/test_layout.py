@@ -16,6 +16,7 @@ ROOMS = (
     "errors",
     "one_thread",
     "progress",
+    "shipped",
     "core.arrays",
     "core.streams",
     "core.law",
@@ -52,7 +53,7 @@ ROOMS = (
     "cli",
 )
 #: Modules that stand alone at the root.
-LOOSE = {"errors", "one_thread", "progress", "tissue_feed", "cli"}
+LOOSE = {"errors", "one_thread", "progress", "shipped", "tissue_feed", "cli"}
 
 
 def room_of(module: str) -> str:

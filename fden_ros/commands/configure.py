@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from fden_ros.commands.inputs import add_selection_options, selection_of
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
+    from fden_ros.configure.finding import Finding
     from fden_ros.configure.reading import Reading
     from fden_ros.configure.robots import Robot
     from fden_ros.configure.survey import Survey
@@ -37,7 +39,8 @@ examples:
 
 A recording that tells everything: 2 s in the air; the tool turned through three orientations; a
 rigid plate pressed twice; three presses of tissue with a hold of 2 s, in the air in between; a
-sine of 0.5 mm in tissue at 1 and 4 Hz. No recording tells the indenter: state it.
+sine of 0.5 mm in tissue at 1 and 4 Hz. No recording tells the indenter: state it. A table of a
+robot by name (--robot ur) has the headings of its recorder.
 Exit codes: 0 a file was proposed, 1 the input cannot be used, 2 wrong usage.
 """
 
@@ -82,6 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDING",
         help="one of the recordings: in it something rigid was pressed",
     )
+    parser.add_argument(
+        "--one-place",
+        action="store_true",
+        help="all presses are of one place: without positions the file says so (site.timeout)",
+    )
     indenter = parser.add_argument_group("the indenter, which no recording shows")
     indenter.add_argument("--flat-punch", type=float, metavar="AREA", help="face [m^2]")
     indenter.add_argument("--thickness", type=float, metavar="H", help="of the tissue [m]")
@@ -94,22 +102,11 @@ def run(args: argparse.Namespace) -> int:
     from fden_ros.configure.robots import robot_named, robot_notes
     from fden_ros.configure.writer import parameter_file, replay_command, replay_problems
 
-    stated, geometry = _indenter(args)
+    _check(args)
     robot = robot_named(args.robot) if args.robot else None
-    if args.live and args.recordings:
-        args.parser.error("--live listens to topics: name no recording")
-    if not args.recordings and not args.live:
-        if robot is not None:
-            return _from_conventions(args.output, robot)
-        args.parser.error("name a recording, or a robot with --robot")
-    unknown = [str(path) for path in args.rigid if path not in args.recordings]
-    if unknown:
-        args.parser.error(f"--rigid {unknown[0]} is none of the recordings")
-    if args.live:
-        readings, found = _listen(args, robot, stated, geometry)
-    else:
-        readings = _read(args, robot)
-        found = _survey(readings, stated, geometry, [str(path) for path in args.rigid])
+    if robot is not None and not args.recordings and not args.live:
+        return _from_conventions(args.output, robot)
+    readings, found = _listen(args, robot) if args.live else _read(args, robot)
     notes = robot_notes(robot, found) if robot is not None else []
     if args.output is not None:
         text = parameter_file(found, readings, notes)
@@ -123,18 +120,18 @@ def run(args: argparse.Namespace) -> int:
     _show(found, readings, briefly=args.output is not None)
     for note in notes:
         print(f"note: {note}")
-    for problem in replay_problems(found, readings):
+    for problem in replay_problems(found):
         print(f"ATTENTION: {problem}")
-    if args.plot is not None:
-        print(f"wrote {args.plot}")
-    if args.output is not None and args.live:
-        print(f"wrote {args.output}")
-        print(f"Next: ros2 launch fden_ros identifier.launch.py parameters:={args.output}")
-    elif args.output is not None:
-        print(f"wrote {args.output}")
-        print(f"Next: {replay_command(str(args.output), readings[-1])}")
-    else:
+    for path in (args.plot, args.output):
+        if path is not None:
+            print(f"wrote {path}")
+    if args.output is None:
         print("Next: the same with -o probe.yaml")
+    elif args.live:
+        parameters = shlex.quote(f"parameters:={args.output}")
+        print(f"Next: ros2 launch fden_ros identifier.launch.py {parameters}")
+    else:
+        print(f"Next: {replay_command(str(args.output), readings[-1])}")
     return 0
 
 
@@ -142,48 +139,60 @@ def result_object(found: Survey, readings: Sequence[Reading]) -> dict[str, Any]:
     """Return what ``--json`` prints."""
     from fden_ros.configure.writer import parameter_values, replay_problems
 
+    names = ("subject", "claim", "value", "deviation", "unit", "seconds", "evidence", "motion")
     return {
         "inputs": [
-            {"recording": str(r.path), **r.inputs, "types": r.types, "joints": r.joints}
-            for r in readings
-        ],
-        "findings": [
             {
-                "subject": f.subject,
-                "claim": f.claim,
-                "value": list(f.value) if isinstance(f.value, tuple) else f.value,
-                "deviation": f.deviation,
-                "unit": f.unit,
-                "seconds": [list(span) for span in f.seconds],
-                "evidence": f.evidence,
-                "motion": f.motion,
+                "recording": str(reading.path),
+                **reading.inputs,
+                "types": dict(reading.types),
+                "joints": dict(reading.joints),
             }
-            for f in found.findings
+            for reading in readings
         ],
+        "findings": [{name: getattr(f, name) for name in names} for f in found.findings],
         "parameters": parameter_values(found, readings),
-        "problems": replay_problems(found, readings),
+        "problems": replay_problems(found),
     }
 
 
-def _indenter(args: argparse.Namespace) -> tuple[dict[str, float | str] | None, Any]:
-    from fden_ros.parameters import check, geometry_of
+def _check(args: argparse.Namespace) -> None:
+    """Refuse arguments that do not go together."""
+    unknown = [str(path) for path in args.rigid if path not in args.recordings]
+    for is_wrong, words in (
+        (args.live and args.recordings, "--live listens to topics: name no recording"),
+        (
+            not (args.recordings or args.live or args.robot),
+            "name a recording, or a robot with --robot",
+        ),
+        (unknown, f"--rigid {' '.join(unknown)} is none of the recordings"),
+        (
+            args.sphere is not None and (args.flat_punch or args.thickness) is not None,
+            "--sphere and --flat-punch exclude each other",
+        ),
+        (
+            (args.flat_punch is None) != (args.thickness is None),
+            "--flat-punch AREA needs --thickness H, and the other way round",
+        ),
+    ):
+        if is_wrong:
+            args.parser.error(words)
 
-    if args.sphere is not None and (args.flat_punch is not None or args.thickness is not None):
-        args.parser.error("--sphere and --flat-punch exclude each other")
-    if (args.flat_punch is None) != (args.thickness is None):
-        args.parser.error("--flat-punch AREA needs --thickness H, and the other way round")
+
+def _indenter(args: argparse.Namespace) -> dict[str, float | str] | None:
+    """Return the values of ``geometry.*`` that are stated."""
+    from fden_ros.parameters import check
+
     stated: dict[str, float | str] = {}
     if args.sphere is not None:
         stated = {"kind": "sphere", "radius": args.sphere}
     elif args.flat_punch is not None:
         stated = {"kind": "flat_punch", "area": args.flat_punch, "thickness": args.thickness}
-    else:
-        return None, None
     try:
-        parameters = check({f"geometry.{name}": value for name, value in stated.items()})
+        check({f"geometry.{name}": value for name, value in stated.items()})
     except InputError as error:
         args.parser.error(str(error))
-    return stated, geometry_of(parameters)
+    return stated or None
 
 
 def _from_conventions(output: Path | None, robot: Robot) -> int:
@@ -199,65 +208,54 @@ def _from_conventions(output: Path | None, robot: Robot) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace, robot: Robot | None) -> list[Reading]:
+def _read(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading], Survey]:
     from fden_ros.configure.reading import read
     from fden_ros.configure.robots import robot_selection
     from fden_ros.recording.reader import BagReader
-    from fden_ros.recording.table import looks_like_a_table
+    from fden_ros.recording.source import is_table
 
     given = selection_of(args)
-    readings = []
+    readings: list[Reading] = []
     for path in args.recordings:
         selection = given
-        is_table = given.columns is not None or looks_like_a_table(path)
-        if robot is not None and not is_table:
+        if robot is not None and not is_table(path, given):
             selection = robot_selection(robot, str(path), BagReader(path).topics, given)
         readings.append(read(path, selection))
-    first = readings[0].streams
-    for reading in readings[1:]:
-        streams = reading.streams
-        if (
-            streams.force.shape[1] != first.force.shape[1]
-            or streams.position.shape[1] != first.position.shape[1]
-        ):
+        if readings[-1].streams.shape != readings[0].streams.shape:
             raise InputError(
-                f"{reading.path} is of another kind than {readings[0].path}: recordings of one "
+                f"{path} is of another kind than {readings[0].path}: recordings of one "
                 "rig have the same types"
             )
-    return readings
+    return readings, _survey(args, readings)
 
 
-def _listen(
-    args: argparse.Namespace,
-    robot: Robot | None,
-    stated: dict[str, float | str] | None,
-    geometry: Any,
-) -> tuple[list[Reading], Survey]:
+def _listen(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading], Survey]:
     from fden_ros.nodes.guide import listen
 
     reading, found = listen(
         selection_of(args),
         robot,
-        lambda reading: _survey([reading], stated, geometry, []),
+        lambda reading: _survey(args, [reading]),
         lambda line: print(line, file=sys.stderr, flush=True),
         args.patience,
     )
     return [reading], found
 
 
-def _survey(
-    readings: Sequence[Reading], stated: dict[str, float | str] | None, geometry: Any, rigid: Any
-) -> Survey:
+def _survey(args: argparse.Namespace, readings: Sequence[Reading]) -> Survey:
     from rich.console import Console
 
     from fden_ros.configure.survey import survey
 
-    streams = [reading.streams for reading in readings]
-    console = Console(stderr=True)
-    if not sys.stderr.isatty():
-        return survey(streams, stated, geometry, rigid)
-    with console.status("looking") as status:
-        return survey(streams, stated, geometry, rigid, status.update)
+    rigid = [str(path) for path in args.rigid]
+    with Console(stderr=True).status("looking") as status:
+        return survey(
+            [reading.streams for reading in readings],
+            _indenter(args),
+            rigid,
+            status.update,
+            one_place=args.one_place,
+        )
 
 
 def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
@@ -268,48 +266,41 @@ def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
     from fden_ros.configure.writer import value_text
     from fden_ros.report.table import table_of
 
-    console = Console()
+    console = Console(highlight=False)
     for reading in readings:
+        inputs = reading.inputs
         console.print(
-            f"{reading.path}: force from {reading.inputs['force']}, displacement from "
-            f"{reading.inputs['displacement']}",
-            highlight=False,
+            f"{reading.path}: force from {inputs['force']}, displacement from "
+            f"{inputs['displacement']}",
             soft_wrap=True,
         )
         for warning in reading.warnings:
             console.print(f"[yellow]warning:[/yellow] {escape(warning)}", soft_wrap=True)
-    if briefly:
-        for line in _brief_lines(found):
-            console.print(escape(line), highlight=False)
-        return
-    rows = (
-        (finding.subject, escape(value_text(finding)), escape(finding.evidence))
-        for finding in found.findings
-        if finding.claim
-    )
-    console.print(table_of({"found": 20, "": 1, "by": 1}, rows))
+    stated = [finding for finding in found.findings if finding.claim]
     missing = [finding for finding in found.findings if not finding.claim]
-    for motion in dict.fromkeys(finding.motion for finding in missing):
-        same = [finding for finding in missing if finding.motion == motion]
-        names = ", ".join(finding.subject for finding in same)
-        because = "; ".join(dict.fromkeys(finding.evidence for finding in same))
-        console.print(f"cannot tell {names} ({escape(because)}): {motion}", highlight=False)
+    if briefly:
+        for line in _brief_lines(stated):
+            console.print(escape(line))
+        if missing:
+            names = ", ".join(finding.subject for finding in missing)
+            console.print(f"cannot tell: {names}; the file says what would")
+        return
+    rows = ((one.subject, escape(value_text(one)), escape(one.evidence)) for one in stated)
+    console.print(table_of({"found": 20, "": 1, "by": 1}, rows))
+    for one in missing:
+        console.print(f"cannot tell {one.subject} ({escape(one.evidence)}): {one.motion}")
 
 
-def _brief_lines(found: Survey) -> list[str]:
-    """Return what is stated, a line a quantity, and what is not."""
+def _brief_lines(stated: Sequence[Finding]) -> list[str]:
+    """Return what is stated, a line a quantity."""
     from fden_ros.configure.writer import value_text
 
-    stated: dict[str, list[str]] = {}
-    for finding in found.findings:
-        if finding.claim and finding.value is not None:
+    said: dict[str, list[str]] = {}
+    for finding in stated:
+        if finding.value is not None:
             quantity, _, what = finding.subject.partition(" ")
-            stated.setdefault(quantity, []).append(f"{what} {value_text(finding)}".strip())
-    lines = [f"{quantity}: {', '.join(values)}" for quantity, values in stated.items()]
-    missing = [finding.subject for finding in found.findings if not finding.claim]
-    if missing:
-        lines.append(f"cannot tell: {', '.join(missing)}; the file says what would")
-    return lines
+            said.setdefault(quantity, []).append(f"{what} {value_text(finding)}".strip())
+    return [f"{quantity}: {', '.join(values)}" for quantity, values in said.items()]
 
 
 COMMAND = Command(

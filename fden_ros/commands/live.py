@@ -42,10 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the live system; return the exit code."""
     from fden_ros.commands.monitor import watch
-    from fden_ros.commands.shipped import config_file
     from fden_ros.errors import InputError
+    from fden_ros.shipped import shipped
 
-    path = args.parameters or config_file("tissue_simulator.yaml")
+    path = args.parameters or shipped("config/tissue_simulator.yaml")
     if not path.is_file():
         raise InputError(f"{path}: there is no such parameter file; give one by --parameters")
     scheduled = str(not args.fixed).lower()

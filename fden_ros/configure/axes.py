@@ -29,17 +29,20 @@ _STRAIGHT = 5e-6
 #: The way to a contact and from it is looked at for this time [s], and counts from this many
 #: deviations of the position's noise on.
 _WAY, _LEAST_WAY, _LEAST_CHUNKS = 0.8, 20.0, 5
-_PRESS = (
-    "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
-)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A direction, and how well it is known."""
+    """A direction, how well it is known, and from what."""
 
     direction: Array  #: unit vector (3,), or a sign (1,)
     sd: float  #: of each of its two angles [rad]
+    basis: str = ""
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether it is known well enough."""
+        return self.sd <= LARGEST_SD
 
 
 @dataclass(frozen=True)
@@ -49,21 +52,31 @@ class Axes:
     force: Axis | None
     displacement: Axis | None
     sessions: tuple[Session, ...]
-    reason: str = ""
+    reason: str = ""  #: why one of them is not told
     by_approach: bool = False  #: the displacement's is that of the ways to and from contacts
 
     def findings(self) -> tuple[Finding, Finding]:
         """Return what to say of the force's axis and of the displacement's."""
-        return (
-            _finding("force", self.force, self.sessions, self.reason),
-            _finding(
-                "displacement",
-                self.displacement,
-                self.sessions,
-                self.reason,
-                by_approach=self.by_approach,
-            ),
-        )
+        return self._finding("force", self.force), self._finding("displacement", self.displacement)
+
+    def _finding(self, what: str, axis: Axis | None) -> Finding:
+        subject = f"{what} axis"
+        if axis is None:
+            return unknown(subject, self.reason)
+        seconds = tuple(span for session in self.sessions for span in session.seconds())
+        value = tuple(float(v) for v in axis.direction)
+        if len(value) == 1:
+            verb = "falls" if value[0] < 0.0 else "grows"
+            evidence = f"the {what} {verb} as the probe presses; {axis.basis}"
+            told = {f"{what}.inverted": value[0] < 0.0}
+            return Finding(subject, value[0], 0.0, evidence, seconds, parameters=told)
+        degrees = math.degrees(axis.sd)
+        if not axis.is_stated:
+            evidence = f"only known to {degrees:.1f} degrees from {axis.basis}"
+            return unknown(subject, evidence, "", value, axis.sd, seconds)
+        evidence = f"within {degrees:.2g} degrees, from {axis.basis}"
+        rounded = {f"{what}.axis": [round(v, 4) for v in value]}
+        return Finding(subject, value, axis.sd, evidence, seconds, parameters=rounded)
 
 
 def find_axes(sessions: Sequence[Session]) -> Axes:
@@ -77,7 +90,11 @@ def find_axes(sessions: Sequence[Session]) -> Axes:
     chosen = tuple(session for session in touched if session.leaves)
     if chosen:
         return _from_touches(chosen, lines)
-    return _from_preload(touched, lines)
+    return Axes(
+        _split_axis([s.force[~s.turning] for s in touched], lines.grows),
+        _split_axis([s.position[~s.turning] for s in touched], lines.into),
+        touched,
+    )
 
 
 def _two_readings(lines: Lines) -> str:
@@ -100,48 +117,65 @@ def _along(direction: Array) -> str:
     return "along [" + ", ".join(f"{part:.2f}" for part in direction) + "]"
 
 
+@dataclass(frozen=True)
+class _Part:
+    """A vector that points along an axis, its noise (of each direction), and what it weighs."""
+
+    vector: Array
+    noise: float
+    correlation: float = 1.0
+
+
 def _from_touches(sessions: tuple[Session, ...], lines: Lines) -> Axes:
     """Contact force against the air, and motion where it rises and falls with it."""
-    pushes = [(s, c, s.net[c.first : c.last]) for s in sessions for c in s.contacts]
-    moment = sum((push.T @ push for _, _, push in pushes), np.zeros((pushes[0][2].shape[1],) * 2))
-    direction = np.linalg.eigh(moment)[1][:, -1]
-    if float(direction @ lines.grows) < 0.0:
-        direction = -direction
-    parts = [push.T @ (push @ direction) for _, _, push in pushes]
-    floors = []
-    for session, _, push in pushes:
-        # Noise of the force, and of the level in the air: that of medians over 2 s.
-        chunk = float(np.mean(session.force_noise)) / math.sqrt(_per_chunk(session))
-        floors.append(chunk * math.sqrt(float(np.sum((push @ direction) ** 2))))
-        floors[-1] = math.hypot(floors[-1], 0.2 * chunk * float(np.sum(push @ direction)))
-    force = _combined(parts, floors)
-    motion_parts, motion_floors, together = [], [], []
-    for session, contact, push in pushes:
-        part, floor, correlation = _motion_part(session, contact, push @ direction)
-        motion_parts.append(part)
-        motion_floors.append(floor)
-        together.append((float(np.linalg.norm(part)), correlation))
-    displacement = _combined(motion_parts, motion_floors)
-    if displacement is not None and displacement.direction.size > 1:
-        stroke = max(
-            float(np.ptp(s.position[c.first : c.last] @ displacement.direction))
-            for s, c, _ in pushes
-        )
-        bent = _STRAIGHT / max(stroke, 1e-300)
-        displacement = Axis(displacement.direction, math.hypot(displacement.sd, bent))
-    weight = sum(w for w, _ in together)
-    agreed = sum(w * c for w, c in together) / weight if weight > 0.0 else 0.0
+    contacts = [(session, contact) for session in sessions for contact in session.contacts]
+    basis = f"{len(contacts)} contacts against the air"
+    pushes = [session.net[contact.span] for session, contact in contacts]
+    direction = np.linalg.svd(np.concatenate(pushes), full_matrices=False)[2][0]
+    direction = direction * math.copysign(1.0, float(direction @ lines.grows))
+    force = _combined([_force_part(*one, direction) for one in contacts], basis)
     if lines.into.size == 1:
-        return Axes(force, Axis(lines.into, 0.0), sessions)
-    if agreed < _TOGETHER:
-        displacement = None
-    if displacement is None or displacement.sd > LARGEST_SD:
-        approach = _approach_axis([(session, contact) for session, contact, _ in pushes])
-        if approach is not None and approach.sd < LARGEST_SD:
+        return Axes(force, Axis(lines.into, 0.0, basis), sessions)
+    parts = [_motion_part(*one, direction) for one in contacts]
+    weights = [float(np.linalg.norm(part.vector)) for part in parts]
+    together = float(np.average([part.correlation for part in parts], weights=weights))
+    displacement = _combined(parts, basis) if together >= _TOGETHER else None
+    if displacement is not None:
+        into = displacement.direction
+        stroke = max(float(np.ptp(s.position[c.span] @ into)) for s, c in contacts)
+        sd = math.hypot(displacement.sd, _STRAIGHT / max(stroke, 1e-300))
+        displacement = Axis(into, sd, basis)
+    if displacement is None or not displacement.is_stated:
+        approach = _approach_axis(contacts)
+        if approach is not None and approach.is_stated:
             return Axes(force, approach, sessions, by_approach=True)
-    if displacement is None:
-        return Axes(force, None, sessions, "the force does not rise with any motion of the probe")
-    return Axes(force, displacement, sessions)
+    reason = "the force does not rise with any motion of the probe"
+    return Axes(force, displacement, sessions, reason)
+
+
+def _force_part(session: Session, contact: Contact, direction: Array) -> _Part:
+    """Return the force of a contact, every chunk weighted by its size."""
+    push = session.net[contact.span]
+    along = push @ direction
+    # Noise of the force, and of the level in the air: that of two medians over 2 s.
+    chunk = float(np.mean(session.force_chunk_noise))
+    noise = chunk * math.hypot(float(np.linalg.norm(along)), 0.28 * float(np.sum(along)))
+    return _Part(push.T @ along, noise)
+
+
+def _motion_part(session: Session, contact: Contact, direction: Array) -> _Part:
+    """Return the motion that goes with the force of a contact."""
+    push, position = session.net[contact.span] @ direction, session.position[contact.span]
+    # Changes over a short time: in a hold the force relaxes without any motion.
+    lag = max(2, len(push) // _CHANGES)
+    moved, rose = position[lag:] - position[:-lag], push[lag:] - push[:-lag]
+    rose = rose / max(float(np.sqrt(np.mean(rose**2))), 1e-300)
+    vector: Array = moved.T @ rose
+    length = float(np.linalg.norm(vector))
+    along = moved @ (vector / max(length, 1e-300))
+    correlation = length / max(rose.size * float(np.sqrt(np.mean(along**2))), 1e-300)
+    noise = float(np.mean(session.motion_chunk_noise)) * math.sqrt(2.0 * rose.size)
+    return _Part(vector, noise, correlation)
 
 
 def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
@@ -149,147 +183,58 @@ def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
 
     None with less than two contacts, or where the probe rests before or after one of them.
     """
-    ways, floors = [], []
+    ways = []
     for session, contact in contacts:
-        noise = float(np.mean(session.motion_noise)) / math.sqrt(_per_chunk(session, motion=True))
-        for touch, start, sign in ((contact.first, -_WAY, 1.0), (contact.last, _WAY, -1.0)):
-            end = float(session.edges[touch]) + start
-            near = np.abs(session.times - 0.5 * (float(session.edges[touch]) + end)) < 0.5 * _WAY
-            if not session.edges[0] < end < session.edges[-1] or near.sum() < _LEAST_CHUNKS:
-                continue
-            if (session.turning | ~session.air)[near].any():
+        noise = float(np.mean(session.motion_chunk_noise))
+        for touch, sign in ((contact.first, 1.0), (contact.last, -1.0)):
+            middle = float(session.edges[touch]) - 0.5 * sign * _WAY
+            near = np.abs(session.times - middle) < 0.5 * _WAY
+            if near.sum() < _LEAST_CHUNKS or (session.turning | ~session.air)[near].any():
                 continue
             # As it goes on: the way of every chunk weighs by its time.
-            position, times = session.position[near], session.times[near]
-            since = sign * (times - times.mean())
-            ways.append(since @ position / float(since @ since) * _WAY)
-            floors.append(noise * _WAY / float(np.linalg.norm(since)))
-            if not float(np.linalg.norm(ways[-1])) > _LEAST_WAY * floors[-1]:
-                return None
-    if len(contacts) < 2 or len(ways) < 3:
+            since = sign * (session.times[near] - session.times[near].mean())
+            way = since @ session.position[near] / float(since @ since) * _WAY
+            ways.append(_Part(way, noise * _WAY / float(np.linalg.norm(since))))
+    lengths = [float(np.linalg.norm(way.vector)) for way in ways]
+    moves = [length > _LEAST_WAY * way.noise for length, way in zip(lengths, ways, strict=True)]
+    if len(contacts) < 2 or len(ways) < 3 or not all(moves):
         return None
-    axis = _combined(ways, floors)
-    if axis is None or axis.direction.size == 1:
-        return axis
-    length = float(np.mean(np.linalg.norm(ways, axis=1)))
-    return Axis(axis.direction, math.hypot(axis.sd, _STRAIGHT / length))
+    axis = _combined(ways, f"the ways to and from {len(contacts)} contacts, which do not give way")
+    if axis is None:
+        return None
+    sd = math.hypot(axis.sd, _STRAIGHT / float(np.mean(lengths)))
+    return Axis(axis.direction, sd, axis.basis)
 
 
-def _motion_part(session: Session, contact: Contact, push: Array) -> tuple[Array, float, float]:
-    """Return the motion that goes with the force (j,), its noise, and the correlation."""
-    position = session.position[contact.first : contact.last]
-    # Changes over a short time: in a hold the force relaxes without any motion.
-    lag = max(2, len(push) // _CHANGES)
-    moved, rose = position[lag:] - position[:-lag], push[lag:] - push[:-lag]
-    rose = rose / max(float(np.sqrt(np.mean(rose**2))), 1e-300)
-    part: Array = moved.T @ rose
-    noise = float(np.mean(session.motion_noise)) / math.sqrt(_per_chunk(session, motion=True))
-    length = float(np.linalg.norm(part))
-    along = moved @ (part / max(length, 1e-300))
-    correlation = length / max(rose.size * float(np.sqrt(np.mean(along**2))), 1e-300)
-    return part, noise * math.sqrt(2.0 * rose.size), correlation
-
-
-def _per_chunk(session: Session, *, motion: bool = False) -> float:
-    times = session.streams.motion_times if motion else session.streams.force_times
-    return max(times.size / max(session.times.size, 1), 1.0)
-
-
-def _combined(parts: Sequence[Array], floors: Sequence[float]) -> Axis | None:
+def _combined(parts: Sequence[_Part], basis: str) -> Axis | None:
     """Return the direction of the sum, its deviation from the scatter of the parts."""
-    total = np.sum(parts, axis=0)
+    vectors = np.array([part.vector for part in parts])
+    total = vectors.sum(axis=0)
     length = float(np.linalg.norm(total))
     if length <= 0.0:
         return None
     direction = total / length
     if direction.size == 1:
-        return Axis(np.sign(direction), 0.0)
-    across = [part - (part @ direction) * direction for part in parts]
-    scatter = math.sqrt(sum(float(a @ a) for a in across) / 2.0) / length
-    if len(parts) > 1:
+        return Axis(np.sign(direction), 0.0, basis)
+    across = vectors - np.outer(vectors @ direction, direction)
+    scatter = math.sqrt(float(np.sum(across**2)) / 2.0) / length
+    count = len(parts)
+    if count > 1:
         # Few contacts tell their own scatter badly: Student's factor, two directions each.
-        scatter *= math.sqrt(len(parts) / (len(parts) - 1))
-        scatter *= float(student.ppf(0.975, 2 * (len(parts) - 1))) / 1.96
-    floor = math.sqrt(sum(f**2 for f in floors)) / length
-    return Axis(direction, max(scatter, floor))
-
-
-def _from_preload(sessions: tuple[Session, ...], lines: Lines) -> Axes:
-    """Return the common lines where the probe is never seen in the air."""
-    return Axes(
-        _split_axis([s.force[~s.turning] for s in sessions], lines.grows),
-        _split_axis([s.position[~s.turning] for s in sessions], lines.into),
-        sessions,
-    )
+        scatter *= math.sqrt(count / (count - 1))
+        scatter *= float(student.ppf(0.975, 2 * (count - 1))) / 1.96
+    noise = math.sqrt(sum(part.noise**2 for part in parts)) / length
+    return Axis(direction, max(scatter, noise), basis)
 
 
 def _split_axis(values: Sequence[Array], direction: Array) -> Axis:
-    """Return the main direction of parts of the values, with the scatter of eight of them."""
+    """Return the main direction of eight parts of values from a probe never seen in the air."""
+    basis = "contact that never ends for sure"
     if direction.size == 1:
-        return Axis(direction, 0.0)
+        return Axis(direction, 0.0, basis)
     parts = []
     for block in values:
         for some in np.array_split(block, 8):
             centred = some - some.mean(axis=0)
-            parts.append(centred.T @ (centred @ direction))
-    axis = _combined(parts, [0.0])
-    return axis if axis is not None else Axis(direction, math.inf)
-
-
-def _finding(
-    what: str,
-    axis: Axis | None,
-    sessions: tuple[Session, ...],
-    reason: str,
-    *,
-    by_approach: bool = False,
-) -> Finding:
-    subject = f"{what} axis"
-    if axis is None:
-        return unknown(subject, reason or "no contact was seen", _PRESS)
-    count = sum(len(s.contacts) for s in sessions)
-    seconds = tuple(span for s in sessions for span in s.seconds())
-    basis = (
-        f"{count} contacts against the air"
-        if all(s.leaves for s in sessions)
-        else "contact that never ends for sure"
-    )
-    if by_approach:
-        basis = f"the ways to and from {count} contacts, which do not give way"
-    if axis.direction.size == 1:
-        falls = bool(axis.direction[0] < 0.0)
-        grows = "the force falls" if what == "force" else "the displacement falls"
-        rises = "the force grows" if what == "force" else "the displacement grows"
-        return Finding(
-            subject,
-            True,
-            float(axis.direction[0]),
-            0.0,
-            "",
-            seconds,
-            f"{grows if falls else rises} as the probe presses; {basis}",
-            parameters={f"{what}.inverted": falls},
-        )
-    value = tuple(float(v) for v in axis.direction)
-    degrees = math.degrees(axis.sd)
-    if axis.sd > LARGEST_SD:
-        return Finding(
-            subject,
-            False,
-            value,
-            axis.sd,
-            "rad",
-            seconds,
-            f"only known to {degrees:.1f} degrees from {basis}",
-            _PRESS,
-        )
-    return Finding(
-        subject,
-        True,
-        value,
-        axis.sd,
-        "rad",
-        seconds,
-        f"within {degrees:.2g} degrees, from {basis}",
-        parameters={f"{what}.axis": [round(v, 4) for v in value]},
-    )
+            parts.append(_Part(centred.T @ (centred @ direction), 0.0))
+    return _combined(parts, basis) or Axis(direction, math.inf, basis)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One thing that a recording says of the probe, or does not."""
+"""One thing that a recording says of the probe, or does not, and all that it may be of."""
 
 from __future__ import annotations
 
@@ -13,6 +13,78 @@ from fden_ros.parameters import Value
 Number = float | tuple[float, ...]
 Seconds = tuple[tuple[float, float], ...]
 
+_AIR = "begin with 2 s in the air, and lift off between presses"
+_STILL = "hold still in the air for 2 s"
+_UNIT = "say which: that of REP 103 is taken"
+PRESS = (
+    "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
+)
+TURN = (
+    "turn the tool in the air, slowly, through three orientations 60 degrees apart about two "
+    "axes, with a second of rest at each"
+)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a finding is of.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit; empty where there is none.
+    group : str
+        Of the parameters that it sets; empty where it sets none of its own.
+    motion : str
+        What to do so that a recording tells.
+    """
+
+    unit: str = ""
+    group: str = ""
+    motion: str = ""
+
+
+#: In the order in which they are told.
+SUBJECTS: Mapping[str, Subject] = {
+    "force axis": Subject("rad", "force", PRESS),
+    "displacement axis": Subject("rad", "displacement", PRESS),
+    "force unit": Subject(motion=_UNIT),
+    "displacement unit": Subject(motion=_UNIT),
+    "force rate": Subject("Hz"),
+    "force noise": Subject("N", motion=_STILL),
+    "force resolution": Subject("N"),
+    "displacement rate": Subject("Hz"),
+    "displacement noise": Subject("m", motion=_STILL),
+    "displacement resolution": Subject("m"),
+    "lift-off": Subject(motion="press tissue, and lift off"),
+    "force bias": Subject("N", motion=_AIR),
+    "force drift": Subject("N/s", "force", _AIR),
+    "tool mass": Subject("kg", "tool", TURN),
+    "tool centre of mass": Subject("m", "tool", TURN),
+    "delay": Subject(
+        "s",
+        "displacement",
+        "turn the tool in the air at half a turn in 2 s, or press a rigid plate, or oscillate in "
+        "tissue by 0.5 mm at 1 and at 4 Hz, ten cycles each",
+    ),
+    "compliance": Subject(
+        "m/N",
+        "displacement",
+        "press a rigid plate twice, slowly, to the largest force of your presses, and in the same "
+        "recording press tissue (or say that the recording is of a rigid plate: --rigid)",
+    ),
+    "surface normal": Subject(
+        "rad",
+        "surface",
+        "touch it at five places or more, 10 mm apart and not on one line, and lift off in "
+        "between",
+    ),
+    "place": Subject("", "site"),
+    "indenter": Subject(
+        "", "geometry", "state the indenter: --flat-punch AREA --thickness H, or --sphere R"
+    ),
+}
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -21,36 +93,46 @@ class Finding:
     Parameters
     ----------
     subject : str
-        Of what, such as ``force axis``.
-    claim : bool
-        Whether it is stated; False: the recording cannot tell, and `motion` says what would.
+        One of `SUBJECTS`.
     value : float, tuple of float, str or None
-        In `unit`; None where nothing is known.
+        In the unit of the subject; None where nothing is known.
     deviation : float, optional
-        Standard deviation, of each component, in `unit` (of an axis: of its direction, in rad).
-    unit : str
-        SI unit; empty where there is none.
-    seconds : tuple of (float, float)
-        Of the recording that it rests on, as from and to since its first stamp [s].
+        Standard deviation, of each component (of an axis: of its direction, in rad).
     evidence : str
         What shows it, in one line.
+    seconds : tuple of (float, float)
+        Of the recording that it rests on, as from and to since its first stamp [s].
     motion : str
         What to do so that the next recording tells.
     parameters : mapping
         Values of the parameter file, by dotted name.
+    claim : bool
+        Whether it is stated; False: the recording cannot tell, and `motion` says what would.
     """
 
     subject: str
-    claim: bool
     value: Number | str | None = None
     deviation: float | None = None
-    unit: str = ""
-    seconds: Seconds = ()
     evidence: str = ""
+    seconds: Seconds = ()
     motion: str = ""
     parameters: Mapping[str, Value] = field(default_factory=dict)
+    claim: bool = True
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return SUBJECTS[self.subject].unit
 
 
-def unknown(subject: str, evidence: str, motion: str) -> Finding:
-    """Return the finding that the recording cannot tell."""
-    return Finding(subject, False, evidence=evidence, motion=motion)
+def unknown(
+    subject: str,
+    evidence: str,
+    motion: str = "",
+    value: Number | None = None,
+    deviation: float | None = None,
+    seconds: Seconds = (),
+) -> Finding:
+    """Return the finding that the recording cannot tell; by default with the subject's motion."""
+    motion = motion or SUBJECTS[subject].motion
+    return Finding(subject, value, deviation, evidence, seconds, motion, claim=False)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
 from scipy.stats import chi2
 from scipy.stats import t as student
 
@@ -200,12 +201,11 @@ class _Fit:
 
 def _excess(places: Array, known: Array, freedom: int) -> float:
     """Return the variance beyond the known with which chi-squared is as expected [m^2]."""
-    if not freedom or _Fit.of(places, known).misfit <= freedom:
+    most = float(np.ptp(places, axis=0).max()) ** 2
+
+    def beyond(excess: float) -> float:
+        return _Fit.of(places, known + excess).misfit - freedom
+
+    if not freedom or beyond(0.0) <= 0.0 or beyond(most) >= 0.0:
         return 0.0
-    low, high = 0.0, float(np.ptp(places, axis=0).max()) ** 2
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (
-            (middle, high) if _Fit.of(places, known + middle).misfit > freedom else (low, middle)
-        )
-    return high
+    return float(brentq(beyond, 0.0, most, xtol=1e-16))

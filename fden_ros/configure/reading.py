@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fden_ros.configure.session import Mask
 from fden_ros.configure.streams import Streams
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
@@ -30,7 +32,13 @@ MESSAGES = {
     "geometry_msgs/msg/TransformStamped": "transform",
     "geometry_msgs/msg/PointStamped": "point",
 }
-_JOINTS = "sensor_msgs/msg/JointState"
+#: Field of each that is a vector; of joints all count.
+_VECTORS = {
+    "wrench": "wrench.force",
+    "pose": "pose.position",
+    "transform": "transform.translation",
+    "point": "point",
+}
 #: Fewer samples of a stream say nothing.
 _LEAST_SAMPLES = 50
 
@@ -59,10 +67,10 @@ class Reading:
     path: Path
     streams: Streams
     selection: Selection
-    inputs: dict[str, str]
-    types: dict[str, str]
-    joints: dict[str, str]
-    frames: dict[str, str]
+    inputs: Mapping[str, str]
+    types: Mapping[str, str] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
@@ -87,34 +95,23 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     rows = np.array([(r.stamp_ns, r.force, r.displacement) for r in table.rows()], dtype=object)
     if rows.shape[0] < _LEAST_SAMPLES:
         raise InputError(f"{path} has {rows.shape[0]} rows: at least {_LEAST_SAMPLES} are needed")
-    stamps = rows[:, 0].astype(np.int64)
-    values = rows[:, 1:].astype(float)
+    stamps, values = rows[:, 0].astype(np.int64), rows[:, 1:].astype(float)
     times, kept = _times(stamps, int(stamps.min()), np.isfinite(values).all(axis=1))
     streams = Streams(str(path), times, values[kept, :1], times, values[kept, 1:])
-    return Reading(
-        path,
-        streams,
-        selection,
-        {
-            "force": f"column {columns.force.name}",
-            "displacement": f"column {columns.displacement.name}",
-        },
-        {},
-        {},
-        {},
-        table.warnings,
-    )
+    names = {"force": columns.force.name, "displacement": columns.displacement.name}
+    inputs = {what: f"column {name}" for what, name in names.items()}
+    return Reading(path, streams, selection, inputs, warnings=table.warnings)
 
 
 @dataclass
 class Column:
-    """What one topic carries, collected message by message.
+    """Collects one stream from messages of a topic.
 
     Parameters
     ----------
     topic : Topic
-    field : str or None
-        Field of its messages; None: the type's own vector or joints.
+    field : str, optional
+        Of the messages; None: the type says what is read.
     what : str
         ``force`` or ``displacement``.
     """
@@ -122,75 +119,65 @@ class Column:
     topic: Topic
     field: str | None
     what: str
+    frame: str = ""
+    damaged: int = 0
 
     def __post_init__(self) -> None:
+        self._decode = decoder_of(self.topic)
+        self._kind = MESSAGES.get(self.topic.type_name)
+        path = self.field or _VECTORS.get(self._kind or "")
+        self._path = FieldPath(path) if path else None
         self.stamps: list[int] = []
         self.values: list[tuple[float, ...]] = []
-        self.torques: list[tuple[float, ...]] = []
         self.turns: list[tuple[float, ...]] = []
+        self.torques: list[tuple[float, ...]] = []
         self.joints: tuple[str, ...] = ()
-        self.frame = ""
-        self.damaged = 0
-        self._decode = decoder_of(self.topic)
-        self._path = FieldPath(self.field) if self.field else None
 
     def add(self, data: bytes, log_time_ns: int) -> None:
-        """Take one message as CDR bytes."""
+        """Take a message; what does not fit is counted."""
         try:
             message = self._decode(data)
+            value = self._value(message)
+        except InputError:
+            raise
         except Exception:
-            # Bytes that do not fit raise errors of many kinds.
             self.damaged += 1
             return
         header = getattr(message, "header", None)
         stamp = stamp_ns(header.stamp) if header is not None else log_time_ns
-        value = self._value(message)
-        # A stamp of 0 stands for no measurement (CRTK) or none that is stamped.
-        if stamp <= 0 or value is None:
+        if value is None or stamp == 0:
+            # A stamp of 0 marks data that are not valid, as with CRTK.
             self.damaged += 1
             return
-        if header is not None and not self.frame:
-            self.frame = str(header.frame_id)
+        self.frame = self.frame or str(getattr(header, "frame_id", ""))
         self.stamps.append(stamp)
         self.values.append(value)
+        if self._kind == "wrench" and not self.field:
+            torque = message.wrench.torque
+            self.torques.append((torque.x, torque.y, torque.z))
+        turn = self._path.orientation_beside(message) if self._path is not None else None
+        if self.what == "displacement" and turn is not None:
+            self.turns.append(turn)
 
     def _value(self, message: Any) -> tuple[float, ...] | None:
-        if self._path is not None:
-            found = as_number_or_vector(self._path.of(message))
-            if found is None:
-                raise InputError(
-                    f"{self.topic.name}: {self._path.text} is neither a number nor a vector"
-                )
-            turn = self._path.orientation_beside(message)
-            if self.what == "displacement" and turn is not None:
-                self.turns.append(turn)
-            return (found,) if isinstance(found, float) else found
-        kind = MESSAGES.get(self.topic.type_name)
-        if kind == "wrench":
-            force, torque = message.wrench.force, message.wrench.torque
-            self.torques.append((torque.x, torque.y, torque.z))
-            return force.x, force.y, force.z
-        if kind == "joint_state":
+        if self._path is None:
             values = message.effort if self.what == "force" else message.position
-            if not self.joints:
-                self.joints = tuple(message.name)
+            self.joints = self.joints or tuple(message.name)
             same = tuple(message.name) == self.joints and len(values) >= len(self.joints) > 0
             return tuple(float(v) for v in values[: len(self.joints)]) if same else None
-        if kind == "pose":
-            place, turn = message.pose.position, message.pose.orientation
-        elif kind == "transform":
-            place, turn = message.transform.translation, message.transform.rotation
-        else:
-            return message.point.x, message.point.y, message.point.z
-        self.turns.append((turn.x, turn.y, turn.z, turn.w))
-        return place.x, place.y, place.z
+        found = as_number_or_vector(self._path.of(message))
+        if found is None:
+            text = f"{self.topic.name}: {self._path.text} is neither a number nor a vector"
+            raise InputError(text)
+        return (found,) if isinstance(found, float) else found
 
 
 def _read_bag(path: Path, selection: Selection) -> Reading:
     source = BagSource(path, check({}), selection)
-    force = Column(source.force, selection.force_field, "force")
-    displacement = Column(source.displacement, selection.displacement_field, "displacement")
-    columns = {"force": force, "displacement": displacement}
+    columns = {
+        "force": Column(source.force, selection.force_field, "force"),
+        "displacement": Column(source.displacement, selection.displacement_field, "displacement"),
+    }
     names = {column.topic.name for column in columns.values()}
     with progress(f"reading {path.name}", source.total) as show:
         for done, message in enumerate(source.reader.messages(names), start=1):
@@ -199,33 +186,28 @@ def _read_bag(path: Path, selection: Selection) -> Reading:
                     column.add(message.data, message.log_time_ns)
             if done % 2000 == 0:
                 show(done)
-    return reading_of(path, force, displacement, selection, source.inputs, source.reader.warnings)
+    found = reading_of(path, columns, selection)
+    return replace(
+        found, inputs=source.inputs, warnings=(*source.reader.warnings, *found.warnings)
+    )
 
 
-def reading_of(
-    path: Path,
-    force: Column,
-    displacement: Column,
-    selection: Selection,
-    inputs: dict[str, str],
-    warnings: tuple[str, ...] = (),
-) -> Reading:
-    """Return what two topics have carried so far.
+def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) -> Reading:
+    """Return what the topics of ``force`` and ``displacement`` have carried so far.
 
     Raises
     ------
     InputError
         If one of them has too few samples.
     """
-    columns = {"force": force, "displacement": displacement}
     for what, column in columns.items():
         if len(column.stamps) < _LEAST_SAMPLES:
             raise InputError(
                 f"{path}: {column.topic.name} has {len(column.stamps)} usable samples of the "
                 f"{what}: at least {_LEAST_SAMPLES} are needed"
             )
-    streams = _streams(str(path), force, displacement)
-    streams, joints = _picked(streams, force.joints, displacement.joints)
+    streams = _streams(str(path), columns["force"], columns["displacement"])
+    streams, joints = _moving_joints(streams, columns)
     left_out = tuple(
         f"{column.topic.name}: {column.damaged} messages without stamp or value are left out"
         for column in columns.values()
@@ -235,79 +217,65 @@ def reading_of(
         path,
         streams,
         selection,
-        inputs,
+        {what: column.topic.name for what, column in columns.items()},
         {what: column.topic.type_name for what, column in columns.items()},
         joints,
         {what: column.frame for what, column in columns.items()},
-        (*warnings, *left_out),
+        left_out,
     )
 
 
 def _streams(name: str, force: Column, displacement: Column) -> Streams:
-    force_stamps = np.array(force.stamps, dtype=np.int64)
-    motion_stamps = np.array(displacement.stamps, dtype=np.int64)
-    first = int(min(force_stamps.min(), motion_stamps.min()))
-    forces, places = (
-        np.array(force.values, dtype=float),
-        np.array(displacement.values, dtype=float),
-    )
-    torques = np.array(force.torques, dtype=float)
-    turns = np.array(displacement.turns, dtype=float)
+    force_stamps, stamps = (np.array(c.stamps, dtype=np.int64) for c in (force, displacement))
+    first = int(min(force_stamps.min(), stamps.min()))
+    forces, places = (np.array(c.values, dtype=float) for c in (force, displacement))
+    torques, turns = (np.array(v, dtype=float) for v in (force.torques, displacement.turns))
     force_times, kept = _times(force_stamps, first, np.isfinite(forces).all(axis=1))
-    good = np.isfinite(places).all(axis=1)
-    whole = turns.shape[:1] == motion_stamps.shape
-    if whole:
-        # An orientation that was never set is none.
-        whole = bool(np.mean(np.abs(np.linalg.norm(turns, axis=1) - 1.0) < 0.01) > 0.99)
-    motion_times, kept_motion = _times(motion_stamps, first, good)
+    good: Mask = np.isfinite(places).all(axis=1)
+    is_turn = np.zeros(stamps.size, dtype=bool)
+    if turns.shape[:1] == stamps.shape:
+        is_turn = np.abs(np.linalg.norm(turns, axis=1) - 1.0) < 0.01
+    # An orientation that was never set is none.
+    has_turns = bool(np.mean(is_turn) > 0.99)
+    times, kept_motion = _times(stamps, first, good & is_turn if has_turns else good)
     return Streams(
         name,
         force_times,
         forces[kept],
-        motion_times,
+        times,
         places[kept_motion],
         torques[kept] if torques.shape[:1] == force_stamps.shape else None,
-        turns[kept_motion] if whole else None,
+        turns[kept_motion] if has_turns else None,
     )
 
 
-def _times(stamps: Any, first: int, good: Any) -> tuple[Array, Any]:
+def _times(stamps: Any, first: int, good: Mask) -> tuple[Array, Any]:
     """Return increasing times [s] and the indices of the samples that have them."""
     index = np.flatnonzero(good)
     different, where = np.unique(stamps[index], return_index=True)
     return 1e-9 * (different - first).astype(float), index[where]
 
 
-def _picked(
-    streams: Streams, force_joints: tuple[str, ...], joints: tuple[str, ...]
+def _moving_joints(
+    streams: Streams, columns: Mapping[str, Column]
 ) -> tuple[Streams, dict[str, str]]:
     """Return the streams with that joint whose motion goes with the force."""
+    force, moved = columns["force"].joints, columns["displacement"].joints
+    if max(len(force), len(moved)) < 2:
+        return streams, {}
+    grid = np.arange(streams.start, streams.end, 0.1)
+    rises = _steps(grid, streams.force_times, streams.force)
+    moves = _steps(grid, streams.motion_times, streams.position)
+    together = np.abs(moves.T @ rises)
+    best_moved, best_force = np.unravel_index(int(np.argmax(together)), together.shape)
     named: dict[str, str] = {}
-    force, position = streams.force, streams.position
-    if len(force_joints) > 1 or len(joints) > 1:
-        grid = np.arange(streams.start, streams.end, 0.1)
-        rises = _steps(grid, streams.force_times, force)
-        moves = _steps(grid, streams.motion_times, position)
-        together = np.abs(moves.T @ rises)
-        best = np.unravel_index(int(np.argmax(together)), together.shape)
-        if len(force_joints) > 1:
-            force = force[:, best[1] : best[1] + 1]
-            named["force"] = force_joints[int(best[1])]
-        if len(joints) > 1:
-            position = position[:, best[0] : best[0] + 1]
-            named["displacement"] = joints[int(best[0])]
-    return (
-        Streams(
-            streams.name,
-            streams.force_times,
-            force,
-            streams.motion_times,
-            position,
-            streams.torque,
-            streams.orientation,
-        ),
-        named,
-    )
+    if len(force) > 1:
+        named["force"] = force[int(best_force)]
+        streams = replace(streams, force=streams.force[:, [best_force]])
+    if len(moved) > 1:
+        named["displacement"] = moved[int(best_moved)]
+        streams = replace(streams, position=streams.position[:, [best_moved]])
+    return streams, named
 
 
 def _steps(grid: Array, times: Array, values: Array) -> Array:

@@ -11,32 +11,34 @@ from collections.abc import Sequence
 import numpy as np
 
 from fden_ros.configure.axes import Axis
-from fden_ros.configure.finding import Finding, unknown
+from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, Session, runs
-from fden_ros.configure.statistics import fit, noise_of
+from fden_ros.configure.statistics import apart_from_neighbours, fit, noise_of, pooled
 from fden_ros.core.arrays import Array
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02
 #: Values are in steps where no more than this share of them are different.
 _REPEATED = 0.5
-#: The rate that a contact of a second needs [Hz]; below, touches are seen late.
+#: The rate that a contact of a second needs [Hz].
 _SLOW = 50.0
 #: White noise stays the same within this share where every other sample is left out.
 _SAME = 0.15
 #: Fewer samples at rest do not tell the noise.
 _LEAST = 60
+#: The air that a bias rests on: the first stretch of at least this long, up to 5 s.
+_LEAST_AIR, _MOST = 1.0, 5.0
+#: A drift is told from air that is spread over at least this time [s].
+_SPREAD = 10.0
+#: `force.drift_sd` stays at its default up to this drift [N/s].
+_DEFAULT_DRIFT = 0.005
 
 
 def sampling_findings(
     what: str, sessions: Sequence[Session], axis: Axis | None
 ) -> tuple[Finding, ...]:
     """Return rate, noise and resolution of ``force`` or ``displacement``."""
-    return (
-        _rate(what, sessions),
-        _noise(what, sessions, axis),
-        _resolution(what, sessions),
-    )
+    return _rate(what, sessions), _noise(what, sessions, axis), _resolution(what, sessions)
 
 
 def _values(what: str, session: Session) -> tuple[Array, Array]:
@@ -46,117 +48,85 @@ def _values(what: str, session: Session) -> tuple[Array, Array]:
     return streams.motion_times, streams.position
 
 
+def _all(sessions: Sequence[Session]) -> Seconds:
+    return tuple((0.0, s.streams.end - s.streams.start) for s in sessions)
+
+
 def _rate(what: str, sessions: Sequence[Session]) -> Finding:
-    steps, gaps, longest = [], 0, 0.0
-    for session in sessions:
-        step = np.diff(_values(what, session)[0])
-        usual = float(np.median(step))
-        is_gap = (step > _GAP_STEPS * usual) & (step > _GAP)
-        gaps += int(is_gap.sum())
-        longest = max(longest, float(step[is_gap].max(initial=0.0)))
-        steps.append(step[~is_gap])
-    step = np.concatenate(steps)
-    mean, jitter = float(step.mean()), float(step.std())
-    rate = 1.0 / mean
+    steps = np.concatenate([np.diff(_values(what, session)[0]) for session in sessions])
+    usual = float(np.median(steps))
+    is_gap = (steps > _GAP_STEPS * usual) & (steps > _GAP)
+    mean, jitter = float(steps[~is_gap].mean()), float(steps[~is_gap].std())
     evidence = f"jitter {1e3 * jitter:.2g} ms"
-    if gaps:
-        evidence += f", {gaps} gaps, the longest {longest:.2g} s"
-    motion = "" if rate >= _SLOW else f"raise the rate: below {_SLOW:g} Hz touches are seen late"
-    sd = rate * jitter / mean / math.sqrt(step.size)
-    return Finding(f"{what} rate", True, rate, sd, "Hz", _all(sessions), evidence, motion)
+    if is_gap.any():
+        evidence += f", {is_gap.sum()} gaps, the longest {steps[is_gap].max():.2g} s"
+    slow = f"raise the rate: below {_SLOW:g} Hz touches are seen late"
+    motion = "" if 1.0 / mean >= _SLOW else slow
+    sd = jitter / mean**2 / math.sqrt(steps.size)
+    return Finding(f"{what} rate", 1.0 / mean, sd, evidence, _all(sessions), motion)
 
 
 def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding:
-    subject, unit = f"{what} noise", "N" if what == "force" else "m"
-    squares, count = 0.0, 0
+    subject, apart = f"{what} noise", []
     for session in sessions:
         times, values = _values(what, session)
-        inside = _at_rest(session, times)
-        line = (
-            values @ axis.direction
-            if axis is not None
-            else values.mean(axis=1) * math.sqrt(values.shape[1])
-        )
-        for start, stop in runs(inside):
-            part, at = line[start:stop], times[start:stop]
-            if part.size < 8:
-                continue
-            step = np.diff(at)
-            share = step[:-1] / (step[:-1] + step[1:])
-            apart = part[1:-1] - (1.0 - share) * part[:-2] - share * part[2:]
-            apart /= np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-            squares += float(apart @ apart)
-            count += apart.size
-    if count >= _LEAST:
-        value = math.sqrt(squares / count)
-        # Neighbouring distances share samples: the sum of their squared correlations is 1.94.
-        sd = value * math.sqrt(1.94 / (2.0 * count))
-        evidence = f"{count} samples at rest in the air"
-        rounded = max(step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T)
-        if rounded > 2.0 * value:
-            # Such steps hide the noise: what is left is the error of rounding.
-            value = rounded / math.sqrt(12.0)
-            sd = 0.2 * value
-            evidence = "that of rounding: the values come in larger steps than the noise"
-        return Finding(subject, True, value, sd, unit, _all(sessions), evidence)
-    noises = [_in_motion(*_values(what, session)) for session in sessions]
-    if not noises or not math.isfinite(noises[0][0]):
-        return unknown(subject, "too few samples", "hold still in the air for 2 s")
-    value = float(np.mean([one for one, _ in noises]))
-    white = all(is_white for _, is_white in noises)
-    return Finding(
-        subject,
-        white,
-        value,
-        0.1 * value if white else None,
-        unit,
-        _all(sessions),
-        "from samples in motion, which lie that far from the lines between their neighbours",
-        "" if white else "hold still in the air for 2 s",
-    )
+        # Without an axis all components count, which scatter alike.
+        size = math.sqrt(values.shape[1])
+        line = values @ (np.full(values.shape[1], 1.0 / size) if axis is None else axis.direction)
+        for start, stop in runs(_at_rest(session, times)):
+            if stop - start >= 8:
+                part = slice(start, stop)
+                apart.append(apart_from_neighbours(times[part], line[part, None]).ravel())
+    count = sum(part.size for part in apart)
+    if count < _LEAST:
+        return _noise_in_motion(what, sessions)
+    value = float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+    # Neighbouring distances share samples: the sum of their squared correlations is 1.94.
+    sd = value * math.sqrt(1.94 / (2.0 * count))
+    evidence = f"{count} samples at rest in the air"
+    rounded = max(step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T)
+    if rounded > 2.0 * value:
+        # Such steps hide the noise: what is left is the error of rounding.
+        value = rounded / math.sqrt(12.0)
+        sd = 0.2 * value
+        evidence = "that of rounding: the values come in larger steps than the noise"
+    return Finding(subject, value, sd, evidence, _all(sessions))
 
 
-def _in_motion(times: Array, values: Array) -> tuple[float, bool]:
-    """Return the noise of moving samples, and whether it is: the same of every other sample."""
-    noise = float(np.median(noise_of(times, values)))
-    thinned = float(np.median(noise_of(times[::2], values[::2])))
-    return noise, abs(thinned - noise) < _SAME * noise
+def _noise_in_motion(what: str, sessions: Sequence[Session]) -> Finding:
+    """Return the noise of moving samples: stated where every other sample shows the same."""
+    subject, noises, thinned = f"{what} noise", [], []
+    for times, values in (_values(what, session) for session in sessions):
+        noises.append(float(np.median(noise_of(times, values))))
+        thinned.append(float(np.median(noise_of(times[::2], values[::2]))))
+    value = float(np.mean(noises))
+    if not math.isfinite(value):
+        return unknown(subject, "too few samples")
+    evidence = "from samples in motion, which lie that far from the lines between their neighbours"
+    if np.all(np.abs(np.subtract(thinned, noises)) < _SAME * np.array(noises)):
+        return Finding(subject, value, 0.1 * value, evidence, _all(sessions))
+    return unknown(subject, evidence, "", value, None, _all(sessions))
 
 
 def _at_rest(session: Session, times: Array) -> Mask:
     """Return which samples are in chunks in the air in which the probe neither moves nor turns."""
-    steps = np.zeros(session.times.size)
     moved = np.linalg.norm(np.diff(session.position, axis=0), axis=1)
-    steps[1:] = moved
-    steps[:-1] = np.maximum(steps[:-1], moved)
+    steps = np.maximum([0.0, *moved], [*moved, 0.0])
     noise = float(np.linalg.norm(session.motion_noise))
     rest = session.air & (steps < 4.0 * noise) & ~session.turning
     chunk = np.searchsorted(session.edges, times, side="right") - 1
     inside = (chunk >= 0) & (chunk < rest.size)
-    mask = np.zeros(times.size, dtype=bool)
-    mask[inside] = rest[chunk[inside]]
-    return mask
+    return np.asarray(inside & rest[np.clip(chunk, 0, rest.size - 1)])
 
 
 def _resolution(what: str, sessions: Sequence[Session]) -> Finding:
-    subject, unit = f"{what} resolution", "N" if what == "force" else "m"
-    steps = []
-    for session in sessions:
-        for column in _values(what, session)[1].T:
-            step = step_of(column)
-            if step is None:
-                return Finding(
-                    subject,
-                    True,
-                    None,
-                    None,
-                    unit,
-                    _all(sessions),
-                    "no steps are seen: finer than the noise",
-                )
-            steps.append(step)
-    step = float(np.median(steps))
-    return Finding(subject, True, step, 0.0, unit, _all(sessions), "values come in steps")
+    subject = f"{what} resolution"
+    found = [step_of(column) for one in sessions for column in _values(what, one)[1].T]
+    steps = [step for step in found if step is not None]
+    if len(steps) < len(found):
+        evidence = "no steps are seen: finer than the noise"
+        return Finding(subject, None, None, evidence, _all(sessions))
+    return Finding(subject, float(np.median(steps)), 0.0, "values come in steps", _all(sessions))
 
 
 def step_of(values: Array) -> float | None:
@@ -176,30 +146,15 @@ def step_of(values: Array) -> float | None:
     return step if float(np.mean(off < 0.05)) > 0.95 else None
 
 
-def _all(sessions: Sequence[Session]) -> tuple[tuple[float, float], ...]:
-    return tuple((0.0, s.streams.end - s.streams.start) for s in sessions)
-
-
-#: The air that a bias rests on: the first stretch of at least this long, up to 5 s.
-_LEAST_AIR, _MOST = 1.0, 5.0
-#: A drift is told from air that is spread over at least this time [s].
-_SPREAD = 10.0
-#: `force.drift_sd` stays at its default up to this drift [N/s].
-_DEFAULT_DRIFT = 0.005
-_AIR = "begin with 2 s in the air, and lift off between presses"
-
-
 def bias_findings(
     sessions: Sequence[Session], axis: Axis | None, load_sd: float = 0.0
 ) -> tuple[Finding, Finding]:
     """Return bias and drift; `load_sd` is the deviation of the tool's weight taken off [N]."""
-    if axis is None:
-        reason = "the force's axis is not known"
-        return unknown("force bias", reason, _AIR), unknown("force drift", reason, _AIR)
     seen = [session for session in sessions if session.leaves]
-    if not seen:
-        reason = "the probe is never seen in the air"
-        return unknown("force bias", reason, _AIR), unknown("force drift", reason, _AIR)
+    reason = "the force's axis is not known" if axis is None else ""
+    reason = reason or ("" if seen else "the probe is never seen in the air")
+    if axis is None or reason:
+        return unknown("force bias", reason), unknown("force drift", reason)
     return _bias(seen, axis, load_sd), _drift(seen, axis)
 
 
@@ -216,91 +171,62 @@ def _bias(sessions: Sequence[Session], axis: Axis, load_sd: float) -> Finding:
             zero = session.streams.start
             return Finding(
                 "force bias",
-                True,
                 float(found.solution[0]),
                 math.hypot(math.sqrt(float(found.covariance[0, 0])), load_sd),
-                "N",
-                ((start - zero, end - zero),),
                 "mean force along the axis, the tool's weight taken off; measured anew before "
                 "each contact",
+                ((start - zero, end - zero),),
             )
-    return unknown("force bias", f"no stretch of {_LEAST_AIR:g} s in the air", _AIR)
+    return unknown("force bias", f"no stretch of {_LEAST_AIR:g} s in the air")
 
 
 def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
-    slopes, variances, seconds = [], [], []
+    slopes, sds = [], []
+    seconds: list[tuple[float, float]] = []
     for session in sessions:
         times = session.times[session.air]
         if times.size < 10 or float(np.ptp(times)) < _SPREAD:
             continue
-        slope, variance = _slope(times, session.force[session.air] @ axis.direction)
-        slopes.append(slope)
-        variances.append(variance)
-        seconds += list(session.air_seconds())
+        design = np.stack([times - times.mean(), np.ones_like(times)], axis=1)
+        found = fit(design, session.force[session.air] @ axis.direction)
+        slopes.append(float(found.solution[0]))
+        sds.append(math.sqrt(float(found.covariance[0, 0])))
+        seconds += session.air_seconds()
     if not slopes:
         return unknown(
             "force drift",
             f"the air is not spread over {_SPREAD:g} s",
             "record for a minute, with the probe in the air every few seconds",
         )
-    weights = 1.0 / np.array(variances)
-    slope = float(weights @ np.array(slopes) / weights.sum())
-    sd = math.sqrt(1.0 / float(weights.sum()))
+    slope, sd = pooled(slopes, sds)
     worst = abs(slope) + 2.0 * sd
-    parameters = {"force.drift_sd": round(worst, 5)} if worst > _DEFAULT_DRIFT else {}
-    kept = "" if parameters else "; within the default of force.drift_sd, which stays"
-    return Finding(
-        "force drift",
-        True,
-        slope,
-        sd,
-        "N/s",
-        tuple(seconds),
-        f"line through {len(seconds)} stretches in the air{kept}",
-        parameters=parameters,
-    )
-
-
-def _slope(times: Array, values: Array) -> tuple[float, float]:
-    since = times - times.mean()
-    found = fit(np.stack([np.ones_like(since), since], axis=1), values)
-    return float(found.solution[1]), float(found.covariance[1, 1])
+    evidence = f"line through {len(seconds)} stretches in the air"
+    if worst > _DEFAULT_DRIFT:
+        told = {"force.drift_sd": round(worst, 5)}
+        return Finding("force drift", slope, sd, evidence, tuple(seconds), parameters=told)
+    evidence += "; within the default of force.drift_sd, which stays"
+    return Finding("force drift", slope, sd, evidence, tuple(seconds))
 
 
 def lift_off_finding(sessions: Sequence[Session]) -> Finding:
     """Say whether and when the probe was in the air."""
-    subject = "lift-off"
-    if not any(session.contacts for session in sessions):
-        return unknown(subject, "no contact was seen", "press tissue, and lift off")
-    if not all(session.leaves for session in sessions):
-        names = ", ".join(s.streams.name for s in sessions if not s.leaves)
-        return Finding(
-            subject,
-            True,
-            "never",
-            None,
-            "",
-            tuple(s.seconds()[0] for s in sessions),
+    touched = [session for session in sessions if session.contacts]
+    if not touched:
+        return unknown("lift-off", "no contact was seen")
+    never = [session for session in sessions if not session.leaves]
+    if never:
+        names = ", ".join(session.streams.name for session in never)
+        evidence = (
             f"in {names} no stretch is in the air for sure: the force does not stay while the "
-            "probe travels",
-            "begin with 2 s in the air, and lift off by 3 mm after each press",
+            "probe travels"
         )
-    count = sum(len(session.contacts) for session in sessions)
-    first = min(
-        (s.contacts[0].start - s.streams.start for s in sessions if s.contacts), default=0.0
-    )
-    seconds = tuple(span for s in sessions for span in s.air_seconds())
-    motion = (
-        "" if first >= _LEAST_AIR else f"begin with 2 s in the air: there is only {first:.1f} s"
-    )
-    share = float(np.mean(np.concatenate([s.air for s in sessions])))
-    return Finding(
-        subject,
-        True,
-        "yes",
-        None,
-        "",
-        seconds,
-        f"{count} contacts, in the air for {100.0 * share:.0f} % of the time",
-        motion,
-    )
+        motion = "begin with 2 s in the air, and lift off by 3 mm after each press"
+        return Finding("lift-off", "never", None, evidence, _all(never), motion)
+    count = sum(len(session.contacts) for session in touched)
+    first = min(s.contacts[0].start - s.streams.start for s in touched)
+    late = f"begin with 2 s in the air: there is only {first:.1f} s"
+    motion = "" if first >= _LEAST_AIR else late
+    share = float(np.mean(np.concatenate([session.air for session in sessions])))
+    evidence = f"{count} contacts, in the air for {100.0 * share:.0f} % of the time"
+    seconds = tuple(span for session in sessions for span in session.air_seconds())
+    return Finding("lift-off", "yes", None, evidence, seconds, motion)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,8 +39,6 @@ _TRAVEL = 0.2
 _FLAT = 0.15
 #: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off.
 _SAME = 0.5
-#: The variance of a median over that of a mean, of normal noise.
-_MEDIAN_VARIANCE = 1.57
 #: A contact has at least this many chunks.
 _LEAST = 4
 #: A recording whose largest change of force is below this many deviations holds no contact.
@@ -54,6 +53,11 @@ class Contact:
     last: int
     start: float
     end: float
+
+    @property
+    def span(self) -> slice:
+        """Its chunks."""
+        return slice(self.first, self.last)
 
 
 @dataclass(frozen=True)
@@ -80,49 +84,79 @@ class Session:
     Parameters
     ----------
     streams : Streams
+    unloaded : Array
+        Force at its own stamps, the tool's weight taken off (m, k).
     edges, times : Array
         Of the chunks [s], (n + 1,) and (n,).
     force, position : Array
         Means of the chunks (n, k), (n, j).
+    turning, air : Mask
+        Chunks in which the tool turns, and those in the air (n,).
     baseline : Array
         Force in the air, in between interpolated (n, k).
-    air, turning : Mask
-        Chunks in the air, and those in which the tool turns (n,).
     contacts : tuple of Contact
     leaves : bool
         Whether the force in the air is seen.
     lines : Lines or None
         Of force and motion; None where nothing was touched in any recording of the rig.
-    force_noise, motion_noise : Array
-        Standard deviation per sample of each component (k,), (j,).
-    unloaded : Array
-        Force at its own stamps, the tool's weight taken off (m, k).
     """
 
     streams: Streams
+    unloaded: Array
     edges: Array
     times: Array
     force: Array
     position: Array
-    baseline: Array
-    air: Mask
     turning: Mask
-    contacts: tuple[Contact, ...]
-    leaves: bool
-    force_noise: Array
-    motion_noise: Array
-    unloaded: Array
-    lines: Lines | None
+    air: Mask
+    baseline: Array
+    contacts: tuple[Contact, ...] = ()
+    leaves: bool = False
+    lines: Lines | None = None
 
     @property
     def net(self) -> Array:
         """Force of the contact (n, k)."""
         return self.force - self.baseline
 
+    @cached_property
+    def force_noise(self) -> Array:
+        """Standard deviation of the force per sample (k,)."""
+        return noise_of(self.streams.force_times, self.streams.force)
+
+    @cached_property
+    def motion_noise(self) -> Array:
+        """Standard deviation of the position per sample (j,)."""
+        return noise_of(self.streams.motion_times, self.streams.position)
+
+    @cached_property
+    def force_chunk_noise(self) -> Array:
+        """Standard deviation of the force's means (k,)."""
+        return self.force_noise / math.sqrt(self._per_chunk(self.streams.force_times))
+
+    @cached_property
+    def motion_chunk_noise(self) -> Array:
+        """Standard deviation of the position's means (j,)."""
+        return self.motion_noise / math.sqrt(self._per_chunk(self.streams.motion_times))
+
+    def _per_chunk(self, times: Array) -> float:
+        return max(times.size / max(self.times.size, 1), 1.0)
+
+    @property
+    def is_pressed(self) -> bool:
+        """Whether the force changes along its main line by more than its noise."""
+        still = self.force[~self.turning]
+        if len(still) < 2 * _LEAST:
+            return False
+        centred = still - np.median(still, axis=0)
+        direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+        noise = float(np.linalg.norm(self.force_chunk_noise * direction))
+        return float(np.ptp(centred @ direction)) >= _LEAST_CHANGE * noise
+
     def seconds(self, contacts: tuple[Contact, ...] | None = None) -> Seconds:
         """Return the times of contacts since the first stamp."""
-        chosen = self.contacts if contacts is None else contacts
         first = self.streams.start
+        chosen = self.contacts if contacts is None else contacts
         return tuple((c.start - first, c.end - first) for c in chosen)
 
     def air_seconds(self) -> Seconds:
@@ -147,81 +181,45 @@ def make_sessions(
         Force of the tool's weight at the force's stamps (n, k), to be taken off each.
     """
     given = loads or [None] * len(recordings)
-    chunks = [_chunks(one, load) for one, load in zip(recordings, given, strict=True)]
-    pressed = [one for one in chunks if one.is_pressed]
+    sessions = [_uncut(one, load) for one, load in zip(recordings, given, strict=True)]
+    pressed = [one for one in sessions if one.is_pressed]
     if not pressed:
-        return tuple(_untouched(one) for one in chunks)
+        return tuple(sessions)
     grows = _force_line(pressed)
     into = _motion_line(pressed, grows)
     signs = find_signs(
         [Course(c.times, c.position @ into, c.force @ grows, ~c.turning) for c in pressed]
     )
     lines = Lines(signs.force * grows, signs.way * into, signs)
-    return tuple(_cut(one, lines) if one.is_pressed else _untouched(one) for one in chunks)
+    return tuple(_cut(one, lines) if one.is_pressed else one for one in sessions)
 
 
-@dataclass(frozen=True)
-class _Chunks:
-    """A recording in chunks, before anything is known of it."""
-
-    streams: Streams
-    edges: Array
-    times: Array
-    force: Array
-    position: Array
-    turning: Mask
-    force_noise: Array  #: per sample (k,)
-    chunk_noise: Array  #: (k,)
-    unloaded: Array
-
-    @property
-    def spread(self) -> float:
-        """Range of the force along its line, in deviations of a chunk."""
-        still = self.force[~self.turning]
-        if len(still) < 2 * _LEAST:
-            return 0.0
-        centred = still - np.median(still, axis=0)
-        direction = np.linalg.svd(centred, full_matrices=False)[2][0]
-        noise = float(np.linalg.norm(self.chunk_noise * direction))
-        return float(np.ptp(centred @ direction)) / max(noise, 1e-300)
-
-    @property
-    def is_pressed(self) -> bool:
-        """Whether the force changes by more than its noise."""
-        return self.spread >= _LEAST_CHANGE
-
-
-def _chunks(streams: Streams, load: Array | None) -> _Chunks:
-    raw = streams.force if load is None else streams.force - load
+def _uncut(streams: Streams, load: Array | None) -> Session:
+    """Return a recording in chunks, as if nothing were touched."""
+    unloaded = streams.force if load is None else streams.force - load
     edges = _edges(streams)
-    force = _means(streams.force_times, raw, edges)
+    times = 0.5 * (edges[1:] + edges[:-1])
+    force = _means(streams.force_times, unloaded, edges)
     position = _means(streams.motion_times, streams.position, edges)
     good = np.isfinite(force[:, 0]) & np.isfinite(position[:, 0])
-    times = 0.5 * (edges[1:] + edges[:-1])
-    noise = noise_of(streams.force_times, streams.force)
-    count = float(np.median(np.diff(edges))) * streams.force_times.size
-    count = max(count / max(streams.end - streams.start, 1e-9), 1.0)
-    return _Chunks(
-        streams,
-        edges,
-        times,
-        _filled(times, force, good),
-        _filled(times, position, good),
-        _turning(streams, edges),
-        noise,
-        noise / np.sqrt(count),
-        raw,
+    force, position = (_filled(times, values, good) for values in (force, position))
+    turning: Mask = np.asarray(streams.turn_rates(edges) > _TURNING)
+    leaves = int(np.sum(~turning)) >= 2 * _LEAST
+    air = ~turning & leaves
+    baseline = _followed(times, force, air)
+    return Session(
+        streams, unloaded, edges, times, force, position, turning, air, baseline, (), leaves
     )
 
 
-def _force_line(pressed: Sequence[_Chunks]) -> Array:
+def _force_line(pressed: Sequence[Session]) -> Array:
     """Return the line along which the force changes most."""
     still = [one.force[~one.turning] for one in pressed]
     centred = np.concatenate([force - np.median(force, axis=0) for force in still])
     return np.asarray(np.linalg.svd(centred, full_matrices=False)[2][0])
 
 
-def _motion_line(pressed: Sequence[_Chunks], grows: Array) -> Array:
+def _motion_line(pressed: Sequence[Session], grows: Array) -> Array:
     """Return the line of the motion that goes with the force, where that grows along `grows`."""
     total = np.zeros(pressed[0].position.shape[1])
     for one in pressed:
@@ -233,55 +231,26 @@ def _motion_line(pressed: Sequence[_Chunks], grows: Array) -> Array:
     return np.asarray(total / max(float(np.linalg.norm(total)), 1e-300))
 
 
-def _untouched(chunks: _Chunks) -> Session:
-    still = ~chunks.turning
-    leaves = int(still.sum()) >= 2 * _LEAST
-    air = still if leaves else np.zeros_like(still)
-    return _session(chunks, air, _followed(chunks.times, chunks.force, air), (), leaves, None)
-
-
-def _cut(chunks: _Chunks, lines: Lines) -> Session:
+def _cut(session: Session, lines: Lines) -> Session:
     """Return the session: contact is where the force lies above that in the air."""
-    still = ~chunks.turning
-    push = chunks.force @ lines.grows
-    limit = _DEVIATIONS * float(np.linalg.norm(chunks.chunk_noise * lines.grows))
+    still = ~session.turning
+    push = session.force @ lines.grows
+    limit = _DEVIATIONS * float(np.linalg.norm(session.force_chunk_noise * lines.grows))
     limit = max(limit, _SHARE * float(np.ptp(push[still])))
-    height = push - _lowest(chunks.times, push, still, limit)
+    height = push - _lowest(session.times, push, still, limit)
     air: Mask = still & (np.abs(height) < limit)
     leaves = lines.signs.is_stated and _is_air(
-        chunks.times, height, chunks.position @ lines.into, air, still
+        session.times, height, session.position @ lines.into, air, still
     )
     if not leaves:
-        whole = Contact(0, push.size, float(chunks.edges[0]), float(chunks.edges[-1]))
-        middle = np.broadcast_to(np.median(chunks.force, axis=0), chunks.force.shape).copy()
-        return _session(chunks, air & False, middle, (whole,), False, lines)
-    baseline = _followed(chunks.times, chunks.force, air)
-    return _session(chunks, air, baseline, _contacts(height > limit, chunks.edges), True, lines)
-
-
-def _session(
-    chunks: _Chunks,
-    air: Mask,
-    baseline: Array,
-    contacts: tuple[Contact, ...],
-    leaves: bool,
-    lines: Lines | None,
-) -> Session:
-    return Session(
-        chunks.streams,
-        chunks.edges,
-        chunks.times,
-        chunks.force,
-        chunks.position,
-        baseline,
-        air,
-        chunks.turning,
-        contacts,
-        leaves,
-        chunks.force_noise,
-        noise_of(chunks.streams.motion_times, chunks.streams.position),
-        chunks.unloaded,
-        lines,
+        air = air & False
+    contacts = _contacts(height > limit, session.edges)
+    if not leaves:
+        edges = session.edges
+        contacts = (Contact(0, push.size, float(edges[0]), float(edges[-1])),)
+    baseline = _followed(session.times, session.force, air)
+    return replace(
+        session, air=air, baseline=baseline, contacts=contacts, leaves=leaves, lines=lines
     )
 
 
@@ -297,15 +266,8 @@ def _contacts(pressed: Mask, edges: Array) -> tuple[Contact, ...]:
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
     """Return start and stop of every run of True."""
-    padded = np.concatenate([[False], mask, [False]]).astype(np.int8)
-    change = np.diff(padded)
-    return list(
-        zip(
-            np.flatnonzero(change == 1).tolist(),
-            np.flatnonzero(change == -1).tolist(),
-            strict=True,
-        )
-    )
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
 
 
 def _edges(streams: Streams) -> Array:
@@ -331,15 +293,6 @@ def _filled(times: Array, values: Array, good: Mask) -> Array:
     if good.all() or not good.any():
         return values
     return np.stack([np.interp(times, times[good], c[good]) for c in values.T], axis=1)
-
-
-def _turning(streams: Streams, edges: Array) -> Mask:
-    turns = streams.rotation_at(edges)
-    if turns is None:
-        return np.zeros(edges.size - 1, dtype=bool)
-    steps = np.einsum("nij,nij->n", turns[1:], turns[:-1])
-    angles = np.arccos(np.clip(0.5 * (steps - 1.0), -1.0, 1.0))
-    return np.asarray(angles / np.diff(edges) > _TURNING)
 
 
 def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
@@ -382,40 +335,16 @@ def _is_above(x: Array, y: Array, first: int, middle: int, last: int) -> bool:
 
 
 def _followed(times: Array, values: Array, air: Mask) -> Array:
-    """Return the trend of the values in the air, and medians over 2 s about it (n, k)."""
-    if air.sum() < _LEAST:
-        return np.broadcast_to(np.median(values, axis=0), values.shape).copy()
-    since = (times - times[0]) / max(float(times[-1] - times[0]), 1e-9)
-    design = np.stack([np.ones_like(since), since], axis=1)
-    seen = float(np.ptp(since[air]))
-    trend = np.zeros_like(values)
-    if seen > 0.3:
-        trend = design @ np.linalg.lstsq(design[air], values[air], rcond=None)[0]
-    return trend + _medians(times, values - trend, air)
-
-
-def _medians(times: Array, values: Array, air: Mask) -> Array:
     """Return medians over 2 s of the values in the air, linear in between (n, k)."""
-    bins = np.floor((times[air] - times[0]) / _FOLLOW).astype(int)
-    inside = values[air]
-    knots, levels, noises = [], [], []
-    for one in np.unique(bins):
-        of_bin = bins == one
-        if of_bin.sum() < 3:
-            continue
-        knots.append(float(times[air][of_bin].mean()))
-        levels.append(np.median(inside[of_bin], axis=0))
-        noises.append(_MEDIAN_VARIANCE * inside[of_bin].var(axis=0, ddof=1) / of_bin.sum())
-    if not knots:
-        return np.broadcast_to(np.median(inside, axis=0), values.shape).copy()
-    table = np.array(levels)
-    if len(knots) > 2:
-        # Medians that scatter no more than by noise follow nothing: their mean is nearer.
-        middle = table.mean(axis=0)
-        moved = table.var(axis=0, ddof=1)
-        share = np.clip(1.0 - np.mean(noises, axis=0) / np.maximum(moved, 1e-300), 0.0, 1.0)
-        table = middle + share * (table - middle)
-    return np.stack([np.interp(times, knots, column) for column in table.T], axis=1)
+    seen, inside = times[air], values[air]
+    bins = np.floor((seen - times[0]) / _FOLLOW).astype(int)
+    parts = [bins == one for one in np.unique(bins)]
+    parts = [part for part in parts if part.sum() >= _LEAST]
+    if not parts:
+        return np.broadcast_to(np.median(values, axis=0), values.shape).copy()
+    knots = [float(seen[part].mean()) for part in parts]
+    levels = np.array([np.median(inside[part], axis=0) for part in parts])
+    return np.stack([np.interp(times, knots, column) for column in levels.T], axis=1)
 
 
 def _is_air(times: Array, height: Array, way: Array, air: Mask, still: Mask) -> bool:

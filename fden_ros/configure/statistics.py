@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fden_ros.core.arrays import Array
 
@@ -56,25 +57,37 @@ def inflation(residual: Array) -> float:
     return ratio if ratio > 1.65 else 1.0
 
 
-def noise_of(times: Array, values: Array) -> Array:
-    """Return the standard deviation per sample of white noise on smooth values (n, k): (k,).
+def pooled(values: ArrayLike, sds: ArrayLike) -> tuple[float, float]:
+    """Return the mean of values weighted by their variances, and its standard deviation.
 
-    From the distances of the samples from the lines between their neighbours, by the median of
-    their magnitudes, which bends and contacts do not move.
+    Where the values scatter by more than their deviations, that counts.
     """
-    if times.size < 8:
-        return np.full(values.shape[1], np.nan)
+    found, weights = np.asarray(values, dtype=float), 1.0 / np.square(np.asarray(sds, dtype=float))
+    mean = float(weights @ found / weights.sum())
+    misfit = float(weights @ (found - mean) ** 2) / max(found.size - 1, 1)
+    return mean, math.sqrt(max(misfit, 1.0) / float(weights.sum()))
+
+
+def apart_from_neighbours(times: Array, values: Array) -> Array:
+    """Return how far samples (n, k) lie from the lines between their neighbours (n - 2, k).
+
+    Scaled so that its standard deviation is that of white noise on the values.
+    """
     step = np.diff(times)
     share = (step[:-1] / (step[:-1] + step[1:]))[:, None]
     apart = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
-    scaled = np.abs(apart) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    return np.asarray(apart / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
+
+
+def noise_of(times: Array, values: Array) -> Array:
+    """Return the standard deviation per sample of white noise on smooth values (n, k): (k,).
+
+    By the median of their distances from their neighbours, which bends and contacts do not move.
+    """
+    if times.size < 8:
+        return np.full(values.shape[1], np.nan)
+    scaled = np.abs(apart_from_neighbours(times, values))
     median = np.median(scaled, axis=0) / _MEDIAN_OF_NORMAL
     # Where most samples repeat, as of a coarse sensor, the median is 0: then the mean square.
     square = np.sqrt(np.mean(scaled**2, axis=0))
     return np.where(median > 0.0, median, square)
-
-
-def angle_between(a: Array, b: Array) -> float:
-    """Return the angle of two vectors [rad]."""
-    cosine = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
-    return math.acos(min(max(cosine, -1.0), 1.0))

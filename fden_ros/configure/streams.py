@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fden_ros.core.arrays import Array
 
@@ -43,6 +44,11 @@ class Streams:
     orientation: Array | None = None
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Components of force and position."""
+        return self.force.shape[1], self.position.shape[1]
+
+    @property
     def start(self) -> float:
         """First stamp that both streams have reached [s]."""
         return float(max(self.force_times[0], self.motion_times[0]))
@@ -57,13 +63,22 @@ class Streams:
         columns = [np.interp(times, self.motion_times, column) for column in self.position.T]
         return np.stack(columns, axis=1)
 
-    def rotation_at(self, times: Array) -> Array | None:
-        """Return the sensor's orientation at `times` (n,) as matrices (n, 3, 3)."""
+    def rotation_at(self, times: Array) -> Rotation | None:
+        """Return the sensor's orientation at `times` (n,)."""
         if self.orientation is None:
             return None
-        signed = _continuous(self.orientation)
-        parts = [np.interp(times, self.motion_times, column) for column in signed.T]
-        return matrices_of(np.stack(parts, axis=1))
+        flips = np.sum(self.orientation[1:] * self.orientation[:-1], axis=1) < 0.0
+        signs = np.where(np.cumsum([False, *flips]) % 2 == 1, -1.0, 1.0)
+        parts = (signs[:, None] * self.orientation).T
+        turns = [np.interp(times, self.motion_times, part) for part in parts]
+        return Rotation.from_quat(np.stack(turns, axis=1))
+
+    def turn_rates(self, times: Array) -> Array:
+        """Return how fast the tool turns between `times` (n,): (n - 1,) [rad/s]; 0: not known."""
+        turns = self.rotation_at(times)
+        if turns is None:
+            return np.zeros(times.size - 1)
+        return np.asarray((turns[1:] * turns[:-1].inv()).magnitude() / np.diff(times))
 
     def scaled(self, force: float, position: float) -> Streams:
         """Return the same recording with force (and torque) and position multiplied."""
@@ -71,23 +86,3 @@ class Streams:
         return replace(
             self, force=force * self.force, torque=torque, position=position * self.position
         )
-
-
-def _continuous(quaternions: Array) -> Array:
-    """Return the quaternions (m, 4), each with the sign that is nearer to the one before."""
-    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
-    signs = np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)
-    signed: Array = quaternions.copy()
-    signed[1:] *= signs[:, None]
-    return signed
-
-
-def matrices_of(quaternions: Array) -> Array:
-    """Return rotation matrices (n, 3, 3) of quaternions x, y, z, w of any length (n, 4)."""
-    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1)[:, None]).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)

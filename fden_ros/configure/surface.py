@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fden_ros.configure.axes import LARGEST_SD, Axes
+from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.plane import LEAST_UNSTATED, NoPlaneError, SurfacePlane, fit_plane
 from fden_ros.configure.rigid import Press
@@ -19,10 +19,6 @@ from fden_ros.configure.session import Contact, Session
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.surface import find_surface
 
-SUBJECT = "surface normal"
-_REMEDY = (
-    "touch it at five places or more, 10 mm apart and not on one line, and lift off in between"
-)
 _RECORD = "record poses of the probe, and press tissue"
 #: A touch this near to an earlier one [m] is of tissue that was pressed.
 _SAME_PLACE = 3e-3
@@ -79,59 +75,50 @@ def find_surface_plane(
     delay, unit : Finding
         Of the displacement.
     """
-    if axes.force is None or not sessions or sessions[0].position.shape[1] != 3:
-        why = "without the axis of the force" if axes.force is None else "without places in space"
-        return Scan((), None, unknown(SUBJECT, f"no touch is placed {why}", _RECORD))
-    if not unit.claim:
-        return Scan((), None, unknown(SUBJECT, "the unit is not known", "say which unit it is"))
+    why, motion = "", _RECORD
+    if axes.force is None:
+        why = "no touch is placed without the axis of the force"
+    elif sessions[0].position.shape[1] != 3:
+        why = "no touch is placed without places in space"
+    elif not unit.claim:
+        why, motion = "the unit is not known", "say which unit it is"
+    if why:
+        return Scan((), None, unknown("surface normal", why, motion))
     late = delay.value if delay.claim and isinstance(delay.value, float) else 0.0
     late_sd = (delay.deviation or 0.0) if delay.claim else _DELAY_SD
     rigid = {(id(press.session), press.contact) for press in presses}
     touches: list[Touch] = []
     for session in sessions:
-        found = [
-            touch
-            for contact in session.contacts
-            if session.leaves
-            and (id(session), contact) not in rigid
-            and (touch := _touch(session, contact, axes, late)) is not None
-        ]
-        touches = max(touches, _at_own_places(found), key=len)
+        contacts = [one for one in session.contacts if (id(session), one) not in rigid]
+        found = [_touch(session, contact, axes, late) for contact in contacts if session.leaves]
+        touches = max(touches, _at_own_places([one for one in found if one is not None]), key=len)
     return _fitted(touches, late_sd)
 
 
 def _fitted(touches: Sequence[Touch], late_sd: float) -> Scan:
     if not touches:
-        return Scan((), None, unknown(SUBJECT, "no touch was seen", _REMEDY))
+        return Scan((), None, unknown("surface normal", "no touch was seen"))
     into = np.mean([touch.approach for touch in touches], axis=0)
     speeds = np.array([touch.speed for touch in touches])
     # A delay shifts all touches alike as far as they come at one speed.
-    shifts = late_sd * (speeds - speeds.mean())
-    sds = np.sqrt(np.array([touch.sd for touch in touches]) ** 2 + shifts**2)
+    sds = np.hypot([touch.sd for touch in touches], late_sd * (speeds - speeds.mean()))
     if len(touches) < LEAST_UNSTATED:
         sds = np.hypot(sds, _MOTION_SD)
     seconds = tuple(touch.seconds for touch in touches)
     try:
         plane = fit_plane([touch.place for touch in touches], into, sds)
     except NoPlaneError as error:
-        finding = Finding(
-            SUBJECT, False, seconds=seconds, evidence=error.reason, motion=error.remedy
-        )
-        return Scan(tuple(touches), None, finding)
+        none = unknown("surface normal", error.reason, error.remedy, seconds=seconds)
+        return Scan(tuple(touches), None, none)
     value = tuple(float(part) for part in plane.normal)
-    finding = Finding(
-        SUBJECT,
-        True,
-        value,
-        plane.sd,
-        "rad",
-        seconds,
+    evidence = (
         f"within {math.degrees(plane.sd):.2g} degrees, by a plane through {len(touches)} touches "
         f"that lie {1e3 * plane.flatness:.2g} mm off it; "
-        + _askew([plane.tilt(touch.approach) for touch in touches]),
-        parameters={"surface.normal": [round(part, 4) for part in value]},
+        + _askew([plane.tilt(touch.approach) for touch in touches])
     )
-    return Scan(tuple(touches), plane, finding)
+    told = {"surface.normal": [round(part, 4) for part in value]}
+    found = Finding("surface normal", value, plane.sd, evidence, seconds, parameters=told)
+    return Scan(tuple(touches), plane, found)
 
 
 def _askew(tilts: Sequence[tuple[float, float]]) -> str:
@@ -194,9 +181,9 @@ def _touch(session: Session, contact: Contact, axes: Axes, late: float) -> Touch
 def _direction(session: Session, contact: Contact, axes: Axes) -> Array:
     """Return the direction of the approach: the axis, else the way to the deepest point."""
     assert axes.force is not None
-    if axes.displacement is not None and axes.displacement.sd < LARGEST_SD:
+    if axes.displacement is not None and axes.displacement.is_stated:
         return axes.displacement.direction
-    push = session.net[contact.first : contact.last] @ axes.force.direction
+    push = session.net[contact.span] @ axes.force.direction
     deepest = contact.first + int(np.argmax(push))
     way = session.position[deepest] - session.position[max(contact.first - 1, 0)]
     return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))

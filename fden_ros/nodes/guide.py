@@ -133,9 +133,7 @@ class _Guide:
                     raise
 
     def _reading(self) -> Reading:
-        inputs = {what: column.topic.name for what, column in self._columns.items()}
-        force, displacement = self._columns["force"], self._columns["displacement"]
-        return reading_of(Path("live"), force, displacement, self._selection, inputs)
+        return reading_of(Path("live"), self._columns, self._selection)
 
     # Topics
 

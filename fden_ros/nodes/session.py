@@ -23,7 +23,6 @@ from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
-from fden_ros.configure.weight import ToolCollection
 from fden_ros.core.outputs import Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
@@ -31,7 +30,7 @@ from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.decisions import Decisions
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
-from fden_ros.nodes.tool_identification import ToolIdentification
+from fden_ros.nodes.tool_identification import ToolCollection, ToolIdentification
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import Topic
 from fden_ros.ros.decoding import UnusualError, fast_handler

@@ -71,6 +71,9 @@ class Column:
     name: str
     factor: Decimal = Decimal(1)
 
+    def __str__(self) -> str:
+        return self.name if self.factor == 1 else f"{self.name}*{self.factor}"
+
 
 @dataclass(frozen=True)
 class Columns:
@@ -80,6 +83,10 @@ class Columns:
     force: Column
     displacement: Column
     surface: Column | None = None
+
+    def __str__(self) -> str:
+        columns = (self.time, self.force, self.displacement, self.surface)
+        return ",".join(str(column) for column in columns if column is not None)
 
     @staticmethod
     def parse(text: str) -> Columns:

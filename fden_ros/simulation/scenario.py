@@ -13,7 +13,6 @@ from __future__ import annotations
 import difflib
 import math
 import os
-import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -25,6 +24,7 @@ import numpy as np
 import yaml
 
 from fden_ros.errors import InputError
+from fden_ros.shipped import shipped
 from fden_ros.simulation.closed_form import FdenModel, FloatArray
 from fden_ros.simulation.contact import Stiffening
 from fden_ros.simulation.disturbance import Disturbances
@@ -504,18 +504,7 @@ def scenario_of_mapping(data: Mapping[str, Any]) -> Scenario:
 
 def scenario_names() -> list[str]:
     """Return the names of the scenarios that come with the package, sorted."""
-    return sorted({path.stem for folder in _scenario_folders() for path in folder.glob("*.yaml")})
-
-
-def _scenario_folders() -> Iterable[Path]:
-    """Return the folders of scenarios: source tree, installation, sourced workspaces."""
-    prefixes = [
-        sys.prefix,
-        *filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)),
-    ]
-    source = Path(__file__).resolve().parents[2] / "bags"
-    installed = [Path(prefix) / "share" / "fden_ros" / "bags" for prefix in prefixes]
-    return [folder for folder in (source, *installed) if folder.is_dir()]
+    return sorted(path.stem for path in shipped("bags").glob("*.yaml"))
 
 
 def _scenario_path(name_or_path: str | Path) -> Path:
@@ -527,10 +516,8 @@ def _scenario_path(name_or_path: str | Path) -> Path:
         raise InputError(
             f"{text}: no such file; give the path of a scenario or a name from `fden bag --list`"
         )
-    for folder in _scenario_folders():
-        if (folder / f"{text}.yaml").is_file():
-            return folder / f"{text}.yaml"
-    raise InputError(_no_such("scenario", text, scenario_names()))
+    require_choice("scenario", text, scenario_names())
+    return shipped(f"bags/{text}.yaml")
 
 
 def require_choice(what: str, value: str, choices: Iterable[str]) -> None:

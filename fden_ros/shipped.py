@@ -1,0 +1,29 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files that come along with the package: in the source tree, or installed beside it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from fden_ros.errors import InputError
+
+
+def shipped(name: str) -> Path:
+    """Return a file or folder of the package, such as ``config/robots``.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
+    roots = [Path(__file__).resolve().parents[1]]
+    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    roots += [Path(prefix, "share", "fden_ros") for prefix in prefixes if prefix]
+    for root in roots:
+        if (root / name).exists():
+            return root / name
+    raise InputError(f"{name} of fden_ros is not installed")
