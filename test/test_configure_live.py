@@ -29,7 +29,6 @@ def test_it_says_what_to_do_and_waits_for_it(
         assert run("configure", "--live", *topics, "-o", output) == 0
     printed = capsys.readouterr()
     said = printed.err.splitlines()
-    print(said)
     assert "force from /ft/wrench (geometry_msgs/WrenchStamped)" in said
     assert any(line.startswith("NOW: turn the tool in the air") for line in said)
     assert said.index("done: turn") < said.index("done: press") < said.index("done: plate")

@@ -90,6 +90,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="all presses are of one place: without positions the file says so (site.timeout)",
     )
+    parser.add_argument(
+        "--frames",
+        metavar="BASE,PROBE",
+        help="the displacement is the way of frame PROBE in BASE, by /tf; found where a bag has "
+        "nothing else",
+    )
     indenter = parser.add_argument_group("the indenter, which no recording shows")
     indenter.add_argument("--flat-punch", type=float, metavar="AREA", help="face [m^2]")
     indenter.add_argument("--thickness", type=float, metavar="H", help="of the tissue [m]")
@@ -220,7 +226,7 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading],
         selection = given
         if robot is not None and not is_table(path, given):
             selection = robot_selection(robot, str(path), BagReader(path).topics, given)
-        readings.append(read(path, selection))
+        readings.append(read(path, selection, args.frames))
         if readings[-1].streams.shape != readings[0].streams.shape:
             raise InputError(
                 f"{path} is of another kind than {readings[0].path}: recordings of one "

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,16 @@ import numpy as np
 
 from fden_ros.configure.session import Mask
 from fden_ros.configure.streams import Streams
+from fden_ros.configure.transforms import FrameTree
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.parameters import check
 from fden_ros.progress import progress
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
-from fden_ros.recording.reader import Topic
-from fden_ros.recording.source import BagSource, Selection
+from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
+from fden_ros.recording.source import TRANSFORMS, BagSource, Selection
 from fden_ros.recording.table import TableReader, looks_like_a_table, stated_columns
+from fden_ros.recording.topics import USABLE_TYPES
 from fden_ros.ros.messages import stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
@@ -31,6 +33,7 @@ MESSAGES = {
     "geometry_msgs/msg/PoseStamped": "pose",
     "geometry_msgs/msg/TransformStamped": "transform",
     "geometry_msgs/msg/PointStamped": "point",
+    TRANSFORMS: "tf",
 }
 #: Field of each that is a vector; of joints all count.
 _VECTORS = {
@@ -62,6 +65,8 @@ class Reading:
     frames : dict
         frame_id of each.
     warnings : tuple of str
+    parameters : dict
+        Values of the parameter file that say where force and displacement are, by dotted name.
     """
 
     path: Path
@@ -72,10 +77,21 @@ class Reading:
     joints: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    parameters: Mapping[str, str] = field(default_factory=dict)
 
 
-def read(path: str | Path, selection: Selection | None = None) -> Reading:
+def read(
+    path: str | Path, selection: Selection | None = None, frames: str | None = None
+) -> Reading:
     """Read a recording.
+
+    Parameters
+    ----------
+    path : path
+    selection : Selection, optional
+    frames : str, optional
+        ``BASE,PROBE``: the displacement is the way of one frame in the other, by transforms; so
+        it is, too, where a bag has nothing else.
 
     Raises
     ------
@@ -85,6 +101,12 @@ def read(path: str | Path, selection: Selection | None = None) -> Reading:
     chosen = selection or Selection()
     if chosen.columns is not None or looks_like_a_table(path):
         return _read_table(Path(path), chosen)
+    topics = BagReader(path).topics
+    carriers = [t for t in topics if t.type_name in USABLE_TYPES["displacement"]]
+    has_way = any(t.message_count for t in carriers) or chosen.displacement_topic is not None
+    has_transforms = any(topic.type_name == TRANSFORMS for topic in topics)
+    if frames is not None or (has_transforms and not has_way):
+        return _read_transforms(Path(path), chosen, frames)
     return _read_bag(Path(path), chosen)
 
 
@@ -175,21 +197,68 @@ class Column:
 def _read_bag(path: Path, selection: Selection) -> Reading:
     source = BagSource(path, check({}), selection)
     columns = {
-        "force": Column(source.force, selection.force_field, "force"),
-        "displacement": Column(source.displacement, selection.displacement_field, "displacement"),
+        what: Column(topic, getattr(selection, f"{what}_field"), what)
+        for what, topic in source.topics.items()
     }
-    names = {column.topic.name for column in columns.values()}
-    with progress(f"reading {path.name}", source.total) as show:
-        for done, message in enumerate(source.reader.messages(names), start=1):
-            for column in columns.values():
-                if column.topic.name == message.topic:
-                    column.add(message.data, message.log_time_ns)
-            if done % 2000 == 0:
-                show(done)
+
+    def take(message: RawMessage) -> None:
+        for column in columns.values():
+            if column.topic.name == message.topic:
+                column.add(message.data, message.log_time_ns)
+
+    _read_messages(source, {column.topic.name for column in columns.values()}, take)
     found = reading_of(path, columns, selection)
     return replace(
         found, inputs=source.inputs, warnings=(*source.reader.warnings, *found.warnings)
     )
+
+
+def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Reading:
+    """Return a recording whose displacement stands in transforms, the force turned with them."""
+    any_frames = {"frames.base": "base", "frames.probe": "probe", "displacement.message": "tf"}
+    source = BagSource(path, check(any_frames), selection)
+    force = Column(source.force, selection.force_field, "force")
+    tree = FrameTree(str(path))
+
+    def take(message: RawMessage) -> None:
+        if message.topic == force.topic.name:
+            force.add(message.data, message.log_time_ns)
+        else:
+            tree.add(decode(message))
+
+    _read_messages(source, {topic.name for topic in source.topics.values()}, take)
+    base, probe = tree.frames_for(frames, force.frame)
+    way = tree.way(base, probe)
+    if min(len(force.stamps), way.stamps.size) < _LEAST_SAMPLES:
+        raise InputError(
+            f"{path}: {len(force.stamps)} forces and {way.stamps.size} transforms of {probe} in "
+            f"{base}: at least {_LEAST_SAMPLES} of each are needed"
+        )
+    turned = tree.way(base, force.frame or probe, np.array(force.stamps, dtype=np.int64)).turns
+    values = [tuple(value) for value in turned.apply(np.array(force.values, dtype=float))]
+    in_base = replace(force, frame=base)
+    in_base.stamps, in_base.values = force.stamps, values
+    return Reading(
+        path,
+        _streams(str(path), in_base, way.stamps, way.places),
+        selection,
+        {"force": force.topic.name, "displacement": f"{probe} in {base}"},
+        {"force": force.topic.type_name, "displacement": TRANSFORMS},
+        {},
+        {"force": base},
+        source.reader.warnings,
+        {"frames.base": base, "frames.probe": probe},
+    )
+
+
+def _read_messages(
+    source: BagSource, topics: Collection[str], take: Callable[[RawMessage], None]
+) -> None:
+    with progress(f"reading {source.reader.path.name}", source.total) as show:
+        for done, message in enumerate(source.reader.messages(topics), start=1):
+            take(message)
+            if done % 2000 == 0:
+                show(done)
 
 
 def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) -> Reading:
@@ -206,7 +275,10 @@ def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) 
                 f"{path}: {column.topic.name} has {len(column.stamps)} usable samples of the "
                 f"{what}: at least {_LEAST_SAMPLES} are needed"
             )
-    streams = _streams(str(path), columns["force"], columns["displacement"])
+    moved = columns["displacement"]
+    places, turns = (np.array(values, dtype=float) for values in (moved.values, moved.turns))
+    stamps = np.array(moved.stamps, dtype=np.int64)
+    streams = _streams(str(path), columns["force"], stamps, places, turns)
     streams, joints = _moving_joints(streams, columns)
     left_out = tuple(
         f"{column.topic.name}: {column.damaged} messages without stamp or value are left out"
@@ -225,18 +297,19 @@ def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) 
     )
 
 
-def _streams(name: str, force: Column, displacement: Column) -> Streams:
-    force_stamps, stamps = (np.array(c.stamps, dtype=np.int64) for c in (force, displacement))
+def _streams(
+    name: str, force: Column, stamps: Any, places: Array, turns: Array | None = None
+) -> Streams:
+    force_stamps = np.array(force.stamps, dtype=np.int64)
     first = int(min(force_stamps.min(), stamps.min()))
-    forces, places = (np.array(c.values, dtype=float) for c in (force, displacement))
-    torques, turns = (np.array(v, dtype=float) for v in (force.torques, displacement.turns))
+    forces, torques = (np.array(v, dtype=float) for v in (force.values, force.torques))
     force_times, kept = _times(force_stamps, first, np.isfinite(forces).all(axis=1))
-    good: Mask = np.isfinite(places).all(axis=1)
+    good: Mask = np.asarray(np.isfinite(places).all(axis=1))
     is_turn = np.zeros(stamps.size, dtype=bool)
-    if turns.shape[:1] == stamps.shape:
+    if turns is not None and turns.shape[:1] == stamps.shape:
         is_turn = np.abs(np.linalg.norm(turns, axis=1) - 1.0) < 0.01
     # An orientation that was never set is none.
-    has_turns = bool(np.mean(is_turn) > 0.99)
+    has_turns = turns is not None and bool(np.mean(is_turn) > 0.99)
     times, kept_motion = _times(stamps, first, good & is_turn if has_turns else good)
     return Streams(
         name,
@@ -245,7 +318,7 @@ def _streams(name: str, force: Column, displacement: Column) -> Streams:
         times,
         places[kept_motion],
         torques[kept] if torques.shape[:1] == force_stamps.shape else None,
-        turns[kept_motion] if has_turns else None,
+        turns[kept_motion] if has_turns and turns is not None else None,
     )
 
 

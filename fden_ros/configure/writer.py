@@ -30,6 +30,7 @@ def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, V
         values[f"{what}.message"] = MESSAGES.get(type_name, "")
     for what, joint in readings[0].joints.items():
         values[f"{what}.name"] = joint
+    values.update(readings[0].parameters)
     for finding in survey.findings:
         values.update(finding.parameters)
     return {
@@ -129,7 +130,8 @@ def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> 
             lines += _comment(f"warning: {warning}", "")
     first = readings[0]
     if first.types:
-        names = {what: first.inputs[what].partition(" ")[0] for what in first.types}
+        topics = [what for what, kind in first.types.items() if MESSAGES.get(kind) != "tf"]
+        names = {what: first.inputs[what].partition(" ")[0] for what in topics}
         remaps = " ".join(f"-r {what}:={name}" for what, name in names.items())
         lines.append(f"# Live: {remaps}")
     if chosen := _chosen(first):
