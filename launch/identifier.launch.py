@@ -15,15 +15,20 @@ from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from fden_ros.parameters.files import read_parameter_file
+from fden_ros.parameters.files import live_topics, read_parameter_file
 
 
 def _check_parameters(context: LaunchContext) -> None:
-    """Refuse a wrong parameter file here: with `respawn` the node would refuse it for ever."""
+    """Refuse a wrong parameter file here, not for ever by `respawn`; take its topics."""
     path, namespace = (
         LaunchConfiguration(name).perform(context) for name in ("parameters", "namespace")
     )
     read_parameter_file(path, f"{namespace}/identifier")
+    # Topics that `fden configure` has written into the file, unless an argument names others.
+    for what, topic in live_topics(path).items():
+        name = f"{what}_topic"
+        if context.launch_configurations.get(name) == what:
+            context.launch_configurations[name] = topic
 
 
 def generate_launch_description() -> LaunchDescription:

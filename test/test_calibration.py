@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from fden_ros.recording.synthetic import write_recording
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import Recording, Stream, simulate
 
-DATA = os.environ.get("FDEN_DATA")
 SCENARIO = Path(__file__).parents[1] / "bags" / "delay_two_frequencies.yaml"
 HALF_A_MILLISECOND = 5e-4
 

@@ -16,7 +16,9 @@ from unknown_rig_bags import RigBag
 
 from benchmark.unknown_rigs import SimulatedRig
 from fden_ros.configure.robots import robot_named, robot_names
+from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import read_parameter_file
+from fden_ros.parameters.files import live_topics
 
 #: Robot: topics, kind of the displacement, the sign of what its sensor shows (1: what acts on the
 #: tool), and whether its driver takes the tool's weight off.
@@ -145,3 +147,17 @@ def test_a_file_from_conventions_alone_can_be_read(name: str, tmp_path: Path) ->
     axis = robot_named(name).force.axis
     assert list(parameters.force.axis) == (axis or [0.0, 0.0, 1.0])
     assert "# source: " in path.read_text(encoding="utf-8")
+
+
+def test_the_topics_of_a_file_are_those_of_the_node_unless_it_is_told_others(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "probe.yaml"
+    assert run("configure", "--robot", "ur", "-o", path) == 0
+    topics = ["/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose"]
+    assert list(live_topics(path).values()) == topics
+    given = ["identifier", "--ros-args", "--params-file", str(path)]
+    remap = f"displacement:={topics[1]}"
+    assert written_remaps(given) == ["--ros-args", "-r", f"force:={topics[0]}", "-r", remap]
+    assert written_remaps([*given, "-r", "force:=/ft"]) == ["--ros-args", "-r", remap]
+    assert written_remaps(["identifier"]) == []

@@ -16,6 +16,7 @@ import yaml
 from fden_ros.configure.reading import MESSAGES
 from fden_ros.configure.survey import Survey
 from fden_ros.errors import InputError
+from fden_ros.parameters.files import LIVE_LINE
 from fden_ros.recording.reader import Topic
 from fden_ros.recording.source import Selection
 from fden_ros.shipped import shipped
@@ -171,7 +172,7 @@ def robot_file(robot: Robot) -> str:
     remaps = " ".join(f"-r {what}:={one.example}" for what, one in robot.quantities.items())
     lines = [
         f"# {robot.says}: what its driver's conventions say, before any recording.",
-        f"# Live: {remaps}",
+        f"{LIVE_LINE}{remaps}",
     ]
     for what, one in robot.quantities.items():
         lines.append(f"# {what}: {one.type}, {one.reliability}; {one.convention}")

@@ -15,6 +15,7 @@ from fden_ros.configure.finding import SUBJECTS, Finding
 from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
 from fden_ros.parameters import PARAMETERS, Value
+from fden_ros.parameters.files import LIVE_LINE
 from fden_ros.recording.source import SELECTION_LINE, Selection
 from fden_ros.recording.table import guessed_columns, headings_of
 
@@ -133,7 +134,7 @@ def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> 
         topics = [what for what, kind in first.types.items() if MESSAGES.get(kind) != "tf"]
         names = {what: first.inputs[what].partition(" ")[0] for what in topics}
         remaps = " ".join(f"-r {what}:={name}" for what, name in names.items())
-        lines.append(f"# Live: {remaps}")
+        lines.append(f"{LIVE_LINE}{remaps}")
     if chosen := _chosen(first):
         lines.append(f"{SELECTION_LINE}{shlex.join(chosen)}")
     lines.append("# ± is one standard deviation. What stays at its default is left out.")

@@ -20,7 +20,14 @@ from rclpy.signals import SignalHandlerOptions
 
 from fden_ros.errors import InputError
 from fden_ros.nodes.programs import ignore_signals, note_signals
-from fden_ros.parameters.files import Section, check_types, parse_yaml, read_sections, values_for
+from fden_ros.parameters.files import (
+    Section,
+    check_types,
+    live_topics,
+    parse_yaml,
+    read_sections,
+    values_for,
+)
 
 _Node = TypeVar("_Node", bound=Node)
 
@@ -52,7 +59,7 @@ def run_node(
         Called with the node before and after it is spun; where `start` returns false the node
         ends.
     needs_section : bool
-        Refuse a parameter file that has no section for this node.
+        Refuse a parameter file that has no section for this node, and take its topics.
     """
     noted = note_signals()
     try:
@@ -75,7 +82,8 @@ class _RefusedError(Exception):
 def _made(make: Callable[[], _Node], arguments: Sequence[str], needs_section: bool) -> _Node:
     try:
         files = check_arguments(arguments)
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        remaps = written_remaps(arguments) if needs_section else []
+        rclpy.init(args=[*arguments, *remaps], signal_handler_options=SignalHandlerOptions.NO)
     except (InputError, RuntimeError, ValueError) as error:
         # rclpy raises RCLError, a RuntimeError, for arguments that rcl cannot read.
         raise _RefusedError(str(error)) from error
@@ -154,6 +162,19 @@ def check_arguments(arguments: Sequence[str]) -> list[list[Section]]:
                 f"there is no log level {value}: it must be one of {', '.join(_LOG_LEVELS)}"
             )
     return files
+
+
+def written_remaps(arguments: Sequence[str]) -> list[str]:
+    """Return arguments for the topics that parameter files name and the command line does not."""
+    options = list(_ros_options(arguments))
+    said = [value for option, value in options if option in ("-r", "--remap")]
+    given = {value.split(":=")[0].rpartition(":")[2] for value in said}
+    topics: dict[str, str] = {}
+    for option, value in options:
+        if option == "--params-file":
+            topics |= live_topics(value)
+    words = [f"{name}:={topic}" for name, topic in topics.items() if name not in given]
+    return ["--ros-args", *(part for word in words for part in ("-r", word))] if words else []
 
 
 def _ros_options(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -10,6 +10,7 @@ module look at its files first.
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,24 @@ import yaml
 from fden_ros.errors import InputError
 from fden_ros.parameters.table import Parameters, check, node_parameter_named
 
+#: Line of a parameter file that names a live node's topics, as remappings.
+LIVE_LINE = "# Live: "
 #: The node whose sections count where no other is named.
 NODE = "/identifier"
 _KEY = "ros__parameters"
+
+
+def live_topics(path: str | Path) -> dict[str, str]:
+    """Return the topics that `fden configure` has written for ``force`` and ``displacement``."""
+    words: list[str] = []
+    try:
+        for line in Path(path).read_text(encoding="utf-8").splitlines():
+            if line.startswith(LIVE_LINE):
+                words += shlex.split(line.removeprefix(LIVE_LINE))
+    except (OSError, ValueError):
+        # Whoever reads its parameters says what is wrong with it.
+        return {}
+    return dict(word.split(":=", 1) for word in words if ":=" in word)
 
 
 @dataclass(frozen=True)

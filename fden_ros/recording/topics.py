@@ -24,6 +24,8 @@ USABLE_TYPES: Mapping[str, Sequence[str]] = {
     "surface": DISPLACEMENT_TYPES,
 }
 
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
 # Words in a topic's name: what it most likely carries, and what is wanted rather than measured.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
 _WORDS = {
@@ -75,7 +77,14 @@ def find_topic(
         return chosen[0]
     listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or reader.topics) or "none"
     problem = "several topics could carry" if chosen else "no topic can carry"
-    raise InputError(f"{reader.path}: {problem} the {what}: {listed}; name it with --{what}-topic")
+    hint = f"name it with --{what}-topic"
+    if (
+        what == "displacement"
+        and not chosen
+        and any(t.type_name == _TRANSFORMS for t in reader.topics)
+    ):
+        hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
+    raise InputError(f"{reader.path}: {problem} the {what}: {listed}; {hint}")
 
 
 def sensible_topics(candidates: list[Topic], what: str) -> list[Topic]:
