@@ -10,6 +10,7 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 
 from __future__ import annotations
 
+import functools
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -26,7 +27,7 @@ from fden_ros.core.streams.direction import Direction
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, PathNoise, Position
 from fden_ros.core.streams.synchronize import Synchronizer
 
 #: Failures are kept up to this number, the newest.
@@ -140,7 +141,7 @@ class Pipeline:
             self._session = ContactSession(
                 config,
                 self.rejected,
-                lambda: self._synchronizer.path_noise(),
+                functools.partial(_path_noise, self),
                 self.standing_flags,
             )
         self._begin_epoch(0)
@@ -345,6 +346,10 @@ class Pipeline:
         self.failure_count += 1
         self.failures.append(failure_of(error, stamp_ns, *self._session.place))
         self._put_out(self._session.fail(stamp_ns))
+
+
+def _path_noise(pipeline: Pipeline) -> PathNoise:
+    return pipeline._synchronizer.path_noise()
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:

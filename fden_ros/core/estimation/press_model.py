@@ -370,7 +370,7 @@ class PressModel:
         strains = np.abs(compressions)
         if self.exponent == 1.0:
             return strains, np.ones_like(strains)
-        return strains**self.exponent, self.exponent * np.sqrt(strains)
+        return strains**self.exponent, self.exponent * strains ** (self.exponent - 1.0)
 
     def elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the elastic response at the points and its slope by the compression."""
