@@ -170,6 +170,7 @@ def test_a_touch_whose_linear_part_is_seen_tells_g(seed: int) -> None:
     assert np.all(np.abs(off) < 4.0), (seed, off)
 
 
+@pytest.mark.statistics
 def test_noise_near_the_surface_neither_touches_nor_lets_go_of_the_tissue() -> None:
     """Alpha was 3.6 and 4.6 standard deviations off."""
     stated = {"surface.motion_sd": 2e-4, "displacement.compliance_sd": 1.5e-4}
