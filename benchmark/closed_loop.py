@@ -150,7 +150,7 @@ def close_loop(
     live = LiveTissue(settings.geometry)
 
     def arrived(output: Output) -> None:
-        if isinstance(output, TissueState) and rig.time < lose_estimate_at:
+        if isinstance(output, TissueState):
             live.add(output, rig.time)
 
     pipeline = Pipeline(settings, arrived)
@@ -160,7 +160,7 @@ def close_loop(
         if n % _SENSOR_STEPS == 0:
             force, depth = rig.measured_force(), rig.measured_position()[2]
             forces.append(force)
-            if scheduled:
+            if scheduled and rig.time < lose_estimate_at:
                 stamp_ns = round(rig.time * NANOSECONDS) + NANOSECONDS
                 pipeline.add_displacement(stamp_ns, depth)
                 pipeline.add_force(stamp_ns, force)

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from property_helpers import first
 
 from benchmark.closed_loop import Program, Run, close_loop, tissues
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
@@ -97,17 +99,10 @@ def test_a_configuration_without_sense_is_refused() -> None:
         ForceControlConfig(safe_stiffness=0.0, force_limit=1.0)
 
 
-@pytest.fixture(scope="module")
-def loops() -> dict[int, tuple[Run, Run]]:
-    """The stiffest of the soft half and of all ten: fixed and scheduled."""
-    models = tissues(10)
-    return {
-        number: (
-            close_loop(models[number], scheduled=False, program=PROGRAM),
-            close_loop(models[number], scheduled=True, program=PROGRAM),
-        )
-        for number in (4, 9)
-    }
+@functools.cache
+def closed(number: int, scheduled: bool) -> Run:
+    """Close the loop over one of ten tissues."""
+    return close_loop(tissues(10)[number], scheduled=scheduled, program=PROGRAM)
 
 
 def test_the_ten_tissues_span_table_two() -> None:
@@ -119,24 +114,23 @@ def test_the_ten_tissues_span_table_two() -> None:
     assert values == sorted(values)
 
 
-def test_scheduled_gains_keep_their_promises(loops: dict[int, tuple[Run, Run]]) -> None:
-    for fixed, scheduled in loops.values():
-        assert scheduled.force.max() <= PROGRAM.limit
-        assert max(scheduled.overshoot) <= 0.05
-        assert scheduled.settling < fixed.settling
-    fixed, scheduled = loops[4]
-    assert scheduled.settling <= 0.5 * fixed.settling
+@pytest.mark.parametrize("number", first(4, 9))
+def test_scheduled_gains_keep_their_promises(number: int) -> None:
+    """The stiffest of the soft half, and of all ten."""
+    fixed, scheduled = (closed(number, is_scheduled) for is_scheduled in (False, True))
+    assert scheduled.force.max() <= PROGRAM.limit
+    assert max(scheduled.overshoot) <= 0.05
+    assert scheduled.settling < fixed.settling
+    if number == 4:
+        assert scheduled.settling <= 0.5 * fixed.settling
 
 
-def test_fixed_gains_pass_the_limit_where_scheduled_ones_do_not(
-    loops: dict[int, tuple[Run, Run]],
-) -> None:
-    fixed, scheduled = loops[9]
-    assert scheduled.force.max() <= PROGRAM.limit < fixed.force.max()
+def test_fixed_gains_pass_the_limit_on_the_stiffest() -> None:
+    assert PROGRAM.limit < closed(9, False).force.max()
 
 
-def test_an_inclusion_takes_the_estimate_back(loops: dict[int, tuple[Run, Run]]) -> None:
-    _, scheduled = loops[4]
+def test_an_inclusion_takes_the_estimate_back() -> None:
+    scheduled = closed(4, True)
     after = scheduled.times > PROGRAM.steps[-1][0] + 1.0
     assert scheduled.live[~after].any()
     assert set(scheduled.refusals) & {"CONTRADICTED", "REJECTED"}
