@@ -56,7 +56,7 @@ class Emitter:
             self.last = output
 
 
-@pytest.mark.parametrize("seconds", counts(45, 3600))
+@pytest.mark.parametrize("seconds", counts(30, 3600))
 def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds: int) -> None:
     s = shift()
     duration = s.second(s.items[-1].stamp_ns) + 0.5
