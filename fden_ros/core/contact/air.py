@@ -7,11 +7,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.contact.chunks import Chunk
+from fden_ros.core.contact.excess import (
+    SCALES,
+    Excess,
+    deepest_fall,
+    rises_of,
+    scatter_of,
+    thresholds_of,
+)
 from fden_ros.core.streams.resolution import Resolution
 from fden_ros.core.streams.samples import NANOSECONDS
 
@@ -47,12 +57,16 @@ _LEAST_REMEMBERED = 2 * _ENOUGH_CHUNKS
 _LAG_NS = NANOSECONDS
 #: Bias and noise are measured anew after every 8 chunks.
 _AIR_EVERY = 8
-#: While the mean force of the last 0.4 s [ns] lies more than 6 of its standard deviations (and at
-#: least one of a sample) above the bias, a slow contact may be on: the baseline stands still and
-#: the air is remembered for 4 times the lookback.
-_RECENT_NS = 400_000_000
-_RISE_DEVIATIONS = 6.0
+#: From half of what is a contact on, a slow one may be on: the baseline stands still and the air
+#: is remembered for 4 times the lookback.
+_SUSPICION = 0.5
 _SLOW_LOOKBACKS = 4
+#: What swings, as a vibrating arm does, is no contact: that rises above the bias by 2.2 times as
+#: far as means over the same time fell below it in the lookback, so that no trough ends it.
+_SWING_FACTOR = 2.2
+#: How far the bias wanders after it was measured is a mean over so many looks, 8 chunks apart: a
+#: minute of chunks of 20 ms. So many that showed nothing are taken to lie before the first.
+_REMEMBERED_WANDER, _UNSEEN_WANDER = 375, 60
 #: The noise counts as coloured when the variance of the chunks' means exceeds that of white noise
 #: by more than 4 of its standard deviations.
 _COLOUR_DEVIATIONS = 4.0
@@ -78,17 +92,28 @@ class Baseline:
         Smallest standard deviation that is believed [N].
     measure_bias : bool
         False: the bias is 0.
+    force_threshold : float
+        Force above the bias that a contact takes at least [N].
     """
 
     def __init__(
-        self, lookback: float, force_noise: float, noise_floor: float, measure_bias: bool
+        self,
+        lookback: float,
+        force_noise: float,
+        noise_floor: float,
+        measure_bias: bool,
+        force_threshold: float,
     ) -> None:
         self._lookback_ns = round(lookback * NANOSECONDS)
         self._force_noise = force_noise
         self._noise_floor = noise_floor
         self._measure_bias = measure_bias
+        self._force_threshold = force_threshold
         self.resolution = Resolution()  #: of the force
-        self.means_sd = 0.0  #: standard deviation of the chunks' means [N]
+        self._thresholds: Array = np.zeros(len(SCALES))  # of contact [N]
+        self._rises: Array = np.zeros(0)  # of the newest means above the bias [N]
+        self._expected = 0.0  # variance of the longest of them [N^2]
+        self._wander, self._wander_count = 0.0, _UNSEEN_WANDER  # what it exceeds that by [N^2]
         self.is_suspected = False  #: a slow contact may be on
         self._chunks: deque[Chunk] = deque()
         self._count = 0
@@ -126,6 +151,10 @@ class Baseline:
             self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)
         self._count += 1
+        if self._count % _AIR_EVERY == 0 and self._rises.size == len(SCALES):
+            self._wander_count = min(self._wander_count + 1, _REMEMBERED_WANDER)
+            news = float(self._rises[-1]) ** 2 - self._expected
+            self._wander += (news - self._wander) / self._wander_count
         while chunk.start_ns - chunks[0].start_ns > self.reach_ns:
             chunks.popleft()
 
@@ -133,63 +162,68 @@ class Baseline:
         """Return the noise per sample that is tested against [N]."""
         return self._force_noise or max(air.fast_noise, self._rounding, self._noise_floor)
 
-    def is_rising(self, bias: float, noise: float) -> bool:
-        """Whether the mean force of the last 0.4 s lies significantly above the bias."""
-        newest_ns = self._chunks[-1].end_ns
-        size, total = 0, 0.0
-        for chunk in reversed(self._chunks):
-            if newest_ns - chunk.start_ns > _RECENT_NS:
-                break
-            size += chunk.size
-            total += chunk.size * chunk.mean
-        if size == 0:
-            return False
-        return total / size - bias > noise * max(1.0, _RISE_DEVIATIONS / math.sqrt(size))
+    def excess(self, chunk: Chunk) -> Excess:
+        """Return how far the force up to a chunk that is not kept yet exceeds the air."""
+        newest = chain((chunk,), reversed(self._chunks))
+        rises = rises_of(islice(newest, SCALES[-1]), self.bias_at)
+        self._rises = rises
+        limits = self._thresholds[: rises.size]
+        best = int(np.argmax(rises / limits))
+        rise, limit, scale = float(rises[best]), float(limits[best]), SCALES[best]
+        if rise > limit and self._measure_bias:
+            # Where the bias is given, what is below it may be the bias.
+            limit = max(limit, _SWING_FACTOR * deepest_fall(self._above_bias(), scale))
+        return Excess(rise / limit, limit, scale)
 
-    def swing(self) -> float:
-        """Return how far the chunks' means swung below the bias [N]: no contact does that.
+    def _above_bias(self) -> Array:
+        return np.array([chunk.mean - self.bias_at(chunk.end_ns) for chunk in self._chunks])
 
-        0 where the bias is not measured: what is below it may be the bias.
-        """
-        if not self._measure_bias:
-            return 0.0
-        swings = (self.bias_at(chunk.end_ns) - chunk.mean for chunk in self._chunks)
-        return max(swings, default=0.0)
-
-    def before(self, chunk: Chunk, *, is_limit_given: bool) -> Air | None:
-        """Return the force in the air before `chunk`; None while it is not known.
-
-        `is_limit_given`: a force threshold is configured, so with a given bias nothing needs to
-        be measured.
-        """
-        count = len(self._chunks)
+    def before(self, chunk: Chunk) -> Air | None:
+        """Return the force in the air before `chunk`; None while it is not known."""
+        chunks = tuple(self._chunks)
         if not self._is_known():
             if self._air is not None:
                 # The next touch may come before the air is known anew.
                 self._is_carried = True
                 return self._air
-            given = not self._measure_bias and (self._force_noise or is_limit_given)
-            return _air_of(tuple(self._chunks)) if given else None
-        if self._is_carried and self._air is not None and self._may_be_touched(self._air):
+            if self._measure_bias or not (self._force_noise or self._force_threshold):
+                return None
+            air = _air_of(chunks)
+            self._thresholds = self._thresholds_in(chunks, air, chunk.size)
+            return air
+        is_new = chunks[-1].end_ns - chunks[0].start_ns < _LAG_NS
+        if self._is_carried and self._air is not None and is_new and self.is_rising(chunk):
             return self._air
         # Not while a slow contact may be on, or the baseline would creep along with it.
         is_due = not self.is_suspected and self._count % _AIR_EVERY == 0
         if self._air is None or self._is_carried or is_due:
             self._is_carried = False
             newest_ns = chunk.start_ns - _LAG_NS
-            old = tuple(c for c in self._chunks if c.end_ns <= newest_ns)
-            old = max(old, tuple(self._chunks)[: -(-count // 2)], key=len)
+            old = tuple(c for c in chunks if c.end_ns <= newest_ns)
+            old = max(old, chunks[: -(-len(chunks) // 2)], key=len)
             self._air = _air_of(old)
             self._trend = _level_at_end(old, self._air, _noise_of_means(old, self._air))
             self._trend_end_ns = old[-1].end_ns
-            self.means_sd = float(np.std(np.diff([c.mean for c in old]))) / math.sqrt(2.0)
+            self._thresholds = self._thresholds_in(old, self._air, chunk.size)
         return self._air
 
-    def _may_be_touched(self, air: Air) -> bool:
-        """Whether the force since a long contact may be that of the next, and not its zero."""
-        chunks = self._chunks
-        is_new = chunks[-1].end_ns - chunks[0].start_ns < _LAG_NS
-        return is_new and self.is_rising(self.bias_at(chunks[-1].end_ns), self.noise_of(air))
+    def is_rising(self, chunk: Chunk) -> bool:
+        """Whether a contact may be on that has not risen far enough to be told."""
+        return self.excess(chunk).ratio > _SUSPICION
+
+    def _thresholds_in(self, chunks: tuple[Chunk, ...], air: Air, size: int) -> Array:
+        """Return the least mean that is no air for each scale [N]."""
+        means = np.array([chunk.mean - self.bias_at(chunk.end_ns) for chunk in chunks])
+        sd, freedom = scatter_of(
+            means, air.size / len(chunks) if chunks else size, self.noise_of(air)
+        )
+        step = self.resolution.step
+        is_dithered = self._force_noise or air.fast_noise >= _DITHER * step
+        rounding = 0.0 if is_dithered else self._rounding
+        self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
+        wander = max(self._wander, 0.0)
+        sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
+        return np.maximum(thresholds_of(sd, freedom), self._force_threshold)
 
     def bias_at(self, stamp_ns: int) -> float:
         """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""

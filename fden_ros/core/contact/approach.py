@@ -52,7 +52,12 @@ class Approach(NamedTuple):
         pressed = np.flatnonzero(self.force[:first] >= threshold)
         return bool(pressed.size) and float(self.time[first] - self.time[pressed[-1]]) > rest
 
-    def is_established(self) -> bool:
+    @property
+    def lasting(self) -> float:
+        """Since when the probe is behind the surface [s]."""
+        return float(self.time[-1] - self.time[min(self.surface.first, self.time.size - 1)])
+
+    def is_established(self, *, is_clear: bool) -> bool:
         """Whether the present rise can be no swing of a force that is shaken by the motion.
 
         It has lasted, or the probe has moved as fast before and the force's swing is known.
@@ -64,8 +69,8 @@ class Approach(NamedTuple):
         if shallow.size:
             first += int(shallow[-1])
         lasting = float(time[-1] - time[first])
-        if lasting > _LASTING_TIME:
-            return True
+        if lasting > _LASTING_TIME or not is_clear:
+            return lasting > _LASTING_TIME
         instants = np.arange(time[first], time[0], -CHUNK_NS / NANOSECONDS)
         places = np.interp(instants, time, self.displacement)
         speed = abs(float(depth[-1] - depth[first])) / max(lasting, CHUNK_NS / NANOSECONDS)

@@ -21,8 +21,9 @@ import numpy as np
 from fden_ros.core.contact.air import MIN_CHUNKS, Baseline
 from fden_ros.core.contact.approach import Approach
 from fden_ros.core.contact.chunks import Chunk, Chunks
+from fden_ros.core.contact.excess import Excess
 from fden_ros.core.contact.rise import Rise
-from fden_ros.core.contact.surface import find_surface
+from fden_ros.core.contact.surface import FIRST_WINDOW, find_surface
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 
@@ -100,14 +101,26 @@ class _Highest(NamedTuple):
     displacement: float  #: [m]
 
 
+@dataclass
+class _Rise:
+    """A rise of the force that may be a contact's."""
+
+    peak: float = 0.0  #: largest ratio to what air gives, since it fell last [1]
+    is_clear: bool = False  #: a chunk was
+    is_doubted: bool = False  #: a drift explains it as well
+    look_ns: int = 0  #: when it is looked at again
+
+
 #: The probe is no longer pressing below half the threshold.
 _RELEASE_SHARE = 0.5
-#: A contact ends after 2 chunks in a row below the release threshold.
+#: A contact ends when the mean is below that over as many chunks as told it, at least 2.
 _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
-#: line in time does is a drift; it is tested again when it has grown by the factor.
-_MIN_EVIDENCE = 12.0
-_RETRY = 1.25
+#: line in time does is a drift. One that may still grow is given time up to 100: what is seen
+#: longer tells the surface better.
+_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 100.0
+#: A rise is looked at again when it has lasted for a quarter longer, or has fallen by 30 %.
+_RETRY, _OVER = 0.25, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
 #: within 1 s [ns].
 _DRIFT_CHUNKS, _DOUBT_NS = 2, 1_000_000_000
@@ -119,14 +132,8 @@ _BELOW_BASELINE_CHUNKS = 10
 _FALL_THRESHOLDS = 12.0
 #: That minute [ns].
 _FALL_NS = 60 * NANOSECONDS
-#: A contact is a mean over a chunk that lies above the bias by 4 standard deviations of the noise
-#: per sample ...
-_THRESHOLD_DEVIATIONS = 4.0
-#: ... and by 6 of the chunks' means, which with coloured noise scatter hardly less than samples.
-_THRESHOLD_DEVIATIONS_OF_MEANS = 6.0
-#: What swings, as a vibrating arm does, is no contact: that rises above the bias by 2.2 times what
-#: the chunks' means in the lookback swung below it, so that no trough ends it.
-_SWING_FACTOR = 2.2
+#: A sample clearly is not the air's from 4 standard deviations of the noise per sample on.
+_CLEAR_DEVIATIONS = 4.0
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
 #: at first.
 _COLOUR, _LONG_WINDOW = 1.5, 1.0
@@ -165,14 +172,19 @@ class ContactDetector:
         self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
         config = self._config
         self._baseline = Baseline(
-            config.lookback, config.force_noise, config.noise_floor, config.measure_bias
+            config.lookback,
+            config.force_noise,
+            config.noise_floor,
+            config.measure_bias,
+            config.force_threshold,
         )
         self._chunks = Chunks()
-        self._low_threshold = 0.0
         self._has_released = False
-        self._low_chunks = 0
-        self._low_start_ns = 0
-        self._doubted_rise = 0.0
+        self._pressing = 0.0
+        self._newest: deque[Chunk] = deque()
+        self._averaged = _RELEASE_CHUNKS
+        self._chunks_below = 0
+        self._rise = _Rise()
         self._doubted_ns: int | None = None
         self._doubted_chunks = 0
         self._surface = self._deepest = 0.0
@@ -204,58 +216,73 @@ class ContactDetector:
 
     def _in_air(self, chunk: Chunk) -> Onset | None:
         config, baseline = self._config, self._baseline
-        air = baseline.before(chunk, is_limit_given=config.force_threshold > 0.0)
+        air = baseline.before(chunk)
         if air is None:
             baseline.keep(chunk)
             return None
         noise = baseline.noise_of(air)
-        threshold = max(
-            config.force_threshold,
-            _THRESHOLD_DEVIATIONS * noise,
-            _THRESHOLD_DEVIATIONS_OF_MEANS * baseline.means_sd,
-        )
         bias = baseline.bias_at(chunk.end_ns)
-        rise = chunk.mean - bias
-        least = threshold
-        if rise > threshold:
-            threshold = max(threshold, _SWING_FACTOR * baseline.swing())
-        if rise > max(threshold, _RETRY * self._doubted_rise):
-            approach = self._approach_until(chunk.end_ns, bias, noise)
-            if self._config.measure_bias and approach.surface.evidence < _MIN_EVIDENCE:
-                # A drift, which rises whatever the probe does; or the beginning of a contact that
-                # is too faint to tell yet.
-                if self._doubted_ns is None:
-                    self._doubted_ns = chunk.end_ns
-                self._doubted_rise = rise
-            elif not self._config.measure_bias or approach.is_established():
-                # A swing that goes on in contact does not end it.
-                self._low_threshold = _RELEASE_SHARE * least
-                self._settle_doubt()
-                return self._begin(approach, bias, noise, threshold)
-        elif rise < threshold:
-            self._doubted_rise = 0.0
-            if self._doubted_ns is not None and chunk.end_ns - self._doubted_ns > _DOUBT_NS:
-                self.drifts += self._doubted_chunks >= _DRIFT_CHUNKS
-                self._settle_doubt()
-        self._doubted_chunks += self._doubted_ns is not None and rise >= threshold
+        excess = baseline.excess(chunk)
+        clear = max(config.force_threshold, _CLEAR_DEVIATIONS * noise)
+        is_clear = chunk.mean - bias > clear
+        rise = self._rise
+        is_over = excess.ratio < _OVER * rise.peak
+        is_news = is_over or (is_clear and not rise.is_clear)
+        rise.peak = max(rise.peak, excess.ratio)
+        rise.is_clear |= is_clear
+        if rise.peak > 1.0 and (is_news or chunk.end_ns >= rise.look_ns):
+            approach = self._approach_until(chunk.end_ns, bias, noise, is_clear=is_clear)
+            if self._is_contact(approach, chunk.end_ns, may_grow=not (is_clear or is_over)):
+                self._forget_rise()
+                return self._begin(approach, bias, noise, clear, excess)
+        if is_over:
+            self._end_rise(chunk.end_ns, excess.ratio)
+        self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
+        baseline.is_suspected = not self._rise.is_doubted and baseline.is_rising(chunk)
         baseline.keep(chunk)
-        baseline.is_suspected = self._doubted_rise == 0.0 and baseline.is_rising(bias, noise)
-        self._watch_below_baseline(rise < -threshold)
-        self._watch_fall(chunk, threshold)
+        self._watch_below_baseline(chunk.mean - bias < -clear)
+        self._watch_fall(chunk, clear)
         return None
 
-    def _settle_doubt(self) -> None:
+    def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
+        """Whether a rise of the force is told from a drift and from a swing."""
+        if not self._config.measure_bias:
+            return True
+        rise, evidence = self._rise, approach.surface.evidence
+        rise.look_ns = now_ns + round(_RETRY * approach.lasting * NANOSECONDS)
+        if evidence < _MIN_EVIDENCE:
+            # A drift, which rises whatever the probe does; or the beginning of a contact that is
+            # too faint to tell yet.
+            if self._doubted_ns is None:
+                self._doubted_ns = now_ns
+            rise.is_doubted = not may_grow or now_ns - self._doubted_ns > _DOUBT_NS
+        if evidence < (_AMPLE_EVIDENCE if may_grow else _MIN_EVIDENCE):
+            return False
+        return approach.is_established(is_clear=not may_grow)
+
+    def _end_rise(self, now_ns: int, ratio: float) -> None:
+        """Forget a rise that is over, and count it as a drift if no contact came of it."""
+        self._rise.peak = ratio
+        if ratio >= 1.0:
+            return
+        self._rise = _Rise()
+        if self._doubted_ns is not None and now_ns - self._doubted_ns > _DOUBT_NS:
+            self.drifts += self._doubted_chunks >= _DRIFT_CHUNKS
+            self._forget_rise()
+
+    def _forget_rise(self) -> None:
+        self._rise = _Rise()
         self._doubted_ns = None
         self._doubted_chunks = 0
 
     def _watch_below_baseline(self, below: bool) -> None:
-        self._low_chunks = self._low_chunks + 1 if below and self._config.measure_bias else 0
-        if self._low_chunks < _BELOW_BASELINE_CHUNKS:
+        self._chunks_below = self._chunks_below + 1 if below and self._config.measure_bias else 0
+        if self._chunks_below < _BELOW_BASELINE_CHUNKS:
             return
         # The chunks before were a contact, or the force has the wrong sign.
         self.below_baseline += 1
         self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
-        self._low_chunks = 0
+        self._chunks_below = 0
         self._highest = None
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
@@ -274,7 +301,9 @@ class ContactDetector:
             self.below_baseline += 1
             self._highest = None
 
-    def _approach_until(self, now_ns: int, bias: float, white: float) -> Approach:
+    def _approach_until(
+        self, now_ns: int, bias: float, white: float, *, is_clear: bool
+    ) -> Approach:
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -283,7 +312,8 @@ class ContactDetector:
             force -= self._baseline.drift * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
-        surface = find_surface(time, force, displacement, self._order)
+        window = FIRST_WINDOW if is_clear else _LONG_WINDOW
+        surface = find_surface(time, force, displacement, self._order, 0.0, window)
         level = self._baseline.level(
             bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         )
@@ -294,12 +324,14 @@ class ContactDetector:
             )
         return Approach(time, force, displacement, surface)
 
-    def _begin(self, approach: Approach, bias: float, noise: float, threshold: float) -> Onset:
+    def _begin(
+        self, approach: Approach, bias: float, noise: float, clear: float, excess: Excess
+    ) -> Onset:
         pairs, surface = self._samples, approach.surface
         onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         self._baseline.forget_since(onset_ns)
         level = self._baseline.level(bias, noise, onset_ns)
-        air_seen = approach.began_in_air(threshold, self._config.site_timeout)
+        air_seen = approach.began_in_air(clear, self._config.site_timeout)
         # A probe that rested there until the force rose may have pressed already: its bias would
         # hide the preload.
         came = not self._config.measure_bias or approach.came_through_air()
@@ -323,9 +355,12 @@ class ContactDetector:
         )
         self.in_contact = True
         self.force_bias = level.value
-        self.release_threshold = _RELEASE_SHARE * threshold
+        self.release_threshold = _RELEASE_SHARE * excess.threshold
+        self._newest.clear()
+        self._averaged = max(excess.scale, _RELEASE_CHUNKS)
+        self._pressing = level.value + _RELEASE_SHARE * max(clear, excess.threshold)
         self._samples.clear()
-        self._low_chunks = 0
+        self._chunks_below = 0
         self._baseline.is_suspected = False
         self._behind_chunks = 0
         self._surface = self._deepest = surface.displacement
@@ -334,7 +369,8 @@ class ContactDetector:
     def _in_contact(self, chunk: Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
         retreat = self._surface - pair.displacement
-        is_low = chunk.mean - self.force_bias < self._low_threshold
+        level = self.force_bias + self.release_threshold
+        is_low = chunk.mean < level
         is_behind = retreat > _RETREAT * (self._deepest - self._surface)
         self._behind_chunks += is_behind
         # The chunk in which the probe leaves may still be full of contact.
@@ -343,25 +379,24 @@ class ContactDetector:
                 # Behind the surface there is no tissue: the force left is drift of the sensor.
                 self._baseline.forget_all_but(0)
             return self._release(chunk.start_ns)
-        if not is_low:
-            self._low_chunks = 0
-            self._samples.clear()
+        newest = self._newest
+        newest.append(chunk)
+        if len(newest) > self._averaged:
+            newest.popleft()
+        while self._samples[0].stamp_ns < newest[0].start_ns:
+            self._samples.popleft()
+        mean = math.fsum(one.size * one.mean for one in newest) / sum(one.size for one in newest)
+        if len(newest) < self._averaged or mean >= level:
             return None
-        if self._low_chunks == 0:
-            self._low_start_ns = chunk.start_ns
-        self._low_chunks += 1
-        if self._low_chunks < _RELEASE_CHUNKS:
-            return None
-        return self._release(self._low_start_ns)
+        return self._release(newest[0].start_ns)
 
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
         self._has_released = True
-        self._low_chunks = 0
         self._highest = None
         # What is air at the end of a contact is air before the next one.
-        pressing = self.force_bias + self._low_threshold
-        last = max((k for k, p in enumerate(self._samples) if p.force >= pressing), default=-1)
+        pressed = (k for k, p in enumerate(self._samples) if p.force >= self._pressing)
+        last = max(pressed, default=-1)
         for _ in range(last + 1):
             self._samples.popleft()
         return Release(stamp_ns)

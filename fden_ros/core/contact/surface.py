@@ -33,7 +33,7 @@ _MAX_BINS = 96
 _CANDIDATES = 40
 #: The first window is this long [s] and holds at least this many samples; it doubles until the
 #: onset lies well within it.
-_FIRST_WINDOW = 0.1
+FIRST_WINDOW = 0.1
 _MIN_WINDOW_SAMPLES = 24
 _CONTACT_SHARE = 0.6
 #: Before the onset the force is less than this share of that at the detection.
@@ -46,7 +46,7 @@ def find_surface(
     displacement: Array,
     fractional_order: float,
     noise: float = 0.0,
-    window: float = _FIRST_WINDOW,
+    window: float = FIRST_WINDOW,
 ) -> Surface:
     r"""Find where the force begins to follow the displacement.
 
@@ -89,7 +89,7 @@ def find_surface(
         index,
         surface,
         bins.deviation(onset_time, spacing, noise),
-        bins.evidence(onset_time),
+        bins.evidence(onset_time, noise),
         bins.rise(onset_time),
     )
 
@@ -149,12 +149,13 @@ class _Bins:
     def best(self, onset_times: Array) -> float:
         return float(onset_times[np.argmin(self.misfit(onset_times))])
 
-    def evidence(self, onset_time: float) -> float:
+    def evidence(self, onset_time: float, least_noise: float) -> float:
         """Return the chi-squared by which a contact fits better than a line in time."""
         contact = float(self.misfit(np.array([onset_time]))[0])
         line = np.polynomial.Polynomial.fit(self.time, self.force, 1)
         drift = float(np.sum((self.force - line(self.time)) ** 2))
         noise = max(min(contact, drift), sys.float_info.min) / max(self.time.size - 3, 1)
+        noise = max(noise, least_noise**2 / self.size)
         return (drift - contact) / noise
 
     def rise(self, onset_time: float) -> Rise:
