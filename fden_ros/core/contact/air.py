@@ -129,6 +129,11 @@ class Baseline:
         return self._trend.slope
 
     @property
+    def threshold_of_chunk(self) -> float:
+        """The least mean of a single chunk above the bias that is no air [N]."""
+        return float(self._thresholds[0])
+
+    @property
     def reach_ns(self) -> int:
         """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
         reach_ns = max(self._lookback_ns, _LEAST_REMEMBERED * self._chunk_ns)

@@ -116,9 +116,9 @@ _RELEASE_SHARE = 0.5
 #: A contact ends when the mean is below that over as many chunks as told it, at least 2.
 _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
-#: line in time does is a drift. One that may still grow is given time up to 100: what is seen
+#: line in time does is a drift. One that may still grow is given time up to 400: what is seen
 #: longer tells the surface better.
-_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 100.0
+_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 400.0
 #: A rise is looked at again when it has lasted for a quarter longer, or has fallen by 30 %.
 _RETRY, _OVER = 0.25, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
@@ -215,7 +215,7 @@ class ContactDetector:
             samples.popleft()
 
     def _in_air(self, chunk: Chunk) -> Onset | None:
-        config, baseline = self._config, self._baseline
+        baseline = self._baseline
         air = baseline.before(chunk)
         if air is None:
             baseline.keep(chunk)
@@ -223,7 +223,7 @@ class ContactDetector:
         noise = baseline.noise_of(air)
         bias = baseline.bias_at(chunk.end_ns)
         excess = baseline.excess(chunk)
-        clear = max(config.force_threshold, _CLEAR_DEVIATIONS * noise)
+        clear = max(baseline.threshold_of_chunk, _CLEAR_DEVIATIONS * noise)
         is_clear = chunk.mean - bias > clear
         rise = self._rise
         is_over = excess.ratio < _OVER * rise.peak
@@ -234,6 +234,8 @@ class ContactDetector:
             approach = self._approach_until(chunk.end_ns, bias, noise, is_clear=is_clear)
             if self._is_contact(approach, chunk.end_ns, may_grow=not (is_clear or is_over)):
                 self._forget_rise()
+                if is_clear:
+                    excess = Excess(1.0, clear, 1)
                 return self._begin(approach, bias, noise, clear, excess)
         if is_over:
             self._end_rise(chunk.end_ns, excess.ratio)
