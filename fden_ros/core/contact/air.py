@@ -157,11 +157,15 @@ class Baseline:
         chunks.append(chunk)
         self._count += 1
         if self._count % _AIR_EVERY == 0 and self._rises.size == len(SCALES):
-            self._wander_count = min(self._wander_count + 1, _REMEMBERED_WANDER)
-            news = float(self._rises[-1]) ** 2 - self._expected
-            self._wander += (news - self._wander) / self._wander_count
+            self._learn_wander(float(self._rises[-1]))
         while chunk.start_ns - chunks[0].start_ns > self.reach_ns:
             chunks.popleft()
+
+    def _learn_wander(self, rise: float) -> None:
+        """Take a mean over the longest time above the bias [N]; a contact's is none of the air."""
+        if abs(rise) < _SUSPICION * self._thresholds[-1]:
+            self._wander_count = min(self._wander_count + 1, _REMEMBERED_WANDER)
+            self._wander += (rise**2 - self._expected - self._wander) / self._wander_count
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
@@ -218,7 +222,7 @@ class Baseline:
 
     def _thresholds_in(self, chunks: tuple[Chunk, ...], air: Air, size: int) -> Array:
         """Return the least mean that is no air for each scale [N]."""
-        means = np.array([chunk.mean - self.bias_at(chunk.end_ns) for chunk in chunks])
+        means = np.array([chunk.mean for chunk in chunks])
         sd, freedom = scatter_of(
             means, air.size / len(chunks) if chunks else size, self.noise_of(air)
         )

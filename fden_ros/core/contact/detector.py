@@ -223,7 +223,8 @@ class ContactDetector:
         noise = baseline.noise_of(air)
         bias = baseline.bias_at(chunk.end_ns)
         excess = baseline.excess(chunk)
-        clear = max(baseline.threshold_of_chunk, _CLEAR_DEVIATIONS * noise)
+        beyond_noise = max(self._config.force_threshold, _CLEAR_DEVIATIONS * noise)
+        clear = max(beyond_noise, baseline.threshold_of_chunk)
         is_clear = chunk.mean - bias > clear
         rise = self._rise
         is_over = excess.ratio < _OVER * rise.peak
@@ -242,7 +243,7 @@ class ContactDetector:
         self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
         baseline.is_suspected = not self._rise.is_doubted and baseline.is_rising(chunk)
         baseline.keep(chunk)
-        self._watch_below_baseline(chunk.mean - bias < -clear)
+        self._watch_below_baseline(chunk.mean - bias < -beyond_noise)
         self._watch_fall(chunk, clear)
         return None
 

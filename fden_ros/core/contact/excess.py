@@ -44,7 +44,7 @@ def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     Parameters
     ----------
     means : ndarray, shape (n,)
-        Of the chunks in the air, less the bias [N].
+        Of the chunks in the air [N]; their successive differences count (Allan's variance).
     size : float
         Samples in a chunk.
     noise : float
@@ -61,7 +61,8 @@ def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
         weight = _EXPECTED if means.size == 0 else min(freedom, _EXPECTED)
         freedom = max(count - 1, 0)
         averaged = means[means.size - count * scale :].reshape(count, scale).mean(axis=1)
-        square_sum = scale * size * float(averaged @ averaged)
+        steps = np.diff(averaged)
+        square_sum = 0.5 * scale * size * float(steps @ steps)
         variance = (square_sum + weight * variance) / (freedom + weight)
         freedom += weight
         found.append((math.sqrt(variance / (scale * size)), freedom))
