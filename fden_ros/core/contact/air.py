@@ -270,8 +270,9 @@ class Baseline:
         self._air = None
 
     def forget_all_but(self, count: int) -> None:
-        """Drop all chunks but the newest `count`."""
+        """Drop all chunks but the newest `count`, and what was learned against a false bias."""
         recent = tuple(self._chunks)[-count:] if count else ()
+        self._wander, self._wander_count = 0.0, _UNSEEN_WANDER
         self._air = None
         self._chunks.clear()
         self._chunks.extend(recent)
