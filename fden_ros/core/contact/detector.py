@@ -116,9 +116,9 @@ _RELEASE_SHARE = 0.5
 #: A contact ends when the mean is below that over as many chunks as told it, at least 2.
 _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
-#: line in time does is a drift. One that may still grow is given time up to 100: what is seen
+#: line in time does is a drift. One that may still grow is given time up to 400: what is seen
 #: longer tells the surface better.
-_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 100.0
+_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 400.0
 #: A rise is looked at again when it has lasted for a quarter longer, or has fallen by 30 %.
 _RETRY, _OVER = 0.25, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
