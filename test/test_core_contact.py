@@ -350,6 +350,42 @@ def test_a_drift_that_no_contact_comes_of_is_counted_once():
     assert detector.drifts == 1
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_press_that_one_sample_does_not_show_is_found_and_ends(seed):
+    # 47 mN, held for 2 s, in 20 mN of noise a sample.
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(0.0, 10.0, 2e-3)
+    depth = 2e-3 * np.interp(seconds, [0.0, 4.0, 5.0, 7.0, 8.0], [-5.0, 0.0, 1.0, 1.0, -5.0])
+    force = 0.3 + 47.0 / 2.0 * np.maximum(depth, 0.0) + 0.02 * rng.standard_normal(depth.size)
+    detector, events = events_of(made(force, depth, 500.0))
+    (told_ns, onset), (ended_ns, _) = events
+    assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
+    # Three quarters of the hold are left for the estimate to be shown.
+    assert told_ns - START_NS < 5500 * MS
+    assert abs(ended_ns - START_NS - 7170 * MS) < 320 * MS
+    assert detector.drifts == 0
+
+
+@pytest.mark.parametrize("rate_hz", [125.0, 250.0, 500.0, 1000.0])
+def test_a_brief_press_of_two_and_a_half_deviations_is_found_once(rate_hz):
+    # 0.2 s; of 40 each none is missed. At 60 Hz 6 are, at 30 Hz 28.
+    rng = np.random.default_rng(5)
+    seconds = np.arange(0.0, 9.0, 1.0 / rate_hz)
+    way = np.interp(seconds, [0.0, 4.7, 5.0, 5.03, 5.17, 5.2, 5.5], [-10, -10, 0, 1, 1, 0, -10])
+    force = 0.05 * np.maximum(way, 0.0) + 0.02 * rng.standard_normal(way.size)
+    assert len(onsets(events_of(made(force, 2e-3 * way, rate_hz))[1])) == 1
+
+
+def test_a_contact_that_is_told_faintly_and_grows_ends_as_a_clear_one():
+    rng = np.random.default_rng(6)
+    seconds = np.arange(0.0, 16.0, 1e-2)
+    way = np.interp(seconds, [0.0, 5.0, 11.0, 11.5, 16.0], [-1.0, 0.0, 1.0, -1.0, -2.0])
+    force = 0.5 * np.maximum(way, 0.0) ** 2 + 0.02 * rng.standard_normal(way.size)
+    _, events = events_of(made(force, 5e-3 * way, 100.0))
+    assert [type(event) for _, event in events] == [Onset, Release]
+    assert abs(events[1][1].stamp_ns - START_NS - 11_200 * MS) < 100 * MS
+
+
 def test_air_is_known_only_after_some_chunks_and_not_in_contact():
     rng = np.random.default_rng(11)
     force, displacement = press(rng)

@@ -116,11 +116,11 @@ _RELEASE_SHARE = 0.5
 #: A contact ends when the mean is below that over as many chunks as told it, at least 2.
 _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
-#: line in time does is a drift. One that may still grow is given time up to 400: what is seen
+#: line in time does is a drift. One that may still grow is given time up to 200: what is seen
 #: longer tells the surface better.
-_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 400.0
-#: A rise is looked at again when it has lasted for a quarter longer, or has fallen by 30 %.
-_RETRY, _OVER = 0.25, 0.7
+_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 200.0
+#: A rise is looked at again when it has lasted for a tenth longer, or has fallen by 30 %.
+_RETRY, _OVER = 0.1, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
 #: within 1 s [ns].
 _DRIFT_CHUNKS, _DOUBT_NS = 2, 1_000_000_000
@@ -161,7 +161,7 @@ class ContactDetector:
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
-        self.release_threshold = 0.0  #: force below which the probe is no longer pressing [N]
+        self.release_threshold = 0.0  #: force of a sample that is not pressing [N]
         self.reset()
 
     def reset(self) -> None:
@@ -180,7 +180,7 @@ class ContactDetector:
         )
         self._chunks = Chunks()
         self._has_released = False
-        self._pressing = 0.0
+        self._clear = self._low_threshold = 0.0
         self._newest: deque[Chunk] = deque()
         self._averaged = _RELEASE_CHUNKS
         self._chunks_below = 0
@@ -358,10 +358,11 @@ class ContactDetector:
         )
         self.in_contact = True
         self.force_bias = level.value
-        self.release_threshold = _RELEASE_SHARE * excess.threshold
+        self._clear = max(clear, excess.threshold)
+        self.release_threshold = _RELEASE_SHARE * self._clear
+        self._low_threshold = _RELEASE_SHARE * excess.threshold
         self._newest.clear()
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
-        self._pressing = level.value + _RELEASE_SHARE * max(clear, excess.threshold)
         self._samples.clear()
         self._chunks_below = 0
         self._baseline.is_suspected = False
@@ -371,8 +372,10 @@ class ContactDetector:
 
     def _in_contact(self, chunk: Chunk, pair: Pair) -> Release | None:
         self._deepest = max(self._deepest, pair.displacement)
+        if chunk.mean - self.force_bias > self._clear:
+            self._tell_by_chunks()
         retreat = self._surface - pair.displacement
-        level = self.force_bias + self.release_threshold
+        level = self.force_bias + self._low_threshold
         is_low = chunk.mean < level
         is_behind = retreat > _RETREAT * (self._deepest - self._surface)
         self._behind_chunks += is_behind
@@ -384,7 +387,7 @@ class ContactDetector:
             return self._release(chunk.start_ns)
         newest = self._newest
         newest.append(chunk)
-        if len(newest) > self._averaged:
+        while len(newest) > self._averaged:
             newest.popleft()
         while self._samples[0].stamp_ns < newest[0].start_ns:
             self._samples.popleft()
@@ -393,12 +396,18 @@ class ContactDetector:
             return None
         return self._release(newest[0].start_ns)
 
+    def _tell_by_chunks(self) -> None:
+        """End a contact, however faintly it began, as one that single chunks have told."""
+        self._averaged = _RELEASE_CHUNKS
+        self._low_threshold = self.release_threshold
+
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
         self._has_released = True
         self._highest = None
         # What is air at the end of a contact is air before the next one.
-        pressed = (k for k, p in enumerate(self._samples) if p.force >= self._pressing)
+        pressing = self.force_bias + self.release_threshold
+        pressed = (k for k, p in enumerate(self._samples) if p.force >= pressing)
         last = max(pressed, default=-1)
         for _ in range(last + 1):
             self._samples.popleft()
