@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
+from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
@@ -149,6 +150,8 @@ class ContactSummary:
     comparison: Comparison | None = None
     #: At the deepest point of the contact.
     apparent_stiffness: ApparentStiffness | None = None
+    #: What makes the estimate uncertain where it has not converged.
+    budget: Budget | None = None
     rig: RigKnowledge | None = None  #: with which the next site begins
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 

@@ -394,6 +394,7 @@ class Press:
             max_strain=self._max_strain,
             max_stress=self._max_stress,
             max_force=self._max_force,
+            budget=self.site.budget(),
             sample_count=self._sample_count,
             rejected_count=count,
             classes=answer.classes,

@@ -14,6 +14,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
+from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
@@ -401,7 +402,8 @@ class Site:
                 _check_finite(innovation.innovation, innovation.variance)
             else:
                 self._estimator.skip()
-            if not is_silent:
+            if not is_silent or self.estimate is None:
+                # A contact that is told as it ends has silent blocks alone.
                 self._finding.update(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
 
@@ -452,6 +454,13 @@ class Site:
         off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
+
+    def budget(self) -> Budget | None:
+        """Return what makes the estimate uncertain where it has not converged; None: not known."""
+        estimate = self.usable_estimate
+        if self._estimator is None or estimate is None or estimate.converged:
+            return None
+        return self._estimator.budget()
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""

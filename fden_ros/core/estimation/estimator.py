@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+
+if TYPE_CHECKING:
+    from fden_ros.core.estimation.budget import Budget
 
 
 class Block(NamedTuple):
@@ -82,6 +85,9 @@ class Estimator(Protocol):
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
+
+    def budget(self) -> Budget | None:
+        """Return what makes the estimate uncertain; None: not known."""
 
     def finish(self) -> None:
         """Bring the estimate to its best at the end of a contact."""

@@ -139,6 +139,9 @@ class FractionalStressEstimator:
     def skip(self) -> None:
         """Let the samples since the last block go by."""
 
+    def budget(self) -> None:
+        """Return nothing: these filters know no error of the rig."""
+
     def finish(self) -> None:
         """Return at once: an update of these filters leaves nothing to solve."""
 

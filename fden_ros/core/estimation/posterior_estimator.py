@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
 from fden_ros.core.estimation.estimate import Estimate, LawError
 from fden_ros.core.estimation.estimator import Block, Innovation
@@ -213,6 +214,10 @@ class PosteriorEstimator:
         self._remember(block.stress)
         self._sample_count += block.size
         return self._press.update(block.stress, block.compression)
+
+    def budget(self) -> Budget | None:
+        """Return what makes the estimate of the newest press uncertain; None: not known."""
+        return budget_of(self._press) if self._press is not None else None
 
     def finish(self) -> None:
         """Solve anew at the end of a contact, from all starts."""

@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""What makes ln G and ln Gn uncertain: the part of their variance that each source has.
+
+A source's part is the variance with it less the variance with it known: its unknowns taken out of
+the normal equations, its process without variance. Parts do not add up, as sources hide each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import ErrorModel, Errors, Noise
+from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN
+
+#: Sources, and the names of the unknowns that are theirs.
+SOURCES: Mapping[str, tuple[str, ...]] = {
+    "noise": (),
+    "drift": ("drift",),
+    "friction": ("friction",),
+    "motion": (),
+    "compliance": ("compliance",),
+    "delay": ("delay",),
+    "surface": ("origin",),
+    "law": (),
+    "thickness": (),
+    "prior": LAW,
+}
+#: What is left of the variance of a noise that is known [1]: none would leave nothing to weigh by.
+_KNOWN_NOISE = 1e-8
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What makes an estimate uncertain.
+
+    Attributes
+    ----------
+    variances : tuple of float
+        Of ln G and ln Gn, in all [1].
+    parts : mapping
+        Source to its parts of the two [1].
+    stress_noise : float
+        Standard deviation of the stress per sample [Pa].
+    surface_sd : float
+        Of the compression at which the tissue begins [1].
+    """
+
+    variances: tuple[float, float]
+    parts: Mapping[str, tuple[float, float]]
+    stress_noise: float
+    surface_sd: float
+
+    def largest(self, index: int, least: float = 0.1) -> tuple[str, ...]:
+        """Return the sources of ln G (`index` 0) or ln Gn (1), the largest first.
+
+        Those with less than the share `least` of the variance are left out.
+        """
+        whole = self.variances[index]
+        found = {name: part[index] for name, part in self.parts.items()}
+        names = sorted(found, key=lambda name: -found[name])
+        return tuple(name for name in names if found[name] > least * whole)
+
+    def share(self, source: str, index: int) -> float:
+        """Return a source's share of the variance [1]."""
+        return self.parts[source][index] / self.variances[index] if self.variances[index] else 0.0
+
+
+def budget_of(press: PressPosterior) -> Budget | None:
+    """Return the budget of a press by its newest solution; None: there is none."""
+    if press.solved is None or press.is_lost:
+        return None
+    setting, whole = press.setting, _Press(press, press.solved)
+    variances = whole.without("")
+    thickness = setting.config.uncertainty.thickness_sd**2
+    parts = {name: _part(variances, whole.without(name)) for name in SOURCES}
+    considered = press.solved.best.considered
+    if considered is not None:
+        order = considered.diagonal()[[LOG_G, LOG_GN]]
+        variances = variances + order
+        parts["prior"] = tuple(order.tolist())
+    parts["thickness"] = (thickness, thickness)
+    log_g, log_gn = (variances + thickness).tolist()
+    origin = press.solved.best.covariance.diagonal()[3]
+    return Budget(
+        (log_g, log_gn),
+        parts,
+        setting.stress_sd,
+        setting.origin_sd * math.sqrt(max(float(origin), 0.0)),
+    )
+
+
+def _part(whole: Array, without: Array) -> tuple[float, float]:
+    log_g, log_gn = np.maximum(whole - without, 0.0).tolist()
+    return log_g, log_gn
+
+
+class _Press:
+    """The posterior about the best maximum, of which single sources can be made known."""
+
+    def __init__(self, press: PressPosterior, solved: Solved) -> None:
+        maximum, setting = solved.best.maximum, press.setting
+        self._model, self._known = solved.model, solved.posterior.known
+        self._rows, self._errors = maximum.evaluation.jacobian, maximum.errors
+        self._scales = maximum.scales
+        self._precision = solved.posterior.precision(maximum.state, maximum.scales)
+        self._noise = Noise(setting.stress_sd, press.compression_sd, setting.zero_sd)
+        self._uncertainty = setting.config.uncertainty
+
+    def without(self, source: str) -> Array:
+        """Return the variances of ln G and ln Gn, shape (2,), with a source known."""
+        errors, noise = _errors_without(source, self._errors), self._noise
+        if source == "drift":
+            noise = replace(noise, zero=0.0)
+        roughness = 0.0 if source == "law" else self._scales.roughness
+        error_model = ErrorModel(self._model, self._uncertainty, noise)
+        white, _, _ = error_model.whitened(self._rows, errors, roughness, self._scales.motion)
+        normal = white.T @ white + self._precision
+        return np.array([self._variance(normal, k, source) for k in (LOG_G, LOG_GN)])
+
+    def _variance(self, normal: Array, place: int, source: str) -> float:
+        """Return the variance of an unknown without those of a source but itself."""
+        names = SOURCES.get(source, ())
+        gone = {k for k, u in enumerate(self._model.unknowns) if u.name in names} - {place}
+        if source == "law":
+            gone |= set(range(self._model.kernel.start, self._model.characteristic.stop))
+        free = [k for k in range(self._model.size) if k not in gone | set(self._known.tolist())]
+        if place not in free:
+            return 0.0
+        scale = 1.0 / np.sqrt(normal.diagonal()[free])
+        towards = np.zeros(len(free))
+        at = free.index(place)
+        towards[at] = 1.0
+        scaled = normal[np.ix_(free, free)] * np.outer(scale, scale)
+        return float(np.linalg.solve(scaled, towards)[at]) * float(scale[at]) ** 2
+
+
+def _errors_without(source: str, errors: Errors) -> Errors:
+    if source == "noise":
+        return replace(errors, noise=_KNOWN_NOISE * errors.noise)
+    if source == "drift":
+        return replace(errors, drift=0.0 * errors.drift)
+    if source == "motion":
+        return replace(errors, motion=0.0 * errors.motion)
+    return errors
