@@ -18,7 +18,9 @@ from rich.console import Console
 from benchmark.measured import Test as Measured
 from benchmark.measured import identify as identify_measured
 from fden_ros.control.live_tissue import LiveTissue, Refusal
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import KEYS, PUBLISHED, Estimate, LawError, ParameterSet
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import contact_object
@@ -31,6 +33,13 @@ from fden_ros.simulation.simulate import simulate
 
 G, GN = ParameterSet.LINEAR_STIFFNESS, ParameterSet.NONLINEAR_STIFFNESS
 ALPHA = ParameterSet.FRACTIONAL_ORDER
+<<<<<<< HEAD
+=======
+#: Of what the remarks are on.
+CONFIG = PipelineConfig(None, estimator=EstimatorConfig(prior=Prior(fractional_order=0.31)))
+#: Folder of the measured data: not part of the repository.
+DATA = os.environ.get("FDEN_DATA")
+>>>>>>> 5af6961 (A contact that has not converged says why, in numbers, and what would help; its N/m is known as its slope is)
 LINEAR, ELASTIC = (20000.0, 1.5, 0.2), (2000.0, 8.0, 1e-6)
 
 
@@ -92,7 +101,7 @@ def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable(
     assert estimate.valid == estimate.known == G | ALPHA
     assert np.all(np.abs(off(estimate, LINEAR)[[0, 2]]) < 4.0)
     assert status_words(summary) == "G known"
-    (said,) = remarks(summary, 0.31)
+    (said,) = remarks(summary, CONFIG)
     assert said.startswith("G is known, Gn is not observable: the strain reached 0.2")
     assert "press deeper" not in said
     found = contact_object(summary)
@@ -151,7 +160,7 @@ def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged() -> No
     assert summary.flags & Flag.ESTIMATE_AT_EDGE and not summary.converged
     assert estimate.at_edge == ALPHA and estimate.known == ParameterSet.NONE
     assert "estimate at edge" in status_words(summary)
-    said = " ".join(remarks(summary, 0.31))
+    said = " ".join(remarks(summary, CONFIG))
     assert "an end of the range of alpha" in said and "prior knowledge" not in said
     for state in states_of(pressed(ELASTIC)):
         assert state.estimate is not None

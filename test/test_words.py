@@ -19,7 +19,9 @@ from rich.console import Console
 
 from fden_ros.cli import main
 from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag, OrderSource
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.decisions import Decisions
@@ -40,6 +42,8 @@ PRESS = ROOT / "bags" / "golden" / "golden_press"
 TABLE = ROOT / "examples" / "press.csv"
 PROBE = ROOT / "examples" / "probe.yaml"
 COLUMNS = "time_s,force_N,depth_mm*1e-3"
+#: Of what the remarks are on.
+CONFIG = PipelineConfig(None, estimator=EstimatorConfig(prior=Prior(fractional_order=0.131)))
 #: Of the simulated probe.
 AREA, THICKNESS = math.pi * 0.01**2, 0.02
 
@@ -117,7 +121,7 @@ def test_of_material_that_is_linear_so_far_g_is_known_and_gn_is_not() -> None:
     known = estimate.known & ParameterSet.STIFFNESS
     assert known is ParameterSet.LINEAR_STIFFNESS
     assert abs(estimate[0] - math.log(577.0)) < 4.0 * estimate.deviations[0]
-    (text,) = (text for text in remarks(contact, 0.131) if "Gn" in text)
+    (text,) = (text for text in remarks(contact, CONFIG) if "Gn" in text)
     assert "Gn is not observable" in text and "G is known" in text
     assert "press deeper" not in text
 
@@ -126,7 +130,7 @@ def test_an_alpha_that_is_not_the_prior_s_is_not_called_prior_knowledge() -> Non
     unlearned = ParameterSet.STIFFNESS
     estimate = ESTIMATE._replace(fractional_order=0.01, valid=unlearned, known=unlearned)
     contact = summary(estimate=estimate, order_source=OrderSource.PRIOR)
-    (text,) = remarks(contact, 0.131)
+    (text,) = remarks(contact, CONFIG)
     assert "0.010 ± 0.010" in text and "prior 0.131" in text
     assert "is prior knowledge" not in text
 

@@ -21,6 +21,7 @@ from fden_ros.commands.inputs import (
 
 if TYPE_CHECKING:
     from fden_ros.offline.replay import Replay
+    from fden_ros.parameters import Parameters
 
 _NOTHING_IDENTIFIED = 3
 
@@ -75,8 +76,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"fden: {slow}", file=sys.stderr)
     if args.output is None:
         result = replay(args.bag, parameters, selection, progress=progress)
-        _show(result, args.json)
-        return _exit_code(result, parameters.contact.mode)
+        return _shown(result, parameters, args.json)
     from fden_ros.offline.results import replay_to_bag
 
     # As Ctrl-C does: what was written so far is removed on the way out.
@@ -90,23 +90,41 @@ def run(args: argparse.Namespace) -> int:
         overwrite=args.force,
         progress=progress,
     )
-    _show(result, args.json)
+    code = _shown(result, parameters, args.json)
     if not args.json:
         print(f"wrote {args.output}")
-    return _exit_code(result, parameters.contact.mode)
+    return code
 
 
-def _exit_code(result: Replay, mode: str) -> int:
+def _shown(result: Replay, parameters: Parameters, as_json: bool) -> int:
+    """Print a replay; return the exit code."""
+    lacking = _lacking(result, parameters)
+    _show(result, lacking, as_json)
     if result.has_identified:
         return 0
     why = "no contact is converged"
-    if mode == "continuous":
+    if parameters.contact.mode == "continuous":
         why = "no stiffness along the path, which takes a probe that palpates as it slides"
+    elif lacking:
+        # What a place lacks is least after its last contact.
+        why += f"; {lacking[-1]}"
     print(f"fden: nothing was identified: {why}", file=sys.stderr)
     return _NOTHING_IDENTIFIED
 
 
-def _show(result: Replay, as_json: bool) -> None:
+def _lacking(result: Replay, parameters: Parameters) -> list[str]:
+    """Return what the contacts lack that have not converged, a line each."""
+    from fden_ros.offline.advice import shortfall
+    from fden_ros.parameters import pipeline_config
+
+    if parameters.contact.mode == "continuous":
+        return []
+    config = pipeline_config(parameters)
+    each = ((s.contact_id, shortfall(s, config)) for s in result.summaries)
+    return [f"contact {number}: {words}" for number, words in each if words]
+
+
+def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
 
@@ -124,6 +142,8 @@ def _show(result: Replay, as_json: bool) -> None:
     )
     for reason, count in result.rejected.items():
         console.print(f"  {reason}: {count}")
+    for words in lacking:
+        console.print(escape(words))
     for warning in result.warnings:
         console.print(f"[yellow]warning:[/yellow] {escape(warning)}")
 

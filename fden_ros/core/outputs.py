@@ -6,8 +6,11 @@
 from __future__ import annotations
 
 import enum
+import math
 import traceback
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
@@ -256,14 +259,18 @@ def apparent_stiffness_of(
 ) -> ApparentStiffness | None:
     """Return the apparent stiffness about `compression` [1] for a motion of `time_scale` [s].
 
-    `compression` counts from the nominal origin. None while one of both is not known.
+    `compression` counts from the nominal origin. None while one of both is not known. Beyond 1/Gn
+    it is Gn times the stress: where no surface was seen it is known as well as these, whatever G.
     """
     if estimate is None or compression is None:
         return None
-    mean, covariance = estimate.mean, estimate.covariance
+    mean, covariance, of_gn = estimate.mean, estimate.covariance, 0.0
     depth = compression - estimate.strain_origin
-    stiffness = apparent_stiffness(mean, covariance, geometry, depth, time_scale)
-    return ApparentStiffness(*stiffness, time_scale)
+    if estimate.nonlinear_stiffness * geometry.strain(depth) > 1.0:
+        covariance = covariance - np.diag((*estimate.hidden, 0.0))
+        of_gn = estimate.hidden[1]
+    value, sd = apparent_stiffness(mean, covariance, geometry, depth, time_scale)
+    return ApparentStiffness(value, math.hypot(sd, value * math.sqrt(of_gn)), time_scale)
 
 
 def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:

@@ -128,6 +128,7 @@ class _Report:
             "batches": backlog.batches,
             **{f"lost.{k}": n for k, n in sorted((session.lost + backlog.dropped).items())},
             "last refusal": refusal,
+            "last contact": session.lacks,
             # Each alone: a problem may hold the mark that stands between them in the message.
             **{f"problem {n}": one for n, one in enumerate([*pipeline.problems, *problems], 1)},
         }

@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
-from fden_ros.core.outputs import Output, TissueState, placed, stale
+from fden_ros.core.outputs import ContactSummary, Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
@@ -31,6 +31,7 @@ from fden_ros.nodes.decisions import Decisions
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.nodes.tool_identification import ToolCollection, ToolIdentification
+from fden_ros.offline.advice import shortfall
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import Topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
@@ -83,6 +84,7 @@ class Session:
         self._last_input = self._steady.now()
         self._said_stale: Time | None = None
         self._seen_pairs = self._seen_failures = 0
+        self.lacks = ""  #: the newest contact to converge, and what would help
         self._is_open = False
         self._timer = node.create_timer(_STALE_CHECK_PERIOD, self._look, clock=self._steady)
 
@@ -212,6 +214,10 @@ class Session:
         self._publish_messages(output)
         for decision in self._decisions.of(output):
             self._node.get_logger().debug(decision)
+        if isinstance(output, ContactSummary):
+            self.lacks = shortfall(output, self.pipeline.config)
+            if self.lacks:
+                self._node.get_logger().info(f"contact {output.contact_id}: {self.lacks}")
 
     def _publish_messages(self, output: Output) -> None:
         output = placed(output, self.inputs.displacement_frame)

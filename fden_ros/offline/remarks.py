@@ -5,15 +5,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.outputs import (
-    WITHHELD,
-    ContactSummary,
-    Flag,
-)
+from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.offline.advice import shortfall
 
 #: What a flag stands for; ALPHA_CONTRADICTED has its numbers.
 _BY_FLAG = {
@@ -45,8 +42,8 @@ _BY_FLAG = {
 }
 
 
-def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
-    """Yield, in words, what stands against a conclusion; `prior_order` is the prior's alpha."""
+def remarks(summary: ContactSummary, config: PipelineConfig) -> Iterator[str]:
+    """Yield, in words, what stands against a conclusion."""
     estimate = summary.estimate
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
@@ -63,14 +60,15 @@ def remarks(summary: ContactSummary, prior_order: float) -> Iterator[str]:
         yield "There is no estimate."
     elif estimate.at_edge:
         yield from _at_edge(estimate)
-    elif not summary.converged and not summary.flags & WITHHELD:
-        yield _not_converged(summary, estimate)
+    elif words := shortfall(summary, config):
+        yield f"{words[0].upper()}{words[1:]}."
     if estimate is not None and not (
         estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid
     ):
         yield (
             f"alpha is not determined by the data: {estimate.fractional_order:.3f} ± "
-            f"{estimate.fractional_order_sd:.3f}, by the prior {prior_order:.3f}."
+            f"{estimate.fractional_order_sd:.3f}, by the prior "
+            f"{config.estimator.prior.fractional_order:.3f}."
         )
 
 
@@ -94,24 +92,3 @@ def _at_edge(estimate: Estimate) -> Iterator[str]:
     ):
         if parameter in estimate.at_edge:
             yield f"No estimate, but an end of the range of {words}."
-
-
-def _not_converged(summary: ContactSummary, estimate: Estimate) -> str:
-    reached = f"the strain reached {summary.max_strain:.3f}"
-    boundary = f"1/Gn, about {math.exp(-estimate.log_nonlinear_stiffness):.3f}"
-    if ParameterSet.NONLINEAR_STIFFNESS in estimate.valid:
-        poor = [
-            f"{name} is known to {100 * estimate.deviations[index]:.0f} %"
-            for index, name in enumerate(("G", "Gn"))
-            if not estimate.knows(index)
-        ]
-        return f"Not converged: {', '.join(poor)} only."
-    if ParameterSet.LINEAR_STIFFNESS in estimate.known:
-        return (
-            f"G is known, Gn is not observable: {reached} and did not surely pass the boundary "
-            f"{boundary}."
-        )
-    return (
-        f"Not converged: {reached} and did not surely pass the boundary {boundary}. Gn is prior "
-        "knowledge still: press deeper."
-    )

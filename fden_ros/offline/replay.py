@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import KEYS
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
@@ -204,7 +205,17 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "ratio": compared.ratio if compared is not None else None,
         "ratio_low": low,
         "ratio_high": high,
+        "budget": _budget_object(summary.budget),
         "rig": _rig_object(summary.rig),
+    }
+
+
+def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:
+    """Return the shares of the variances of ln G and ln Gn by their sources."""
+    if budget is None:
+        return None
+    return {
+        name: {"g": budget.share(name, 0), "g_n": budget.share(name, 1)} for name in budget.parts
     }
 
 

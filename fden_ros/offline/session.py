@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import (
@@ -25,7 +26,7 @@ from fden_ros.core.outputs import (
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.offline.signals import Envelope, Signals, before
-from fden_ros.parameters import Parameters, geometry_of
+from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, is_table
 from fden_ros.recording.synthetic import read_truth
@@ -161,8 +162,13 @@ class Session:
     displacement: Envelope
     start_ns: int
     end_ns: int
-    geometry: Geometry
+    config: PipelineConfig
     truth: dict[int, dict[str, Any]]  #: by site, of simulated recordings
+
+    @property
+    def geometry(self) -> Geometry:
+        """Of the probe and the tissue."""
+        return self.config.geometry
 
     @property
     def duration(self) -> float:
@@ -207,7 +213,7 @@ def gather(
         displacement=signals.displacement,
         start_ns=signals.start_ns or 0,
         end_ns=signals.end_ns,
-        geometry=geometry_of(parameters),
+        config=pipeline_config(parameters),
         truth=_truth(bag, selection),
     )
 

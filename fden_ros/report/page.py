@@ -235,7 +235,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "row": _row(summary, on_path=False),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
-        "remarks": list(remarks(summary, session.parameters.prior.alpha)),
+        "remarks": list(remarks(summary, session.config)),
         "drawings": drawings,
         "law": law(summary.estimate),
         "test": contact.innovations.test,

@@ -11,18 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from fden_ros.core.classification.classifier import UNKNOWN
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.offline.advice import LARGEST_COMPRESSION, cure, wanted_strain
 from fden_ros.offline.session import Contact, Session
 from fden_ros.report.numbers import DASH, stiffness
 
 #: So many places are named one by one.
 _EACH = 3
-#: Gn shows where the strain passes 1/Gn; at this many times of it, it surely has.
-_BEYOND_BOUNDARY = 1.5
-#: No soft tissue is pressed farther, as a part of its thickness or of the probe's radius.
-_LARGEST_COMPRESSION = 0.7
 
 
 def sentence(session: Session) -> str:
@@ -37,25 +35,25 @@ def sentence(session: Session) -> str:
     # A place is known best at the end of its last contact.
     places = list({summary.site_id: summary for summary in summaries}.values())
     if len(places) > _EACH:
-        return _of_many(places, session.geometry)
+        return _of_many(places, session.config)
     speeds = {
         contact.contact_id: _speed(contact, session.geometry) for contact in session.contacts
     }
     parts = []
     for place in places:
-        remedy = next_step(place, session.geometry, speeds.get(place.contact_id))
+        remedy = next_step(place, session.config, speeds.get(place.contact_id))
         words = _what(place, session.geometry) + (f"; {remedy}" if remedy else "")
         parts.append(words if len(places) == 1 else f"site {place.site_id}: {words}")
     return _sentence(". ".join(part[0].upper() + part[1:] for part in parts))
 
 
-def next_step(summary: ContactSummary, geometry: Geometry, speed: float | None) -> str:
+def next_step(summary: ContactSummary, config: PipelineConfig, speed: float | None) -> str:
     """Return what to do so that more of a place is known; empty where all is.
 
     Parameters
     ----------
     summary : ContactSummary
-    geometry : Geometry
+    config : PipelineConfig
     speed : float or None
         Of the press [m/s], where it is known.
     """
@@ -68,25 +66,21 @@ def next_step(summary: ContactSummary, geometry: Geometry, speed: float | None) 
         return "begin 1 s in the air for G and Gn"
     if estimate is None or estimate.at_edge:
         return "see what stands against an estimate"
-    if not estimate.determines(1):
-        return _deeper(summary.max_strain, estimate.nonlinear_stiffness, geometry, speed)
-    poor = " and ".join(
-        name for index, name in enumerate(("G", "Gn")) if not estimate.knows(index)
-    )
-    if poor:
-        return f"press here once more for {poor}"
+    remedy = cure(summary, config)
+    if remedy and not estimate.determines(1):
+        remedy += _longer(summary.max_strain, estimate.nonlinear_stiffness, config.geometry, speed)
+    if remedy:
+        return remedy
     return "" if estimate.determines(2) else "hold for 2 s for alpha"
 
 
-def _deeper(strain: float, gn: float, geometry: Geometry, speed: float | None) -> str:
-    """Return how far to press for Gn; a strain that was reached without a bend is too small."""
-    wanted = max(_BEYOND_BOUNDARY / gn, 1.5 * strain)
-    compression = geometry.compression(wanted)
-    if compression > _LARGEST_COMPRESSION:
-        return "it hardly stiffens this far, so Gn is not seen"
-    depth, reached = (geometry.length * c for c in (compression, geometry.compression(strain)))
-    words = f"press to {1e3 * depth:.2g} mm for Gn"
-    return words + (f" ({(depth - reached) / speed:.1f} s longer)" if speed else "")
+def _longer(strain: float, gn: float, geometry: Geometry, speed: float | None) -> str:
+    """Return how much longer to press at a speed [m/s] for Gn, in brackets."""
+    compression = geometry.compression(wanted_strain(strain, gn))
+    if not speed or compression > LARGEST_COMPRESSION:
+        return ""
+    way = geometry.length * (compression - geometry.compression(strain))
+    return f" ({way / speed:.1f} s longer)"
 
 
 def _speed(contact: Contact, geometry: Geometry) -> float | None:
@@ -119,7 +113,7 @@ def _tissue(place: ContactSummary) -> str:
     return f"{label}-like" if label else ""
 
 
-def _of_many(places: Sequence[ContactSummary], geometry: Geometry) -> str:
+def _of_many(places: Sequence[ContactSummary], config: PipelineConfig) -> str:
     tissues = Counter(_tissue(place) or "of undetermined tissue" for place in places)
     listed = ", ".join(f"{count} {tissue}" for tissue, count in tissues.most_common())
     words = f"{len(places)} places, {listed}"
@@ -130,7 +124,7 @@ def _of_many(places: Sequence[ContactSummary], geometry: Geometry) -> str:
     ]
     if values:
         words += f"; {min(values):.3g} to {max(values):.3g} N/m"
-    steps = Counter(filter(None, (next_step(place, geometry, None) for place in places)))
+    steps = Counter(filter(None, (next_step(place, config, None) for place in places)))
     for step, count in steps.most_common(1):
         words += f"; at {count} of them {step}"
     return _sentence(words)

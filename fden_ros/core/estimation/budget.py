@@ -4,7 +4,7 @@
 r"""What makes ln G and ln Gn uncertain: the part of their variance that each source has.
 
 A source's part is the variance with it less the variance with it known: its unknowns taken out of
-the normal equations, its process without variance. Parts do not add up, as sources hide each other.
+the normal equations, its process without variance. Parts do not add up: one hides another.
 """
 
 from __future__ import annotations

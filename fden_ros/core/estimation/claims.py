@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet, StateIndex
+from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 
 
@@ -99,11 +99,14 @@ def _without_surface(
 ) -> Estimate:
     """Leave G open, and claim no Gn: the origin goes with both."""
     prior, covariance = config.prior, estimate.covariance.copy()
-    log_g, log_gn = StateIndex.LOG_LINEAR_STIFFNESS, StateIndex.LOG_NONLINEAR_STIFFNESS
-    covariance[log_g, log_g] += prior.linear_stiffness_log_sd**2
-    covariance[log_gn, log_gn] += (_HIDDEN * prior.nonlinear_stiffness_log_sd) ** 2
+    hidden = (
+        prior.linear_stiffness_log_sd**2,
+        (_HIDDEN * prior.nonlinear_stiffness_log_sd) ** 2,
+    )
+    covariance[:2, :2] += np.diag(hidden)
     return estimate._replace(
         covariance=covariance,
+        hidden=hidden,
         valid=estimate.valid & ~ParameterSet.LINEAR_STIFFNESS,
         known=estimate.known & ~ParameterSet.STIFFNESS,
     )
@@ -111,7 +114,10 @@ def _without_surface(
 
 def _widened(config: EstimatorConfig, estimate: Estimate, reservations: Reservations) -> Estimate:
     """Widen the covariance: what is still sharp enough stays known."""
-    wide = estimate._replace(covariance=reservations.variance_factor * estimate.covariance)
+    factor, (log_g, log_gn) = reservations.variance_factor, estimate.hidden
+    wide = estimate._replace(
+        covariance=factor * estimate.covariance, hidden=(factor * log_g, factor * log_gn)
+    )
     return wide._replace(known=wide.known & converged(config, wide.deviations, wide.valid))
 
 

@@ -94,6 +94,9 @@ class Estimate(NamedTuple):
     at_edge: ParameterSet = ParameterSet.NONE
     #: Whether the relaxation contradicts the alpha that was stated.
     is_order_contradicted: bool = False
+    #: What the variances of ln G and ln Gn have because no surface was seen [1]: where the tissue
+    #: begins, on which the slope of the force does not depend.
+    hidden: tuple[float, float] = (0.0, 0.0)
 
     @property
     def converged(self) -> bool:
