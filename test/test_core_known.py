@@ -33,13 +33,8 @@ from fden_ros.simulation.simulate import simulate
 
 G, GN = ParameterSet.LINEAR_STIFFNESS, ParameterSet.NONLINEAR_STIFFNESS
 ALPHA = ParameterSet.FRACTIONAL_ORDER
-<<<<<<< HEAD
-=======
 #: Of what the remarks are on.
 CONFIG = PipelineConfig(None, estimator=EstimatorConfig(prior=Prior(fractional_order=0.31)))
-#: Folder of the measured data: not part of the repository.
-DATA = os.environ.get("FDEN_DATA")
->>>>>>> 5af6961 (A contact that has not converged says why, in numbers, and what would help; its N/m is known as its slope is)
 LINEAR, ELASTIC = (20000.0, 1.5, 0.2), (2000.0, 8.0, 1e-6)
 
 
