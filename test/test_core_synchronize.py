@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_helpers import examples
 
+from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 #: No test depends on the time it takes, nor on chance.
@@ -341,3 +342,13 @@ def test_pause_does_not_widen_the_gap_that_is_interpolated_over():
     for ms in (0, 5):
         run.add(FORCE, START + (12_200 + ms) * MS).add(DISPLACEMENT, START + (12_400 + ms) * MS)
     assert run.rejected == {"force.displacement_gap": 2}
+
+
+def test_one_of_a_hundred_samples_lost_at_2_khz_is_no_gap_and_20_ms_of_them_are():
+    kept = np.random.default_rng(1).uniform(size=20_000) > 0.01
+    # And a burst of 15 ms, as a middleware that is too slow loses them.
+    kept[10_000:10_030] = False
+    guard = GapGuard()
+    stamps = 500_000 * np.flatnonzero(kept) + 1
+    assert not any(guard.step(int(stamp)) for stamp in stamps)
+    assert guard.step(int(stamps[-1]) + 21_000_000) == 21_000_000
