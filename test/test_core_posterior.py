@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -246,26 +247,38 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
     assert np.all(np.abs(np.log(ratio)) < 0.3)
 
 
-@pytest.mark.parametrize(("factor", "is_said"), [(1.0, False), (1.5, True), (0.6, True)])
-def test_a_change_of_the_stiffness_is_said_where_it_is_one(factor: float, is_said: bool) -> None:
-    press = pressed(11, 0.005, factor)
+def look_at(press: Press, jerk: float = 0.0) -> Unknown | None:
+    """What is found beyond 0.6 of the largest strain, where one block has a jerk [Pa]."""
     deepest = int(np.argmax(press.strains >= 0.6 * press.strains.max()))
     before = Press(*(a[:deepest] for a in press[:3]), *press[3:])
-    after = Press(*(a[: deepest + 60] for a in press[:3]), *press[3:])
+    after = Press(*(a[: deepest + 60].copy() for a in press[:3]), *press[3:])
+    middle, duration = (a[-3] for a in (points_of(after).middles, points_of(after).durations))
+    after.stresses[np.abs(after.times - middle) < 0.5 * duration] += jerk
     whole = posterior_of(press, LAW_OFF)
-    points = points_of(before)
     state = whole.belief.mean.copy()
     state[:3] = press.truth
     scales = max((g.scales for g in whole.grid), key=lambda s: s.roughness)
-    solution = whole.solution(points, [state], scales)
-    found = change_of(
-        points_of(after),
-        solution,
-        whole,
-        lambda more: posterior_of(press, LAW_OFF, (more,)),
-        float(press.strains.max()),
-    )
-    assert (found.change is not None) == is_said
+    solution = whole.solution(points_of(before), [state], scales)
+    strain = float(press.strains.max())
+    made = partial(posterior_with, press)
+    return change_of(points_of(after), solution, whole, made, strain).change
+
+
+def posterior_with(press: Press, event: Unknown) -> Posterior:
+    """The posterior with a change or a jerk."""
+    return posterior_of(press, LAW_OFF, (event,))
+
+
+@pytest.mark.parametrize(("factor", "is_said"), [(1.0, False), (1.5, True), (0.6, True)])
+def test_a_change_of_the_stiffness_is_said_where_it_is_one(factor: float, is_said: bool) -> None:
+    found = look_at(pressed(11, 0.005, factor))
+    assert (found is not None and found.since is not None) == is_said
+
+
+@pytest.mark.parametrize("jerk", [-600.0, 600.0])
+def test_a_jerk_of_one_block_is_no_change_of_the_tissue(jerk: float) -> None:
+    found = look_at(pressed(11, 0.005), jerk)
+    assert found is None or found.since is None
 
 
 def test_a_relaxation_that_ends_is_likelier_than_the_law_where_it_does() -> None:

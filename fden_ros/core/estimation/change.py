@@ -5,7 +5,8 @@
 
 The evidence of the record with a change of the stiffness against that without, both averaged anew
 over the scales of the law's errors, so that a smooth misfit widens these and a jump cannot be
-bought by them. Both are solved from the last solution, which was made before the change.
+bought by them. Both are solved from the last solution, which was made before the change. What one
+block explains as well, with a stress of its own, is a jerk of the drive and no change.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Posterior, Solution
-from fden_ros.core.estimation.unknowns import Unknown, change_since
+from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
 #: thousand, at some 250 looks.
@@ -28,6 +29,9 @@ _THRESHOLD = 10.6
 _LEAST_STEP = 0.08
 #: Times before now at which the change may have been [s].
 _AGO = (0.03, 0.06, 0.12, 0.24)
+#: A change is told once so many blocks have seen it, and a jerk is one of so many before the last
+#: [1].
+_LEAST_SEEN, _JERKS = 2, 3
 #: Distances from the best of these, over the time since, at which it is looked for more closely
 #: [1].
 _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
@@ -42,7 +46,7 @@ PROMISING = 5.0
 class Look(NamedTuple):
     """What a look for a change has found."""
 
-    change: Unknown | None  #: None: none that is large and likely enough
+    change: Unknown | None  #: or a jerk; None: none that is large and likely enough
     gain: float  #: in log evidence by one of any size [1]
 
 
@@ -83,13 +87,20 @@ def change_of(
         found = with_change(unknown).tracked(points, start, solution)
         return found.log_evidence, abs(float(found.mean[count]))
 
-    looked = [change_since(now - ago) for ago in _AGO]
+    seen = float(points.middles[-_LEAST_SEEN:][0])
+    looked = [change_since(now - ago) for ago in _AGO if now - ago < seen]
+    if not looked:
+        return Look(None, -math.inf)
     evidence, sizes = np.array([look(unknown) for unknown in looked]).T
     gain = float(evidence.max()) - alone
     evidence[sizes < _LEAST_STEP] = -math.inf
     best = looked[int(np.argmax(evidence))]
     if evidence.max() - alone < _THRESHOLD or best.since is None:
         return Look(None, gain)
+    for time in points.middles[-1 - _JERKS : -1].tolist():
+        jerk = jerk_at(time, float(np.abs(points.stresses).max()))
+        if with_change(jerk).tracked(points, start, solution).log_evidence > evidence.max():
+            return Look(jerk, gain)
     return Look(placed(best, now - best.since, lambda unknown: look(unknown)[0]), gain)
 
 

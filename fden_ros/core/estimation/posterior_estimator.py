@@ -118,7 +118,7 @@ class PosteriorEstimator:
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
-        return self._earlier_changes + (len(self._press.changes) if self._press else 0)
+        return self._earlier_changes + (self._press.change_count if self._press else 0)
 
     @property
     def rig_misfit(self) -> float:
@@ -239,7 +239,7 @@ class PosteriorEstimator:
         press, self._press = self._press, None
         if press is None:
             return
-        self._earlier_changes += len(press.changes)
+        self._earlier_changes += press.change_count
         self._deepest, self._compression_sd = press.deepest, press.compression_sd
         if press.solved is not None:
             best = press.solved.best

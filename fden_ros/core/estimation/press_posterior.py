@@ -110,8 +110,8 @@ class PressPosterior:
         The newest solution; None: there is none yet.
     filter : PressFilter or None
         Has gone on from it.
-    changes : tuple of Unknown
-        Of the tissue under the probe.
+    events : tuple of Unknown
+        Changes of the tissue under the probe, and jerks.
     is_lost : bool
         The newest solution was not found.
     """
@@ -129,7 +129,7 @@ class PressPosterior:
         self.deepest, self.compression_sd = deepest, compression_sd
         self.solved: Solved | None = None
         self.filter: PressFilter | None = None
-        self.changes: tuple[Unknown, ...] = ()
+        self.events: tuple[Unknown, ...] = ()
         self.is_lost = self._is_surprised = False
         self._samples: list[Sample] = []
         self._now = self._last = start
@@ -139,6 +139,11 @@ class PressPosterior:
         self._is_placed = True
         self._looked_at = -math.inf
         self._suspected_at: float | None = None
+
+    @property
+    def change_count(self) -> int:
+        """Changes of the tissue under the probe that were found."""
+        return sum(event.since is not None for event in self.events)
 
     @property
     def is_doubtful(self) -> bool:
@@ -221,9 +226,9 @@ class PressPosterior:
     # Solutions
 
     def _posterior(
-        self, changes: tuple[Unknown, ...], kind: type[PressModel] = PressModel
+        self, events: tuple[Unknown, ...], kind: type[PressModel] = PressModel
     ) -> Posterior:
-        return self.setting.posterior(changes, self.compression_sd, self.deepest, kind)
+        return self.setting.posterior(events, self.compression_sd, self.deepest, kind)
 
     def _is_due(self) -> bool:
         if self._blocks < _FIRST_SOLUTION or self.record.is_full:
@@ -245,7 +250,7 @@ class PressPosterior:
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
-        posterior = self._posterior(self.changes)
+        posterior = self._posterior(self.events)
         is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
         try:
             modes = self._modes(points, posterior, fully=fully or is_early)
@@ -316,27 +321,27 @@ class PressPosterior:
             look = change_of(
                 self.record.points(),
                 self.solved.best,
-                self._posterior(self.changes),
-                lambda unknown: self._posterior((*self.changes, unknown)),
+                self._posterior(self.events),
+                lambda unknown: self._posterior((*self.events, unknown)),
                 self._strain(self.setting.origin(self.solved.best.mean)),
             )
         except UNSOLVABLE:
             return Look(None, -math.inf)
         if look.change is not None:
-            self.changes = (*self.changes, look.change)
-            self._is_placed = False
+            self.events = (*self.events, look.change)
+            self._is_placed = look.change.since is None
         return look
 
     def _place_again(self) -> None:
         """Place the newest change anew, once it has been seen for long enough."""
         if self._is_placed or self.solved is None:
             return
-        *before, newest = self.changes
+        *before, newest = self.events
         if newest.since is None or self._now - newest.since < _PLACED_AFTER:
             return
         self._is_placed = True
         points, solution = self.record.points(), self.solved.best
-        state = self._grown(solution, self._posterior(self.changes))
+        state = self._grown(solution, self._posterior(self.events))
 
         def evidence_of(change: Unknown) -> float:
             posterior = self._posterior((*before, change))
@@ -345,7 +350,7 @@ class PressPosterior:
             except UNSOLVABLE:
                 return -math.inf
 
-        self.changes = (*before, placed(newest, _PLACED_WITHIN, evidence_of))
+        self.events = (*before, placed(newest, _PLACED_WITHIN, evidence_of))
 
     def mismatch_probability(self) -> float | None:
         """Return the probability of a relaxation that ends; None: the press cannot tell.
@@ -359,7 +364,7 @@ class PressPosterior:
             self.record.points(),
             self.solved.best,
             self.solved.posterior,
-            lambda kind: self._posterior(self.changes, kind),
+            lambda kind: self._posterior(self.events, kind),
         )
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
 

@@ -93,7 +93,7 @@ class PressSetting:
 
     def posterior(
         self,
-        changes: tuple[Unknown, ...],
+        events: tuple[Unknown, ...],
         compression_sd: float,
         deepest: float,
         kind: type[PressModel] = PressModel,
@@ -102,8 +102,8 @@ class PressSetting:
 
         Parameters
         ----------
-        changes : tuple of Unknown
-            Of the tissue under the probe.
+        events : tuple of Unknown
+            Changes of the tissue under the probe, and jerks.
         compression_sd : float
             Standard deviation of a sample's compression [1].
         deepest : float
@@ -112,7 +112,7 @@ class PressSetting:
             Of the model.
         """
         config = self.config
-        unknowns = unknowns_of(config, self.geometry, self.origin_sd, self.drift_sd) + changes
+        unknowns = unknowns_of(config, self.geometry, self.origin_sd, self.drift_sd) + events
         last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
         model = kind(
             unknowns, self.geometry, is_bent=self.is_bent, last_knot=last_knot, free=self.free

@@ -212,6 +212,12 @@ def change_since(time: float) -> Unknown:
     return Unknown(f"change_{time!r}", 0.0, 1.0, Lifetime.CONTACT, since=time)
 
 
+def jerk_at(time: float, size: float) -> Unknown:
+    """Return a stress [Pa] of one block alone, at a time [s], as a drive's jerk makes it."""
+    stress = partial(_jerk, time, size)
+    return Unknown(f"jerk_{time!r}", 0.0, 1.0, Lifetime.CONTACT, stress=stress)
+
+
 # Columns: the change by one standard deviation.
 
 
@@ -233,6 +239,11 @@ def _friction(stress: float, length: float, points: Points) -> Array:
 def _drift(slope: float, points: Points) -> Array:
     result: Array = slope * (points.middles - points.times[0])
     return result
+
+
+def _jerk(time: float, size: float, points: Points) -> Array:
+    is_there = np.abs(points.middles - time) <= 0.5 * points.durations
+    return np.where(is_there, size, 0.0)
 
 
 def unknowns_of(
