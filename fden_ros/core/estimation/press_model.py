@@ -109,6 +109,28 @@ class _Design:
     free: Array | None
 
 
+@dataclass(frozen=True)
+class _Change:
+    """What changes of the stiffness add to the elastic response.
+
+    Attributes
+    ----------
+    ratio : ndarray, shape (points,)
+        The part that is added [1].
+    elastic, slope : ndarray, shape (points,)
+        Elastic response without it, and its derivative by the compression.
+    """
+
+    ratio: Array
+    elastic: Array
+    slope: Array
+
+    @property
+    def added(self) -> Array:
+        """What is added."""
+        return self.ratio * self.elastic
+
+
 class PressModel:
     """The model of one press.
 
@@ -259,7 +281,7 @@ class PressModel:
             If the stress is beyond floating-point numbers.
         """
         begun = ResponseState(0)
-        surface = self._surface(points, state)[0]
+        surface = self._surface(points, state, self._change(points, state))[0]
         motions, weights = np.zeros((0, points.times.size)), np.zeros((0, RATES.size + 2))
         none = Columns(_NONE, motions, _NONE, weights)
         found = self._response(points, state, self.law(state), (surface, none), begun)
@@ -285,57 +307,47 @@ class PressModel:
         rows = slopes[None]
         if self.is_bent:
             rows = np.vstack([slopes, weights * _OF_KNOTS])
-        surface, by_order, by_knots = self._surface(points, state)
+        change = self._change(points, state)
+        surface, by_order, by_knots = self._surface(points, state, change)
         lifted = None
-        if surface is not None or any(u.since is not None for u in self.unknowns):
+        if surface is not None:
             lifted = np.zeros((self.size, points.times.size))
             if by_order is not None:
                 lifted[ORDER] = by_order
             if by_knots is not None:
                 lifted[self.kernel] = by_knots
-            self._lower(lifted, points, state)
+            if change is not None:
+                self._lower(lifted, points, state, change)
         motions = self._design(points).motions
         return surface, Columns(self._kinds, motions, self._weight_of, rows, lifted)
 
-    def _lower(self, lifted: Array, points: Points, state: Array) -> None:
+    def _lower(self, lifted: Array, points: Points, state: Array, change: _Change) -> None:
         """Lower the surface's derivatives by what changes add to the elastic response."""
+        motions = self._design(points).motions
+        lifted[: len(self.unknowns)] -= change.ratio * change.slope * motions
+        lifted[LOG_G] -= change.added
+        step = np.zeros(state.size)
+        step[LOG_GN] = _LOG_STEP
+        higher, lower = (self.elastic(points, state + s)[0] for s in (step, -step))
+        lifted[LOG_GN] -= change.ratio * (higher - lower) / (2.0 * _LOG_STEP)
         for k, unknown in enumerate(self.unknowns):
             if unknown.since is not None:
-                elastic = self.elastic(points, state)[0]
-                lifted[k] -= elastic * (points.times > unknown.since)
-            elif (added := self._added_by(points, state, unknown)) is not None:
-                lifted[k] -= added
-        added = self._added(points, state)
-        if self.is_bent and added is not None:
+                lifted[k] -= change.elastic * (points.times > unknown.since)
+        if self.is_bent:
             splines = characteristic_splines(self._strains(points, state)[0], self.last_knot)
-            lifted[self.characteristic] -= added * splines.T
-
-    def _added_by(self, points: Points, state: Array, unknown: Unknown) -> Array | None:
-        """Return the derivative by an unknown of what changes add to the elastic response."""
-        added = self._added(points, state)
-        if added is None or unknown.name == "log_g":
-            return added
-        elastic, slope = self.elastic(points, state)
-        ratio = np.divide(added, elastic, out=np.zeros_like(added), where=elastic > 0.0)
-        if unknown.name == "log_gn":
-            step = np.zeros(state.size)
-            step[LOG_GN] = _LOG_STEP
-            higher, lower = (self.elastic(points, state + s)[0] for s in (step, -step))
-            result: Array = ratio * (higher - lower) / (2.0 * _LOG_STEP)
-            return result
-        return ratio * slope * unknown.motion(points) if unknown.motion is not None else None
+            lifted[self.characteristic] -= change.added * splines.T
 
     def _surface(
-        self, points: Points, state: Array
+        self, points: Points, state: Array, change: _Change | None
     ) -> tuple[Array | None, Array | None, Array | None]:
         """Return the free surface at the points, and its derivatives by alpha and by delta.
 
         To first order the creep is less by what the relaxation is more. A change of the stiffness
         lowers the surface by what it adds to the elastic response.
         """
-        added = self._added(points, state)
+        added = 0.0 if change is None else change.added
         if self._free is None:
-            return -added if added is not None else None, None, None
+            return None if change is None else -change.added, None, None
         moments = self._design(points).free
         assert moments is not None
         order = _order(state)
@@ -344,23 +356,22 @@ class PressModel:
             2.0 * _ORDER_STEP
         )
         if not self.is_bent:
-            surface = moments @ weights
-            return (surface if added is None else surface - added), moments @ slopes, None
+            return moments @ weights - added, moments @ slopes, None
         own = KERNEL_HATS[: RATES.size]
         bend = np.exp(-(own @ state[self.kernel]))
         weights, slopes = weights * bend, slopes * bend
         by_knots = -(own * weights[:, None]).T @ moments.T
-        surface = moments @ weights
-        return (surface if added is None else surface - added), moments @ slopes, by_knots
+        return moments @ weights - added, moments @ slopes, by_knots
 
-    def _added(self, points: Points, state: Array) -> Array | None:
-        """Return what changes of the stiffness add to the elastic response; None: nothing."""
-        result = None
+    def _change(self, points: Points, state: Array) -> _Change | None:
+        """Return what changes of the stiffness add; None: there are none."""
+        if all(unknown.since is None for unknown in self.unknowns):
+            return None
+        ratio = np.zeros(points.times.size)
         for value, unknown in zip(state, self.unknowns, strict=False):
-            if unknown.since is not None and value:
-                change = value * self.elastic(points, state)[0] * (points.times > unknown.since)
-                result = change if result is None else result + change
-        return result
+            if unknown.since is not None:
+                ratio += value * (points.times > unknown.since)
+        return _Change(ratio, *self.elastic(points, state))
 
     def _strains(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the strains at the points, and their slopes by the compression."""
