@@ -119,7 +119,9 @@ def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable(
 def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_the_table() -> None:
     states = states_of(pressed(LINEAR, 20.0))
     summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
-    estimate = estimate._replace(law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8))
+    estimate = estimate._replace(
+        law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), mismatch_probability=0.9
+    )
     assert set(estimate.numbers) == set(PUBLISHED)
     summary = replace(summary, estimate=estimate)
     sent = (

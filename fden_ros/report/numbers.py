@@ -82,13 +82,16 @@ def stiffness(found: ApparentStiffness | None, most_digits: int = 17) -> str:
 
 def law(estimate: Estimate | None) -> str:
     """Return how far the tissue is from the law; empty where that is not known."""
-    error = estimate.law_error if estimate is not None else None
-    if error is None:
+    if estimate is None or estimate.law_error is None:
         return ""
-    return (
+    error = estimate.law_error
+    text = (
         f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
         f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
     )
+    if math.isnan(estimate.mismatch_probability):
+        return text
+    return f"{text}; it ends with a probability of {estimate.mismatch_probability:.2f}"
 
 
 def _rounded_up(value: float) -> str:

@@ -90,6 +90,9 @@ class Estimate(NamedTuple):
     loading_age: float = 0.0
     #: None: not known, before 2 s of the first contact of a site.
     law_error: LawError | None = None
+    #: Probability of a relaxation that ends, so that predictions do not hold [1]; NaN: not known,
+    #: as before the end of the first contact of a site.
+    mismatch_probability: float = math.nan
     #: Parameters that lie at an end of what the estimator can represent: then none is known.
     at_edge: ParameterSet = ParameterSet.NONE
     #: Whether the relaxation contradicts the alpha that was stated.
@@ -174,6 +177,8 @@ class Estimate(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """What outputs state, by the names of :data:`PUBLISHED`; without those not known."""
         found = {name: getattr(self, name) for name in _ITS_OWN}
+        if math.isnan(self.mismatch_probability):
+            del found["mismatch_probability"]
         if self.law_error is not None:
             found |= zip(LawError.names(), self.law_error, strict=True)
         return found
@@ -198,6 +203,7 @@ PUBLISHED = {
     "strain_origin_sd": "",
     "model_error": "",
     "loading_age": "",
+    "mismatch_probability": "mismatch_probability",
     **{name: name for name in LawError.names()},
 }
 #: Those that have a key, by their keys.

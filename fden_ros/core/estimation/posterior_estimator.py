@@ -95,7 +95,7 @@ class PosteriorEstimator:
         self._moments, self._moments_at = StressMoments(), 0.0
         self._stress_before = 0.0
         self._sample_count = self._earlier_changes = 0
-        self._mismatch_probability = 0.0
+        self._mismatch_probability = math.nan
         self._law_error: tuple[Solved, LawError | None] | None = None
 
     # What others ask
@@ -290,6 +290,7 @@ class PosteriorEstimator:
             model_error=sum(s.characteristic * p for s, p in solved.best.scales.items()),
             loading_age=press.filter.loading_age,
             law_error=error,
+            mismatch_probability=self._mismatch_probability,
             at_edge=claims.at_edge,
             is_order_contradicted=is_contradicted,
         )

@@ -264,11 +264,10 @@ class PressModel:
         found = self._response(points, state, law, (surface, columns), begun)
         by_block = found.jacobian[points.first] + found.jacobian[points.last]
         by_block *= 0.5
-        by_block[:, : self._adds_stress.size][:, self._adds_stress] = design.stresses[
-            self._adds_stress
-        ].T
         if self._compliance is not None:
             by_block[:, self._compliance] *= self._compliance_unit
+        of_unknowns = by_block[:, : self._adds_stress.size]
+        of_unknowns[:, self._adds_stress] = design.stresses[self._adds_stress].T
         stress = points.mean(found.stress) + self._of_unknowns(state) @ design.stresses
         return Evaluation(stress, by_block, found.elastic, found.slope, begun)
 

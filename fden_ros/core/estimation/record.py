@@ -41,6 +41,9 @@ _MOST_OFF = 2e-4
 #: A block may last for this part of the time since the motion changed [1], while its compression
 #: changes by at most this [1].
 _GROWTH, _MOST_CHANGE = 0.05, 5e-4
+#: A slope counts by half where it is as many of its standard deviations [1]: friction and delay
+#: would else meet the noise of the motion in a hold, which makes them less than they are.
+_SLOPE_DEVIATIONS = 3.0
 #: A probe is taken to have come along its line for at most this time [s].
 _LONGEST_APPROACH = 1.0
 #: Blocks of one press [1]; a record that is full takes no more. (A press of 0.3 of strain has 100
@@ -121,8 +124,8 @@ class Points:
     Attributes
     ----------
     times, elapsed, compressions, speeds, bends : ndarray, shape (n,)
-        [s, s, 1, 1/s, 1/s]: the second are the steps that end at the points, the last the changes
-        of the speed there.
+        [s, s, 1, 1/s, 1/s]: the second are the steps that end at the points, the fourth the speeds
+        as far as they are above their noise, the last the changes of the speed there.
     steps : ndarray, shape (n,)
         Longest time between samples beside a point [s].
     moments : ndarray, shape (n, 4, RATES)
@@ -252,8 +255,8 @@ class Record:
         """Return the record so far as arrays."""
         cells = self._cells if self._open is None else [*self._cells, self._open]
         if self._reach:
-            return _points([*_approach(cells, self._reach), *cells])
-        return _points(cells)
+            return _points([*_approach(cells, self._reach), *cells], self.noise_sd)
+        return _points(cells, self.noise_sd)
 
 
 def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
@@ -275,15 +278,15 @@ def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
     return [before]
 
 
-def block_points(samples: Sequence[Sample], before: float) -> Points:
+def block_points(samples: Sequence[Sample], before: float, noise_sd: float = 0.0) -> Points:
     """Return one block as a record that goes on after the time `before` [s]."""
     cell = _Cell(samples[0].time, True)
     for sample in samples:
         cell.add(sample.time, sample.compression, sample.stress)
-    return _points([cell], before)
+    return _points([cell], noise_sd, before)
 
 
-def _points(cells: Sequence[_Cell], before: float | None = None) -> Points:
+def _points(cells: Sequence[_Cell], noise_sd: float, before: float | None = None) -> Points:
     """Return blocks as arrays; `before`: the time from which they go on."""
     times: list[float] = []
     compressions: list[float] = []
@@ -298,7 +301,7 @@ def _points(cells: Sequence[_Cell], before: float | None = None) -> Points:
         for offset in offsets:
             times.append(mean + offset)
             compressions.append(compression + slope * offset)
-            slopes.append(slope if spread else math.nan)
+            slopes.append(_above_noise(slope, noise_sd, spread, cell.count))
             steps.append(step)
         if cell.is_observed:
             duration = cell.end - cell.start + step
@@ -306,6 +309,14 @@ def _points(cells: Sequence[_Cell], before: float | None = None) -> Points:
                 (first, len(times) - 1, mean, duration, cell.count, cell.stress / cell.count)
             )
     return _arrays(times, compressions, slopes, steps, observed, before)
+
+
+def _above_noise(slope: float, noise_sd: float, spread: float, count: int) -> float:
+    """Return a block's slope as far as it is above its noise [1/s]; NaN: it has none."""
+    if not spread:
+        return math.nan
+    noise = (_SLOPE_DEVIATIONS * noise_sd / spread) ** 2 / count
+    return slope * slope**2 / (slope**2 + noise) if slope else 0.0
 
 
 def _arrays(
