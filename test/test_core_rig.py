@@ -95,7 +95,7 @@ def test_what_is_said_to_be_exact_is_not_learned():
 def touches():
     """Return items and parameters of two sites on one rig, at 100 Hz."""
     case = CASES["ten_sites"]
-    scenario = scenario_of(replace(case, sites=2), 1)
+    scenario = scenario_of(replace(case, sites=2), 3)
     scenario = replace(
         scenario,
         geometry=replace(scenario.geometry, thickness_m=0.02),

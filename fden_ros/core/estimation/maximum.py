@@ -141,7 +141,7 @@ class MaximumSearch:
                 normal = normal + _HELD * free.damped.max() * np.outer(touch, touch)
             behind = state - at
             gain = float(free.towards @ solved(normal, free.towards))
-            left = gain + float(behind @ normal @ behind)
+            left = gain + float(behind @ free.normal @ behind)
             if left < converged and is_at_kink and searches:
                 searches -= 1
                 before = state
@@ -186,9 +186,10 @@ class MaximumSearch:
         off = self._density.belief.mean - state
         normal = white[:, 1:].T @ white[:, 1:] + metric.precision
         towards = white[:, 1:].T @ white[:, 0] + metric.precision @ off
-        if self._held is not None:
-            normal[self._held], normal[:, self._held] = 0.0, 0.0
-            normal[self._held, self._held], towards[self._held] = 1.0, 0.0
+        for held in (self._held, ORDER if _leaves(state[ORDER], towards[ORDER]) else None):
+            if held is not None:
+                normal[held], normal[:, held] = 0.0, 0.0
+                normal[held, held], towards[held] = 1.0, 0.0
         misfit = float(white[:, 0] @ white[:, 0] + off @ metric.precision @ off)
         return _Equations(normal, normal.diagonal(), towards, misfit)
 
@@ -247,6 +248,11 @@ class MaximumSearch:
         except (FloatingPointError, OverflowError):
             return None
         return after, found, self._misfit(after, found.stress, metric)
+
+
+def _leaves(order: float, towards: float) -> bool:
+    """Whether an order wants beyond where the weights are made for."""
+    return towards * (order - (LOWEST_ORDER if towards < 0.0 else HIGHEST_ORDER)) >= 0.0
 
 
 def solved(normal: Array, towards: Array) -> Array:
