@@ -29,9 +29,8 @@ _THRESHOLD = 10.6
 _LEAST_STEP = 0.08
 #: Times before now at which the change may have been [s].
 _AGO = (0.03, 0.06, 0.12, 0.24)
-#: A change is told once so many blocks have seen it, and a jerk is one of so many before the last
-#: [1].
-_LEAST_SEEN, _JERKS = 2, 3
+#: A jerk is one of so many blocks before the last [1].
+_JERKS = 3
 #: Distances from the best of these, over the time since, at which it is looked for more closely
 #: [1].
 _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
@@ -87,25 +86,25 @@ def change_of(
         found = with_change(unknown).tracked(points, start, solution)
         return found.log_evidence, abs(float(found.mean[count]))
 
-    seen = float(points.middles[-_LEAST_SEEN:][0])
-    looked = [change_since(now - ago) for ago in _AGO if now - ago < seen]
-    if not looked:
-        return Look(None, -math.inf)
+    looked = [change_since(now - ago) for ago in _AGO]
     evidence, sizes = np.array([look(unknown) for unknown in looked]).T
     gain = float(evidence.max()) - alone
     evidence[sizes < _LEAST_STEP] = -math.inf
     best = looked[int(np.argmax(evidence))]
     if evidence.max() - alone < _THRESHOLD or best.since is None:
         return Look(None, gain)
+    change, highest = placed(best, now - best.since, lambda unknown: look(unknown)[0])
     for time in points.middles[-1 - _JERKS : -1].tolist():
         jerk = jerk_at(time, float(np.abs(points.stresses).max()))
-        if with_change(jerk).tracked(points, start, solution).log_evidence > evidence.max():
+        if with_change(jerk).tracked(points, start, solution).log_evidence > highest:
             return Look(jerk, gain)
-    return Look(placed(best, now - best.since, lambda unknown: look(unknown)[0]), gain)
+    return Look(change, gain)
 
 
-def placed(change: Unknown, width: float, evidence_of: Callable[[Unknown], float]) -> Unknown:
-    """Return a change at the likeliest time within about `width` [s] of where it is."""
+def placed(
+    change: Unknown, width: float, evidence_of: Callable[[Unknown], float]
+) -> tuple[Unknown, float]:
+    """Return a change at the likeliest time within about `width` [s], and its log evidence."""
     highest = evidence_of(change)
     for closer in _CLOSER:
         assert change.since is not None
@@ -114,4 +113,4 @@ def placed(change: Unknown, width: float, evidence_of: Callable[[Unknown], float
             found = evidence_of(other)
             if found > highest:
                 change, highest = other, found
-    return change
+    return change, highest

@@ -350,7 +350,7 @@ class PressPosterior:
             except UNSOLVABLE:
                 return -math.inf
 
-        self.events = (*before, placed(newest, _PLACED_WITHIN, evidence_of))
+        self.events = (*before, placed(newest, _PLACED_WITHIN, evidence_of)[0])
 
     def mismatch_probability(self) -> float | None:
         """Return the probability of a relaxation that ends; None: the press cannot tell.
