@@ -57,6 +57,8 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden relative results.parquet       sites that are stiffer than their surroundings
   fden play /tmp/ramp                 publish a bag on live topics
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
+  fden calibrate rig rec --config probe.yaml
+                                      delay and friction that its contacts tell
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together

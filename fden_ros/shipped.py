@@ -20,10 +20,15 @@ def shipped(name: str) -> Path:
     InputError
         If it is not installed.
     """
+    found = all_shipped(name)
+    if not found:
+        raise InputError(f"{name} of fden_ros is not installed")
+    return found[0]
+
+
+def all_shipped(name: str) -> list[Path]:
+    """Return every place that a file or folder is in, the source tree first."""
     roots = [Path(__file__).resolve().parents[1]]
     prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
     roots += [Path(prefix, "share", "fden_ros") for prefix in prefixes if prefix]
-    for root in roots:
-        if (root / name).exists():
-            return root / name
-    raise InputError(f"{name} of fden_ros is not installed")
+    return [root / name for root in roots if (root / name).exists()]

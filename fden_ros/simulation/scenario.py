@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.shipped import shipped
+from fden_ros.shipped import all_shipped, shipped
 from fden_ros.simulation.closed_form import FdenModel, FloatArray
 from fden_ros.simulation.contact import Stiffening
 from fden_ros.simulation.disturbance import Disturbances
@@ -504,7 +504,7 @@ def scenario_of_mapping(data: Mapping[str, Any]) -> Scenario:
 
 def scenario_names() -> list[str]:
     """Return the names of the scenarios that come with the package, sorted."""
-    return sorted(path.stem for path in shipped("bags").glob("*.yaml"))
+    return sorted({path.stem for bags in all_shipped("bags") for path in bags.glob("*.yaml")})
 
 
 def _scenario_path(name_or_path: str | Path) -> Path:

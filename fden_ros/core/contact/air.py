@@ -232,7 +232,11 @@ class Baseline:
         self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
         wander = max(self._wander, 0.0)
         sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
-        return np.maximum(thresholds_of(sd, freedom), self._force_threshold)
+        least = thresholds_of(sd, freedom)
+        if not self._measure_bias:
+            # A longer mean tells no better whether the bias is what it is said to be.
+            least = np.maximum(least, least[0])
+        return np.maximum(least, self._force_threshold)
 
     def bias_at(self, stamp_ns: int) -> float:
         """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""
