@@ -40,7 +40,7 @@ from fden_ros.core.law.characteristic import elastic_response
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
-_TIME_RATIO, _DEPTH_RATIO = 1.25, 1.18
+_TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 #: Blocks before the first solution, and until which it is sought from all starts, each time that
 #: their number has doubled [1].
 _FIRST_SOLUTION, _LAST_STARTS = 4, 32
