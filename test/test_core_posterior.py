@@ -261,7 +261,7 @@ def look_at(press: Press, jerk: float = 0.0) -> Unknown | None:
     solution = whole.solution(points_of(before), [state], scales)
     strain = float(press.strains.max())
     made = partial(posterior_with, press)
-    return change_of(points_of(after), solution, whole, made, strain).change
+    return change_of(points_of(after), solution, whole, made, strain).event
 
 
 def posterior_with(press: Press, event: Unknown) -> Posterior:

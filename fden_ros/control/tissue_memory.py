@@ -146,10 +146,8 @@ class TissueMemory:
         steps = np.diff(times, prepend=times[0] if begin is None else begin)
         by_step = steps, loops.moments(steps, RATES)
         surface = self._free.at(times) @ creep_weights(order)
-        none = np.zeros(0, dtype=np.int32)
-        columns = Columns(none, np.zeros((0, times.size)), none, np.zeros((0, RATES.size + 2)))
-        compressions = np.ascontiguousarray(compressions)
-        found = loops.respond(law, RATES, by_step, compressions, surface, columns, state)
+        none, compressions = Columns.none(times.size), np.ascontiguousarray(compressions)
+        found = loops.respond(law, RATES, by_step, compressions, surface, none, state)
         return found.stress
 
     def slope(self, age: float) -> Slope | None:

@@ -9,7 +9,6 @@ the normal equations, its process without variance. Parts do not add up: one hid
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import ErrorModel, Errors, Noise
+from fden_ros.core.estimation.maximum import solved
 from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN
 
@@ -88,13 +88,8 @@ def budget_of(press: PressPosterior) -> Budget | None:
         parts["prior"] = tuple(order.tolist())
     parts["thickness"] = (thickness, thickness)
     log_g, log_gn = (variances + thickness).tolist()
-    origin = press.solved.best.covariance.diagonal()[3]
-    return Budget(
-        (log_g, log_gn),
-        parts,
-        setting.stress_sd,
-        setting.origin_sd * math.sqrt(max(float(origin), 0.0)),
-    )
+    surface_sd = setting.origin_deviation(press.solved.best.covariance)
+    return Budget((log_g, log_gn), parts, setting.stress_sd, surface_sd)
 
 
 def _part(whole: Array, without: Array) -> tuple[float, float]:
@@ -134,12 +129,8 @@ class _Press:
         free = [k for k in range(self._model.size) if k not in gone | set(self._known.tolist())]
         if place not in free:
             return 0.0
-        scale = 1.0 / np.sqrt(normal.diagonal()[free])
-        towards = np.zeros(len(free))
-        at = free.index(place)
-        towards[at] = 1.0
-        scaled = normal[np.ix_(free, free)] * np.outer(scale, scale)
-        return float(np.linalg.solve(scaled, towards)[at]) * float(scale[at]) ** 2
+        towards = np.array([float(k == place) for k in free])
+        return float(towards @ solved(normal[np.ix_(free, free)], towards))
 
 
 def _errors_without(source: str, errors: Errors) -> Errors:

@@ -45,7 +45,7 @@ PROMISING = 5.0
 class Look(NamedTuple):
     """What a look for a change has found."""
 
-    change: Unknown | None  #: or a jerk; None: none that is large and likely enough
+    event: Unknown | None  #: a change, or a jerk; None: none that is large and likely enough
     gain: float  #: in log evidence by one of any size [1]
 
 
@@ -93,19 +93,23 @@ def change_of(
     best = looked[int(np.argmax(evidence))]
     if evidence.max() - alone < _THRESHOLD or best.since is None:
         return Look(None, gain)
-    change, highest = placed(best, now - best.since, lambda unknown: look(unknown)[0])
+    width, highest = now - best.since, float(evidence.max())
+    change, highest = placed(best, highest, width, lambda unknown: look(unknown)[0])
+    largest = float(np.abs(points.stresses).max())
     for time in points.middles[-1 - _JERKS : -1].tolist():
-        jerk = jerk_at(time, float(np.abs(points.stresses).max()))
+        jerk = jerk_at(time, largest)
         if with_change(jerk).tracked(points, start, solution).log_evidence > highest:
             return Look(jerk, gain)
     return Look(change, gain)
 
 
 def placed(
-    change: Unknown, width: float, evidence_of: Callable[[Unknown], float]
+    change: Unknown, highest: float, width: float, evidence_of: Callable[[Unknown], float]
 ) -> tuple[Unknown, float]:
-    """Return a change at the likeliest time within about `width` [s], and its log evidence."""
-    highest = evidence_of(change)
+    """Return a change at the likeliest time within about `width` [s], and its log evidence.
+
+    `highest`: the log evidence where it is.
+    """
     for closer in _CLOSER:
         assert change.since is not None
         for since in (change.since - closer * width, change.since + closer * width):

@@ -85,6 +85,12 @@ class Columns:
     weights: Array
     surfaces: Array | None = None
 
+    @classmethod
+    def none(cls, points: int) -> Columns:
+        """Return no columns, for so many points."""
+        nothing = np.zeros(0, dtype=np.int32)
+        return cls(nothing, np.zeros((0, points)), nothing, np.zeros((0, RATES + 2)))
+
     @property
     def count(self) -> int:
         """Columns."""

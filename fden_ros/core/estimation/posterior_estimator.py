@@ -29,7 +29,7 @@ from fden_ros.core.estimation.press_setting import Carried, PressSetting, rig_pl
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN, Lifetime
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, Lifetime
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import StressMoments
 from fden_ros.core.streams.samples import PathNoise
@@ -263,7 +263,7 @@ class PosteriorEstimator:
             covariance = np.diag(np.maximum(covariance.diagonal(), widest))
         deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         origin = self._setting.origin(mean)
-        origin_sd = self._setting.origin_sd * math.sqrt(max(float(full[ORIGIN, ORIGIN]), 0.0))
+        origin_sd = self._setting.origin_deviation(full)
         beyond = self._probability_beyond(press, mean, origin_sd, float(deviations[LOG_GN]))
         error = self._law_error_of(solved)
         is_contradicted = _is_order_contradicted(config, error)

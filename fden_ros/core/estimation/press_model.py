@@ -43,7 +43,6 @@ from fden_ros.core.law.relaxation import (
 )
 
 _ORDER_STEP, _LOG_STEP = 1e-5, 1e-5
-_NONE = np.zeros(0, dtype=np.int32)
 #: Weight of each knot of the kernel's error in each weight of the relaxation.
 _OF_KNOTS = np.ascontiguousarray(KERNEL_HATS.T)
 
@@ -182,9 +181,8 @@ class PressModel:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
         return relaxation_weights(order), relaxation_slopes(order)
 
-    def law(self, state: Array) -> LawState:
-        """Return the law at a state."""
-        weights, _ = self._bent_relaxation(state)
+    def _law(self, state: Array, weights: Array) -> LawState:
+        """Return the law at a state, with the weights of its relaxation."""
         compliance = 0.0
         if self._compliance is not None:
             compliance = self._compliance_unit * float(state[self._compliance])
@@ -259,9 +257,10 @@ class PressModel:
             If the stress is beyond floating-point numbers.
         """
         design = self._design(points)
-        law, (surface, columns) = self.law(state), self._columns(points, state)
+        relaxation = self._bent_relaxation(state)
+        law, asked = self._law(state, relaxation[0]), self._columns(points, state, relaxation)
         begun = going_on if going_on is not None else ResponseState(self.size)
-        found = self._response(points, state, law, (surface, columns), begun)
+        found = self._response(points, state, law, asked, begun)
         by_block = found.jacobian[points.first] + found.jacobian[points.last]
         by_block *= 0.5
         if self._compliance is not None:
@@ -281,9 +280,9 @@ class PressModel:
         """
         begun = ResponseState(0)
         surface = self._surface(points, state, self._change(points, state))[0]
-        motions, weights = np.zeros((0, points.times.size)), np.zeros((0, RATES.size + 2))
-        none = Columns(_NONE, motions, _NONE, weights)
-        found = self._response(points, state, self.law(state), (surface, none), begun)
+        law = self._law(state, self._bent_relaxation(state)[0])
+        asked = surface, Columns.none(points.times.size)
+        found = self._response(points, state, law, asked, begun)
         stress = points.mean(found.stress)
         stress += self._of_unknowns(state) @ self._design(points).stresses
         return Evaluation(stress, np.zeros((stress.size, 0)), found.elastic, found.slope, begun)
@@ -300,9 +299,11 @@ class PressModel:
         steps = points.elapsed, points.moments
         return loops.respond(law, RATES, steps, compressions, *asked, begun)
 
-    def _columns(self, points: Points, state: Array) -> tuple[Array | None, Columns]:
+    def _columns(
+        self, points: Points, state: Array, relaxation: tuple[Array, Array]
+    ) -> tuple[Array | None, Columns]:
         """Return the free surface, and what the response is derived by."""
-        weights, slopes = self._bent_relaxation(state)
+        weights, slopes = relaxation
         rows = slopes[None]
         if self.is_bent:
             rows = np.vstack([slopes, weights * _OF_KNOTS])

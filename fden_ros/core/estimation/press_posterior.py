@@ -201,9 +201,9 @@ class PressPosterior:
             return
         look = self._look_for_change()
         is_open = elapsed < LOOK_PERIOD or (elapsed < SUSPECTED and look.gain > PROMISING)
-        if look.change is not None or not is_open:
+        if look.event is not None or not is_open:
             self._suspected_at = None
-            self.solve(fully=look.change is not None)
+            self.solve(fully=look.event is not None)
 
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
@@ -327,9 +327,9 @@ class PressPosterior:
             )
         except UNSOLVABLE:
             return Look(None, -math.inf)
-        if look.change is not None:
-            self.events = (*self.events, look.change)
-            self._is_placed = look.change.since is None
+        if look.event is not None:
+            self.events = (*self.events, look.event)
+            self._is_placed = look.event.since is None
         return look
 
     def _place_again(self) -> None:
@@ -350,7 +350,8 @@ class PressPosterior:
             except UNSOLVABLE:
                 return -math.inf
 
-        self.events = (*before, placed(newest, _PLACED_WITHIN, evidence_of)[0])
+        change, _ = placed(newest, evidence_of(newest), _PLACED_WITHIN, evidence_of)
+        self.events = (*before, change)
 
     def mismatch_probability(self) -> float | None:
         """Return the probability of a relaxation that ends; None: the press cannot tell.

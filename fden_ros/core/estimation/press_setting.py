@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +91,10 @@ class PressSetting:
     def origin(self, mean: Array) -> float:
         """Return the strain origin of a state, as compression [1]."""
         return self.origin_sd * float(mean[ORIGIN])
+
+    def origin_deviation(self, covariance: Array) -> float:
+        """Return the standard deviation of the strain origin, as compression [1]."""
+        return self.origin_sd * math.sqrt(max(float(covariance[ORIGIN, ORIGIN]), 0.0))
 
     def posterior(
         self,
