@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.streams.frames import chain_up
 from fden_ros.errors import InputError
 from fden_ros.ros.messages import stamp_ns
 
@@ -80,10 +81,7 @@ class FrameTree:
 
     def _way_up(self, frame: str) -> list[str]:
         """Return a frame, its parent and so on up to the root."""
-        way = [frame]
-        while way[-1] in self._parents and self._parents[way[-1]] not in way:
-            way.append(self._parents[way[-1]])
-        return way
+        return chain_up(frame, self._parents.get)
 
     def way(self, base: str, frame: str, stamps: NDArray[np.int64] | None = None) -> Way:
         """Return a frame's way in the base; by default at the stamps of what moves most often.

@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.characteristic import elastic_response, strain_of_phi
 from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
 from fden_ros.core.outputs import WITHHELD, ContactSummary
 
@@ -61,11 +63,9 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
         return _uncover(estimate, budget, config.geometry)
     if not estimate.determines(1):
         return deeper(summary.max_strain, estimate.nonlinear_stiffness, config.geometry)
-    if budget is None:
-        return "press here once more"
     poor = _poor(estimate, config.estimator)
-    largest = budget.largest(poor[0]) if poor else ()
-    if not largest:
+    largest = budget.largest(poor[0]) if budget is not None and poor else ()
+    if budget is None or not largest:
         return "press here once more"
     # What is open of Gn and alpha is so because of the others.
     source = next((name for name in largest if name != "prior"), "prior")
@@ -194,20 +194,13 @@ def _strain(case: _Case, times: float) -> str:
     """Return the strain at which the force is so many times as large; empty: too far."""
     estimate, geometry = case.estimate, case.config.geometry
 
-    def response(strain: float) -> float:
-        return elastic_response(strain, 1.0, estimate.nonlinear_stiffness).value
-
     reached = case.summary.max_strain
     if reached <= 0.0:
         return ""
-    low, high = reached, geometry.strain(LARGEST_COMPRESSION)
-    if response(high) < times * response(reached):
-        return ""
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        is_too_little = response(middle) < times * response(reached)
-        low, high = (middle, high) if is_too_little else (low, middle)
-    return f"a strain of {high:.2g}"
+    gn = estimate.nonlinear_stiffness
+    wanted = times * elastic_response(reached, 1.0, gn).value
+    strain = float(strain_of_phi(np.array([wanted]), 1.0, gn)[0])
+    return f"a strain of {strain:.2g}" if strain <= geometry.strain(LARGEST_COMPRESSION) else ""
 
 
 def _of_friction(case: _Case) -> str:

@@ -204,14 +204,12 @@ class Frames:
         return (force, self._config.probe) if self._config.moves_probe else (force,)
 
     def _ancestors(self, frame: str) -> list[str]:
-        """Return a frame, its parent and so on, up to the root; a ring ends where it closes."""
-        chain = [frame]
-        while True:
-            link, static = self._links.get(chain[-1]), self._statics.get(chain[-1])
-            parent = link.parent if link is not None else static[0] if static is not None else None
-            if parent is None or parent in chain:
-                return chain
-            chain.append(parent)
+        """Return a frame, its parent and so on, up to the root."""
+        return chain_up(frame, self._parent_of)
+
+    def _parent_of(self, frame: str) -> str | None:
+        link, static = self._links.get(frame), self._statics.get(frame)
+        return link.parent if link is not None else static[0] if static is not None else None
 
     def _resolve(self) -> None:
         """Find the links between the frames, once each leads to the base."""
@@ -308,6 +306,14 @@ class Frames:
             link = moving[child] if child in moving else self._statics[child][1]
             found = link.then(found)
         return found
+
+
+def chain_up(frame: str, parent_of: Callable[[str], str | None]) -> list[str]:
+    """Return a frame, its parent and so on, up to the root; a ring ends where it closes."""
+    chain = [frame]
+    while (parent := parent_of(chain[-1])) is not None and parent not in chain:
+        chain.append(parent)
+    return chain
 
 
 def between(around: Around) -> Transform:
