@@ -12,16 +12,12 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import gamma
 
-from fden_ros.core.law.geometry import TorsionalRheometer
 from fden_ros.errors import InputError
-from fden_ros.experiments.bode import fit_bode
 from fden_ros.experiments.creep import fit_creep
 from fden_ros.experiments.dynamic import fit_complex_modulus
-from fden_ros.experiments.indentation import fit_indentation
 from fden_ros.experiments.kinds import Options, fit_file
 from fden_ros.experiments.nonlinearity import fit_nonlinearity
-from fden_ros.experiments.relaxation import Hold, fit_relaxation
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+from fden_ros.simulation.closed_form import FdenModel
 
 G, GN, ALPHA = 545.0, 8.55, 0.131
 MODEL = FdenModel(G, GN, ALPHA)
@@ -32,23 +28,11 @@ MODULUS = G * (1j * OMEGAS) ** ALPHA
 TIMES = np.geomspace(1.0, 180.0, 60)
 STRESSES = np.array([25.0, 50, 75, 100, 150, 200, 300, 400, 500, 600, 750])
 STRAINS = np.linspace(0.03, 0.35, 12)
-AFTER = np.geomspace(0.05, 100.0, 60)
-HELD = np.repeat([0.05, 0.1, 0.2, 0.3], AFTER.size)
-PRESS_TIMES = np.linspace(0.0, 3.0, 91)
-PRESS_STRAIN = 0.3 * np.minimum(PRESS_TIMES, 1.0)
-PRESS_STRESS = stress_of_piecewise_linear_strain([0.0, 1.0], [0.0, 0.3], PRESS_TIMES, MODEL)
+
 
 
 def creep_strain(stress, times=TIMES):
     return np.asarray(MODEL.strain_of_phi(stress * times**ALPHA / gamma(1.0 + ALPHA)))
-
-
-def step_stress(strain, times=AFTER):
-    return MODEL.phi(strain) * times**-ALPHA / gamma(1.0 - ALPHA)
-
-
-def ramp_stress(strain, times):
-    return stress_of_piecewise_linear_strain([0.0, 1.0], [0.0, strain], times, MODEL)
 
 
 def creep_columns(stress, times=TIMES):
@@ -58,9 +42,6 @@ def creep_columns(stress, times=TIMES):
     return {"time_s": times, "strain": strain, "stress_pa": np.full(times.size, stress)}
 
 
-PRESS = {"time_s": PRESS_TIMES, "strain": PRESS_STRAIN, "stress_pa": PRESS_STRESS}
-SAMPLE = TorsionalRheometer(0.010, 0.005)
-
 #: Of each file or folder: kind, options, columns of its files, and those that are measured.
 DATA = {
     "dynamic": (
@@ -68,25 +49,14 @@ DATA = {
                                 "loss_modulus_pa": MODULUS.imag}],
         ("storage_modulus_pa", "loss_modulus_pa"),
     ),
-    "bode": (
-        "bode", Options(), [{"omega_rad_s": OMEGAS, "gain_per_pa": 1.0 / np.abs(MODULUS),
-                             "phase_rad": -np.angle(MODULUS)}],
-        ("gain_per_pa", "phase_rad"),
-    ),
     "creep": ("creep", Options(), [creep_columns(20.0)], ("strain",)),
-    "torsion": (
-        "creep", Options(sample=SAMPLE),
-        [{"time_s": TIMES, "angle_rad": creep_strain(20.0) * 2.0 * 0.005 / 0.010,
-          "torque_n_m": np.full(TIMES.size, 20.0 * math.pi * 0.010**3)}],
-        ("angle_rad",),
-    ),
     "coefficients": (
         "nonlinearity", Options(alpha=ALPHA),
         [{"stress_pa": STRESSES, "strain_coefficient": creep_strain(STRESSES, 1.0)}],
         ("strain_coefficient",),
     ),
     "stresses": (
-        "nonlinearity", Options(paper_convention=True),
+        "nonlinearity", Options(),
         [{"stress_pa": MODEL.phi(STRAINS), "strain_coefficient": STRAINS}],
         ("stress_pa",),
     ),
@@ -94,29 +64,6 @@ DATA = {
         "nonlinearity", Options(), [creep_columns(s, TIMES[::3]) for s in STRESSES[::2]],
         ("strain",),
     ),
-    "step": (
-        "relaxation", Options(strain=0.1), [{"time_s": AFTER, "stress_pa": step_stress(0.1)}],
-        ("stress_pa",),
-    ),
-    "ramp": (
-        "relaxation", Options(strain=0.1, ramp=1.0),
-        [{"time_s": 0.5 + AFTER, "stress_pa": ramp_stress(0.1, 0.5 + AFTER)}],
-        ("stress_pa",),
-    ),
-    "steps": (
-        "relaxation", Options(),
-        [{"time_s": np.tile(AFTER, 4), "strain": HELD,
-          "stress_pa": step_stress(HELD, np.tile(AFTER, 4))}],
-        ("stress_pa",),
-    ),
-    "ramps": (
-        "relaxation", Options(ramp=1.0),
-        [{"time_s": 1.001 + AFTER, "strain": np.full(AFTER.size, x),
-          "stress_pa": ramp_stress(x, 1.001 + AFTER)} for x in (0.05, 0.1, 0.2, 0.3)],
-        ("stress_pa",),
-    ),
-    "press": ("indentation", Options(), [PRESS], ("stress_pa",)),
-    "press, alpha given": ("indentation", Options(alpha=ALPHA), [PRESS], ("stress_pa",)),
 }  # fmt: skip
 
 
@@ -160,25 +107,17 @@ def test_noise_free_file_gives_the_parameters_back(fitted, name):
     assert found == pytest.approx({key: TRUTH[key] for key in found}, rel=tolerance)
     assert {"alpha", "g"} <= set(found) or name == "stresses"
     assert fit.r_squared == pytest.approx(1.0, abs=1e-9)
-    assert fit.warnings == ()
+    assert [w for w in fit.warnings if "without --alpha" not in w] == []
 
 
 #: G and its deviation with noise of seed 0, by fits whose intervals hold the truth as often as
 #: they should: see the next test.
 GOLDEN = {
     "dynamic": (544.28, 6.684),
-    "bode": (544.42, 7.705),
     "creep": (549.16, 7.474),
-    "torsion": (551.28, 7.092),
     "coefficients": (538.3, 9.105),
     "stresses": (549.4, 5.518),
     "series": (540.78, 8.503),
-    "step": (544.0, 3.809),
-    "ramp": (550.99, 6.76),
-    "steps": (547.3, 2.702),
-    "ramps": (547.66, 3.351),
-    "press": (543.58, 13.61),
-    "press, alpha given": (537.09, 9.991),
 }
 
 
@@ -193,11 +132,6 @@ def test_intervals_cover_the_truth_under_five_percent_noise(fitted, name):
     hits = np.array([covered(fitted(name, seed)) for seed in range(500)])
     for one in hits.T:
         assert 0.90 <= np.mean(one) <= 0.99
-
-
-@pytest.mark.statistics
-def test_false_contradictions_are_rare(fitted):
-    assert np.mean([bool(fitted("bode", seed).warnings) for seed in range(300)]) < 0.04
 
 
 def test_the_bias_of_a_noisy_logarithm_is_taken_off():
@@ -234,33 +168,18 @@ def test_intervals_stay_honest_when_noise_is_correlated_or_uneven():
     assert 0.90 <= np.mean(uneven) <= 0.99
 
 
-def test_the_papers_procedures_stand_beside(fitted):
-    beside = fitted("coefficients").beside["appendix_d"]
+def test_a_coefficient_for_each_curve_stands_beside(fitted):
+    beside = fitted("series").beside["coefficients"]
     for key in ("g", "g_n", "g_i", "x_b"):
-        assert beside[key].value == pytest.approx(TRUTH[key], rel=1e-3)
-    # The paper's convention reads G low and Gn right.
-    paper = fitted("series").beside["paper"]
-    assert 0.90 <= paper["g"].value / G <= 0.935
-    assert paper["g_n"].value == pytest.approx(GN, rel=0.006)
-    assert fitted("press").beside["appendix_f"]["g_n"].value == pytest.approx(GN, rel=0.02)
-
-
-def test_relaxation_factor_is_that_of_the_erratum(fitted):
-    fit = fitted("step")
-    printed = fit["f_c"].value / (0.1 * gamma(1.0 + ALPHA))
-    assert fit["g"].value / printed == pytest.approx(
-        math.pi * ALPHA / math.sin(math.pi * ALPHA), rel=1e-9
-    )
+        assert beside[key].value == pytest.approx(TRUTH[key], rel=0.05)
 
 
 def test_phase_that_contradicts_the_slope_is_reported():
     noise = 1.0 + 0.05 * np.random.default_rng(1).standard_normal((2, 11))
-    gain, phase = noise[0] / np.abs(MODULUS), -np.angle(MODULUS) * noise[1]
-    contradicting = fit_bode(OMEGAS, gain, 2.0 * phase)
-    assert fit_bode(OMEGAS, gain, phase).warnings == ()
-    assert contradicting["alpha"].value == pytest.approx(ALPHA, abs=0.03)
-    for fit in (contradicting, fit_complex_modulus(OMEGAS, MODULUS.real, 2.0 * MODULUS.imag)):
-        assert any("contradict" in warning for warning in fit.warnings)
+    moduli = noise * [MODULUS.real, MODULUS.imag]
+    assert fit_complex_modulus(OMEGAS, *moduli).warnings == ()
+    fit = fit_complex_modulus(OMEGAS, MODULUS.real, 2.0 * MODULUS.imag)
+    assert any("contradict" in warning for warning in fit.warnings)
 
 
 def test_slope_and_phase_of_a_dynamic_test_have_deviations_of_their_own():
@@ -281,39 +200,6 @@ def test_shallow_data_say_that_they_do_not_determine_gn():
     assert math.isnan(fit["g_n"].sd)
 
 
-def test_ramp_alone_hardly_determines_alpha_and_says_so():
-    kept = PRESS_TIMES <= 1.0
-    noise = 1.0 + 0.05 * np.random.default_rng(0).standard_normal(int(kept.sum()))
-    motion = PRESS_TIMES[kept], PRESS_STRAIN[kept], PRESS_STRESS[kept] * noise
-    free, prior = fit_indentation(*motion), fit_indentation(*motion, ALPHA, 0.011)
-    assert any("hardly determines alpha" in warning for warning in free.warnings)
-    assert free["alpha"].sd > 0.05 > 0.02 > prior["alpha"].sd
-    assert prior["g"].sd < 0.7 * free["g"].sd
-
-
-@pytest.mark.parametrize("even", [True, False])
-def test_press_is_identified_whatever_the_steps_of_time(even):
-    corners = [0.0, 1.0, 3.0, 4.0], [0.0, 0.2, 0.2, 0.3]
-    random = np.append(0.0, np.sort(np.random.default_rng(0).uniform(0.0, 6.0, 300)))
-    times = np.arange(0.0, 6.0, 0.0005) if even else random
-    stress = stress_of_piecewise_linear_strain(*corners, times, MODEL)
-    fit = fit_indentation(times, np.interp(times, *corners), stress)
-    found = {key: fit[key].value for key in ("alpha", "g", "g_n")}
-    # Random samples do not hit the corners: their polygon is not quite the motion.
-    assert found == pytest.approx({k: TRUTH[k] for k in found}, rel=1e-6 if even else 0.02)
-
-
-def test_press_that_slips_is_not_fitted_by_a_poorer_minimum():
-    # Below 1/Gn the law is a straight line whatever Gn: from one start alone a fit ends there.
-    times = np.linspace(0.0, 30.0, 151)
-    corners = [0.0, 2.0], [0.0, 0.3]
-    stress = stress_of_piecewise_linear_strain(*corners, times, FdenModel(500.0, 4.5, 0.2))
-    stress[times > 1.0] -= 0.3 * stress.max()
-    fit = fit_indentation(times, np.interp(times, *corners), stress)
-    assert 0.3 * fit["g_n"].value > 1.0 and fit["g_n"].sd < fit["g_n"].value
-    assert fit.r_squared > 0.935
-
-
 def test_two_points_are_enough_for_parameters_but_not_for_a_deviation():
     two = np.array([10.0, 100.0])
     fit = fit_creep(two, creep_strain(20.0, two), 20.0)
@@ -325,11 +211,7 @@ def test_two_points_are_enough_for_parameters_but_not_for_a_deviation():
     "fit, words",
     [
         (lambda: fit_creep(TIMES, -creep_strain(20.0), 20.0), "strain is -"),
-        (lambda: fit_bode(OMEGAS, 1.0 / np.abs(MODULUS), np.angle(MODULUS)), "turn its sign"),
         (lambda: fit_nonlinearity(STRESSES[:2], creep_strain(STRESSES[:2], 1.0)), "3 different"),
-        (lambda: fit_relaxation([Hold(AFTER, step_stress(0.1), 0.1)], ramp=1.0), "within the"),
-        (lambda: fit_indentation(PRESS_TIMES, PRESS_STRAIN + 0.1, PRESS_STRESS), "first row"),
-        (lambda: fit_indentation(PRESS_TIMES, -PRESS_STRAIN, PRESS_STRESS), "must be positive"),
     ],
 )
 def test_data_that_cannot_be_are_refused_with_the_reason(fit, words):

@@ -39,7 +39,6 @@ names (comma, semicolon or tab; # begins a comment):
   {"KIND":14}{"columns":50}gives
 {_ROWS}
 
-torque_n_m and angle_rad stand in for stress_pa and strain where --radius and --height are given.
 Prints a table with standard deviations and 95 % intervals, or with --json one object.
 """
 
@@ -49,9 +48,6 @@ examples:
   fden fit creep creep.csv --stress 50
   fden fit nonlinearity coefficients.csv --alpha 0.131 --alpha-sd 0.011
   fden fit nonlinearity creep_tests/ --json | jq '.g, .g_sd'
-  fden fit relaxation hold.csv --strain 0.1 --ramp 0.5 --from 1
-  fden fit indentation press.csv --alpha 0.131
-  fden fit creep torsion.csv --radius 0.010 --height 0.005     (the paper's 20 mm: a diameter)
 
 Exit codes: 0 done, 1 the file cannot be used, 2 wrong usage.
 """
@@ -63,16 +59,12 @@ _UNITS = {
     "g_i": ("Gi", "Pa s^α"),
     "x_b": ("xb", ""),
     "x_c": ("xc", "s^-α"),
-    "f_c": ("fc", "Pa s^α"),
 }
 _TITLES = {
     "slope": "by the slope of |G*|",
     "phase": "by the phase",
     "slopes": "slopes of G' and G''",
-    "appendix_d": "the paper's switching filter (Appendix D)",
-    "appendix_f": "on the fractional stress (Appendix F)",
     "coefficients": "by one coefficient a curve",
-    "paper": "the paper's procedure to the letter",
 }
 
 
@@ -89,9 +81,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stress", type=positive, metavar="PA", help="creep: the constant stress"
     )
     numbers.add_argument(
-        "--strain", type=positive, metavar="X", help="relaxation: the held strain (0.1 is 10 %%)"
-    )
-    numbers.add_argument(
         "--from",
         dest="start",
         type=number(),
@@ -99,28 +88,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave out rows before this time (default: creep 1 s, else none)",
     )
     numbers.add_argument(
-        "--ramp",
-        type=positive,
-        metavar="S",
-        help="relaxation: the strain rose at constant rate from time 0 to S (default: a step)",
-    )
-    numbers.add_argument(
         "--alpha",
         type=number(above=0.0, below=1.0),
         metavar="A",
-        help="fractional order known from elsewhere (indentation learns it otherwise)",
+        help="fractional order known from elsewhere (else the paper's convention counts)",
     )
     numbers.add_argument(
         "--alpha-sd", type=positive, metavar="SD", help="its standard deviation (default: exact)"
     )
-    numbers.add_argument(
-        "--convention",
-        choices=("exact", "paper"),
-        help="nonlinearity of a file: keep the factor Gamma(1+alpha), which needs --alpha, or "
-        "leave it out as the paper does",
-    )
-    numbers.add_argument("--radius", type=positive, metavar="M", help="radius of the sample")
-    numbers.add_argument("--height", type=positive, metavar="M", help="height of the sample")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -144,23 +119,13 @@ def _options(args: argparse.Namespace) -> Options:
         given = getattr(args, {"from": "start"}.get(option, option.replace("-", "_")))
         if given is not None and args.kind not in kinds:
             args.parser.error(f"--{option} is for {' and '.join(kinds)}, not for {args.kind}")
-    if (args.radius is None) != (args.height is None):
-        args.parser.error("--radius and --height belong together")
     if args.alpha_sd is not None and args.alpha is None:
         args.parser.error("--alpha-sd needs --alpha")
-    if args.convention == "exact" and args.alpha is None and not args.file.is_dir():
-        args.parser.error("--convention exact needs --alpha")
-    from fden_ros.core.law.geometry import TorsionalRheometer
-
     return Options(
         stress=args.stress,
-        strain=args.strain,
         start=args.start,
-        ramp=args.ramp or 0.0,
         alpha=args.alpha,
         alpha_sd=args.alpha_sd or 0.0,
-        paper_convention=args.convention == "paper",
-        sample=TorsionalRheometer(args.radius, args.height) if args.radius else None,
     )
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.geometry import TorsionalRheometer
 from fden_ros.errors import InputError
 
 #: The columns that experiments read, and their units.
@@ -24,13 +23,9 @@ UNITS = {
     "strain": "a ratio",
     "strain_coefficient": "a ratio",
     "stress_pa": "Pa",
-    "torque_n_m": "N m",
-    "angle_rad": "rad",
     "omega_rad_s": "rad/s",
     "storage_modulus_pa": "Pa",
     "loss_modulus_pa": "Pa",
-    "gain_per_pa": "1/Pa",
-    "phase_rad": "rad",
 }
 
 #: A held quantity may vary by this part of its mean.
@@ -109,30 +104,16 @@ class Table:
                 f"{count}"
             )
 
-    def times(self, restart_where: Array | None = None) -> Array:
-        """Return time_s, strictly increasing (within stretches of equal `restart_where`)."""
+    def times(self) -> Array:
+        """Return time_s, strictly increasing."""
         times = self.column("time_s")
         for index in range(1, times.size):
-            if restart_where is not None and restart_where[index] != restart_where[index - 1]:
-                continue
             if not times[index] > times[index - 1]:
                 raise InputError(
                     f"{self.path}, line {self.lines[index]}: time_s {times[index]:g} does not "
                     f"come after {times[index - 1]:g}; sort the rows by time, each time once"
                 )
         return times
-
-    def stress(self, sample: TorsionalRheometer | None) -> Array:
-        """Return the stress [Pa]: stress_pa, or torque_n_m on a sample (Appendix A)."""
-        if "stress_pa" in self or "torque_n_m" not in self:
-            return self.column("stress_pa")
-        return self.column("torque_n_m") * self._sample(sample, "torque_n_m").stress_per_force
-
-    def strain(self, sample: TorsionalRheometer | None) -> Array:
-        """Return the strain [1]: strain, or angle_rad on a sample (Appendix A)."""
-        if "strain" in self or "angle_rad" not in self:
-            return self.checked_strain(self.column("strain"))
-        return self.column("angle_rad") / self._sample(sample, "angle_rad").length
 
     def checked_strain(self, values: Array) -> Array:
         """Return `values`, or raise if they can only be percent."""
@@ -166,13 +147,6 @@ class Table:
         lines = tuple(itertools.compress(self.lines, kept))
         return kept, replace(self, rows=rows, lines=lines)
 
-    def _sample(self, sample: TorsionalRheometer | None, name: str) -> TorsionalRheometer:
-        if sample is None:
-            raise InputError(
-                f"{self.path}: {name} needs the sample's --radius and --height in m (Appendix A)"
-            )
-        return sample
-
     def _missing(self, name: str) -> str:
         words = ("omega", "freq", "f") if name == "omega_rad_s" else (name.split("_")[0],)
         others = [n for n in self.names if n not in UNITS]
@@ -182,8 +156,7 @@ class Table:
                 f"{self.path}: column {name} is missing; convert {alike[0]!r} to {UNITS[name]} "
                 f"and name it {name}"
             )
-        instead = {"stress_pa": " (or torque_n_m)", "strain": " (or angle_rad)"}.get(name, "")
-        return f"{self.path}: column {name}{instead} is missing; found: {', '.join(self.names)}"
+        return f"{self.path}: column {name} is missing; found: {', '.join(self.names)}"
 
 
 def read_table(path: str | Path) -> Table:

@@ -50,11 +50,11 @@ def from_file(path: Path, options: Options) -> Fit:
 def read_creep_test(path: Path, options: Options) -> CreepTest:
     """Read time_s, strain and the stress of a creep test."""
     table = read_table(path)
-    time, strain = table.times(), table.strain(options.sample)
+    time, strain = table.times(), table.checked_strain(table.column("strain"))
     if options.stress is not None:
         stress = options.stress
-    elif "stress_pa" in table or "torque_n_m" in table:
-        stress = table.held("stress_pa", table.stress(options.sample))
+    elif "stress_pa" in table:
+        stress = table.held("stress_pa", table.column("stress_pa"))
     else:
         raise InputError(f"{path} does not say the stress; give --stress PA or a column stress_pa")
     if not stress > 0.0:

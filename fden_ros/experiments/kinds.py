@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from fden_ros.core.law.geometry import TorsionalRheometer
     from fden_ros.experiments.result import Fit
 
 
@@ -25,28 +24,16 @@ class Options:
     ----------
     stress : float, optional
         Constant stress of a creep test [Pa].
-    strain : float, optional
-        Held strain of a relaxation test [1].
     start : float, optional
         Rows before this time [s] are left out; None: 1 s for creep, else nothing.
-    ramp : float
-        Time in which the strain of a relaxation test rises [s].
     alpha, alpha_sd : float
         Fractional order from elsewhere, and its deviation.
-    paper_convention : bool
-        Nonlinearity without the factor Gamma(1+alpha), as the paper computes it.
-    sample : TorsionalRheometer, optional
-        The sample's radius and height, for torque and angle.
     """
 
     stress: float | None = None
-    strain: float | None = None
     start: float | None = None
-    ramp: float = 0.0
     alpha: float | None = None
     alpha_sd: float = 0.0
-    paper_convention: bool = False
-    sample: TorsionalRheometer | None = None
 
 
 @dataclass(frozen=True)
@@ -68,30 +55,16 @@ class Experiment:
 
 
 _ALL = "alpha, G, Gn, Gi, xb"
-_SAMPLE = ("radius", "height")
 
 EXPERIMENTS = {
     "dynamic": Experiment((("omega_rad_s, storage_modulus_pa, loss_modulus_pa", "alpha, G"),)),
-    "bode": Experiment((("omega_rad_s, gain_per_pa, phase_rad", "alpha, G"),)),
-    "creep": Experiment(
-        (("time_s, strain [, stress_pa]", "alpha, xc, G"),), ("stress", "from", *_SAMPLE)
-    ),
+    "creep": Experiment((("time_s, strain [, stress_pa]", "alpha, xc, G"),), ("stress", "from")),
     "nonlinearity": Experiment(
         (
             ("stress_pa, strain_coefficient", "G, Gn, Gi, xb"),
             ("or a folder of creep files with stress_pa", _ALL),
         ),
-        ("from", "alpha", "alpha-sd", "convention", *_SAMPLE),
-    ),
-    "relaxation": Experiment(
-        (
-            ("time_s, stress_pa [, strain]", "alpha, fc, G"),
-            ("several strains, or a folder of such files", _ALL),
-        ),
-        ("strain", "from", "ramp", *_SAMPLE),
-    ),
-    "indentation": Experiment(
-        (("time_s, strain, stress_pa", _ALL),), ("alpha", "alpha-sd", *_SAMPLE)
+        ("from", "alpha", "alpha-sd"),
     ),
 }
 

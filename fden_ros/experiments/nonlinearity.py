@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 from scipy.special import digamma, gamma, gammaln
 
 from fden_ros.core.arrays import Array
@@ -36,36 +35,32 @@ from fden_ros.experiments.creep import CreepTest, fit_creep, read_creep_test
 from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import (
     Solution,
-    line_through,
     minimise,
     minimise_logarithms,
     require_positive,
 )
-from fden_ros.experiments.result import Curve, Fit, Panel, Parameter, compared, plain, r_squared
+from fden_ros.experiments.result import Curve, Fit, Panel, compared, plain, r_squared
 
-#: Pairs that Appendix D takes at either end for its start.
-_START_PAIRS = 3
-_LEAST_NOISE = 1e-7
-_PRIOR_SD = 0.2
+#: Stresses at which creep must be known.
+_LEAST_STRESSES = 3
 
 
 def from_file(path: Path, options: Options) -> Fit:
     """Return the fit of a folder of creep tests, or of a file of stresses and coefficients."""
     if path.is_dir():
         tests = [read_creep_test(p, replace(options, stress=None)) for p in csv_files(path)]
-        if len({test.stress for test in tests}) < _START_PAIRS:
+        if len({test.stress for test in tests}) < _LEAST_STRESSES:
             raise InputError(
                 f"{path} holds creep tests at fewer than 3 stresses; nonlinearity needs 3 or more"
             )
         return fit_creep_series(tests)
     table = read_table(path)
     coefficient = table.positive("strain_coefficient")
-    stress = table.require_positive("stress_pa", table.stress(options.sample))
+    stress = table.positive("stress_pa")
     table.checked_strain(coefficient)
-    table.require_rows(_START_PAIRS, "a nonlinearity fit")
-    alpha = None if options.paper_convention else options.alpha
-    fit = fit_nonlinearity(stress, coefficient, alpha, options.alpha_sd)
-    if alpha is not None or options.paper_convention:
+    table.require_rows(_LEAST_STRESSES, "a nonlinearity fit")
+    fit = fit_nonlinearity(stress, coefficient, options.alpha, options.alpha_sd)
+    if options.alpha is not None:
         return fit
     hint = (
         "without --alpha the paper's convention f_c = phi(x_c) is used: if x_c are the strains of "
@@ -84,8 +79,8 @@ def fit_nonlinearity(
 
     The stress of a creep test is imposed and the coefficient measured, so the smooth estimator
     fits :math:`\log x_c` over the stress, :math:`x_c = \varphi^{-1}(f_c/\Gamma(1+\alpha))`, by
-    least squares: one observation over both branches, no switching. Beside it, as
-    ``appendix_d``, stands the paper's filter, see :func:`appendix_d`. R² is that of the stress.
+    least squares: one observation over both branches, where the paper's filter switches. R² is
+    that of the stress.
 
     Parameters
     ----------
@@ -106,7 +101,7 @@ def fit_nonlinearity(
     require_positive(stress=stress, strain_coefficient=coefficient)
     order = np.argsort(stress, kind="stable")
     stress, coefficient = stress[order], coefficient[order]
-    if np.unique(stress).size < _START_PAIRS:
+    if np.unique(stress).size < _LEAST_STRESSES:
         raise InputError("nonlinearity needs creep tests at 3 different stresses or more")
     factor = 1.0 if fractional_order is None else float(gamma(1.0 + fractional_order))
     static = stress / factor
@@ -124,8 +119,7 @@ def fit_nonlinearity(
         r_squared(stress, np.exp(log_phi(coefficient, log_g, log_g_n)) * factor),
         stress.size,
         (*undetermined_nonlinearity(float(coefficient.max()), log_g_n), *solution.warnings()),
-        {"appendix_d": appendix_d(coefficient, static)},
-        _panels(stress, coefficient, solution.values, factor),
+        panels=_panels(stress, coefficient, solution.values, factor),
     )
 
 
@@ -133,9 +127,9 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
     r"""Return alpha, G, Gn, Gi and xb from creep curves at several stresses, all at once.
 
     Exact also where a curve is no power law: least squares of log x over all samples with
-    :math:`x = \varphi^{-1}(f_c t^\alpha/\Gamma(1+\alpha))`. Beside it stands what comes of a
-    coefficient for each curve, which is the paper's procedure: ``coefficients`` with the factor
-    Gamma(1+alpha), ``paper`` without it and by Appendix D.
+    :math:`x = \varphi^{-1}(f_c t^\alpha/\Gamma(1+\alpha))`. Beside it, as
+    ``coefficients``, stands what comes of a coefficient for each curve, which is the paper's
+    procedure but for the factor Gamma(1+alpha).
 
     Parameters
     ----------
@@ -159,7 +153,6 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
     logs = np.log(strain)
     solution = minimise_logarithms(predicted, logs, start, *bounds)
     factor = float(gamma(1.0 + solution.values[0]))
-    paper = fit_nonlinearity(stresses, coefficients)
     return Fit(
         "nonlinearity",
         {"alpha": solution.plain(1.0), **stiffness_parameters(solution, 1)},
@@ -169,68 +162,12 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
             *undetermined_nonlinearity(float(strain.max()), solution.values[2]),
             *solution.warnings(),
         ),
-        {"coefficients": pairs.parameters, "paper": paper.beside["appendix_d"]},
+        {"coefficients": pairs.parameters},
         (
             *_panels(stresses, coefficients, solution.values[1:], factor),
             _creep_panel(tests, solution.values),
         ),
     )
-
-
-def appendix_d(coefficient: Array, static_stress: Array) -> dict[str, Parameter]:
-    r"""Return G, Gn, Gi, xb by the paper's filter with a switching observation (Appendix D).
-
-    An extended Kalman filter with the constant state (G, Gn) takes the pairs in the order of
-    strain. Its observation is :math:`f = G x` while :math:`x < 1/G_n` by the present estimate, and
-    :math:`\log f = G_n x + \log(G/(G_n e))` beyond. It starts at what regression lines through
-    the three pairs of least and of greatest strain say. The relative noise is taken from the
-    residuals of a first run.
-
-    Parameters
-    ----------
-    coefficient : ndarray, shape (n,)
-        Strains x, positive.
-    static_stress : ndarray, shape (n,)
-        phi at these strains [Pa s^alpha], positive.
-    """
-    order = np.argsort(coefficient, kind="stable")
-    x, f = coefficient[order], static_stress[order]
-    low, high = slice(None, _START_PAIRS), slice(-_START_PAIRS, None)
-    g = float(x[low] @ f[low] / (x[low] @ x[low]))
-    g_n = line_through(x[high], np.log(f[high])).values[0]
-    start, noise = np.array([g, max(g_n, 1e-3)]), 0.05
-    for _ in range(3):
-        state, covariance = _switching_filter(x, f, start, noise)
-        if not (state > 0.0).all():
-            return dict.fromkeys(("g", "g_n", "g_i", "x_b"), Parameter(*[math.nan] * 4))
-        residuals = np.log(f) - log_phi(x, *np.log(state))
-        noise = float(np.sqrt(residuals @ residuals / max(x.size - 2, 1))) + _LEAST_NOISE
-    relative = covariance / np.outer(state, state)
-    found = Solution(np.log(state), relative, float(x.size - 2), residuals, 0.0)
-    return stiffness_parameters(found, 0)
-
-
-def _switching_filter(x: Array, f: Array, start: Array, noise: float) -> tuple[Array, Array]:
-    ekf = ExtendedKalmanFilter(dim_x=2, dim_z=1)
-    ekf.x = start.copy()
-    ekf.P = np.diag((_PRIOR_SD * start) ** 2)
-    for strain, stress in zip(x, f, strict=True):
-        g, g_n = ekf.x
-        if not (g > 0.0 and g_n > 0.0):
-            break
-        if strain < 1.0 / g_n:
-            observed, expected, row = stress, g * strain, [strain, 0.0]
-            variance = (noise * stress) ** 2
-        else:
-            observed, expected = math.log(stress), g_n * strain + math.log(g / (g_n * math.e))
-            row, variance = [1.0 / g, strain - 1.0 / g_n], noise**2
-        ekf.update(
-            np.array([observed]),
-            lambda _, row=row: np.array([row]),
-            lambda _, expected=expected: np.array([expected]),
-            R=np.array([[variance]]),
-        )
-    return np.array(ekf.x), np.array(ekf.P)
 
 
 def _fit_pairs(static: Array, coefficient: Array) -> Solution:

@@ -120,10 +120,7 @@ def line_through_logarithms(x: Array, y: Array) -> Solution:
 
 
 def minimise(
-    residuals: Callable[[Array], Array],
-    start: Array,
-    bounds: tuple[Array, Array] | None = None,
-    prior_rows: int = 0,
+    residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]
 ) -> Solution:
     """Minimise the sum of squares of `residuals` (predicted less observed) from `start`.
 
@@ -132,37 +129,14 @@ def minimise(
     residuals : callable
         Parameters (p,) to residuals (n,).
     start : ndarray, shape (p,)
-    bounds : tuple of ndarray, optional
+    bounds : tuple of ndarray
         Least and greatest parameters.
-    prior_rows : int
-        Number of rows at the end that are prior knowledge in units of its deviation, while the
-        others are data of unknown noise: their weight is set so that both count rightly.
     """
-    limits = bounds if bounds is not None else (-np.inf, np.inf)
-
-    def solve(begin: Array, scale: float) -> tuple[Array, Array]:
-        def scaled(values: Array) -> Array:
-            rows = np.array(residuals(values), dtype=float)
-            rows[rows.size - prior_rows :] *= scale
-            return rows
-
-        found = least_squares(
-            scaled, begin, bounds=limits, x_scale="jac",
-            xtol=1e-11, ftol=1e-12, gtol=1e-14, max_nfev=200,
-        )  # fmt: skip
-        return found.x, found.jac
-
-    if prior_rows == 0:
-        values, jacobian = solve(np.asarray(start, dtype=float), 1.0)
-        return _solution(values, -residuals(values), jacobian)
-    values, noise = np.asarray(start, dtype=float), 0.0
-    scale = 1e-9
-    for _ in range(3):
-        values, jacobian = solve(values, scale)
-        data = residuals(values)[:-prior_rows]
-        noise = float(np.sqrt(np.sum(data**2) / max(data.size - values.size, 1)))
-        scale = max(noise, 1e-12)
-    return _solution(values, -residuals(values)[:-prior_rows], jacobian, scale**2, prior_rows)
+    found = least_squares(
+        residuals, start, bounds=bounds, x_scale="jac",
+        xtol=1e-11, ftol=1e-12, gtol=1e-14, max_nfev=200,
+    )  # fmt: skip
+    return _solution(found.x, -residuals(found.x), found.jac)
 
 
 def minimise_logarithms(
@@ -199,26 +173,19 @@ def _widening(correlation: float, rows: int, parameters: int) -> float:
     return min(factor, rows / (parameters + 1.0))
 
 
-def _solution(
-    values: Array,
-    residuals: Array,
-    jacobian: Array,
-    prior_variance: float = 0.0,
-    prior_rows: int = 0,
-) -> Solution:
+def _solution(values: Array, residuals: Array, jacobian: Array) -> Solution:
     rows, parameters = residuals.size, values.size
     nothing = np.full((parameters, parameters), np.nan)
-    if rows + prior_rows <= parameters:
+    if rows <= parameters:
         return Solution(values, nothing, 0.0, residuals, 0.0)
     try:
         bread = np.linalg.inv(jacobian.T @ jacobian)
     except np.linalg.LinAlgError:
         return Solution(values, nothing, 0.0, residuals, 0.0)
-    data, prior = jacobian[:rows], jacobian[rows:]
-    leverage = np.minimum(np.einsum("ij,jk,ik->i", data, bread, data), _MAX_LEVERAGE)
-    weighted = data * (residuals / (1.0 - leverage))[:, None]
+    leverage = np.minimum(np.einsum("ij,jk,ik->i", jacobian, bread, jacobian), _MAX_LEVERAGE)
+    weighted = jacobian * (residuals / (1.0 - leverage))[:, None]
     correlation = first_correlation(residuals)
     factor = _widening(correlation, rows, parameters)
-    meat = factor * weighted.T @ weighted + prior_variance * prior.T @ prior
+    meat = factor * weighted.T @ weighted
     dof = max(rows / factor - parameters, min(rows - parameters, _LEAST_DOF))
     return Solution(values, bread @ meat @ bread, dof, residuals, correlation)

@@ -70,7 +70,7 @@ class Fit:
         The experiment, as in ``fden fit KIND``.
     parameters : mapping of str to Parameter
         By key: ``alpha`` [1], ``g`` [Pa s^alpha], ``g_n`` [1], and what else the experiment gives:
-        ``x_c`` [s^-alpha], ``f_c`` [Pa s^alpha], ``g_i`` [Pa s^alpha], ``x_b`` [1].
+        ``x_c`` [s^-alpha], ``g_i`` [Pa s^alpha], ``x_b`` [1].
     r_squared : float
         Coefficient of determination; NaN if the data do not vary.
     samples : int

@@ -22,7 +22,6 @@ _NAMES = {
     "g_i": "$G_i$",
     "x_b": "$x_b$",
     "x_c": "$x_c$",
-    "f_c": "$f_c$",
 }
 _SIZE = (5.2, 4.4)
 #: Up to so many points are drawn as circles.
