@@ -70,8 +70,6 @@ setup(
             "ros-jazzy-domain-coordinator",
             "rosbags",
         ],
-        # `fden batch` alone. rosdep has no keys for these, so a robot does without them.
-        "batch": ["bokeh>=3.1", "dask>=2024.2", "distributed>=2024.2", "pyarrow>=15.0"],
         # The fuzzer; tests skip without it. No rosdep key.
         "fuzz": ["atheris; python_version < '3.14'"],
         "lint": ["mypy", "ruff"],

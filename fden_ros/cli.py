@@ -23,17 +23,14 @@ _SAME_INTERRUPT = 1.0
 
 COMMANDS = (
     "bag",
-    "info",
     "replay",
     "report",
     "batch",
     "play",
     "demo",
     "train",
-    "relative",
     "fit",
     "configure",
-    "calibrate",
     "parameters",
     "benchmark",
     "monitor",
@@ -45,20 +42,16 @@ DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
   fden bag ramp -o /tmp/ramp          make a synthetic palpation bag
-  fden info /tmp/ramp                 what is in a bag, and what of it would be used
   fden replay /tmp/ramp --config /tmp/ramp/identifier.yaml
                                       estimate G and Gn from a bag
   fden report /tmp/ramp --config /tmp/ramp/identifier.yaml -o ramp.html
                                       a page to read: what was pressed, how well it is known
-  fden batch archive -o results.parquet
+  fden batch archive -o results.csv
                                       an archive of bags, a row a contact
   fden train liver/1=bags -o library.yaml
                                       a tissue library from labelled contacts
-  fden relative results.parquet       sites that are stiffer than their surroundings
   fden play /tmp/ramp                 publish a bag on live topics
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
-  fden calibrate rig rec --config probe.yaml
-                                      delay and friction that its contacts tell
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together

@@ -50,11 +50,9 @@ def train(capsys, *arguments):
 
 
 def test_table_becomes_a_library_with_a_check_and_priors(tmp_path, capsys):
-    header = ("organ", "animal", *HEADER[2:])
-    table, library = written(tmp_path / "table.csv", rows(), header), tmp_path / "library.yaml"
-    options = ("--tissue-column", "organ", "--specimen-column", "animal")
+    table, library = written(tmp_path / "table.csv", rows()), tmp_path / "library.yaml"
     priors = ("--prior", "liver=3", "--prior", "muscle=1", "--unknown", "0.2")
-    code, out, _ = train(capsys, table, "-o", library, *options, *priors)
+    code, out, _ = train(capsys, table, "-o", library, *priors)
     assert code == 0
     assert "liver" in out and "error 0.0%" in out and "12 specimens" in out
     found = load_library(library)
@@ -77,11 +75,7 @@ def test_answer_in_json_has_check_warnings_and_what_was_left_out(tmp_path, capsy
     assert any("no specimen is named for liver, muscle" in line for line in answer["warnings"])
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys, suffix):
-    if suffix == ".parquet":
-        pyarrow = pytest.importorskip("pyarrow")
-        from pyarrow import parquet
+def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys):
     # Contacts that showed as much as the prior knew: the truth lies twice as far from it.
     log_sd, mean = 0.3, math.log(520.0)
     body = []
@@ -90,12 +84,7 @@ def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys, suffix
         sd = log_sd / math.sqrt(2.0)
         body.append(("a", specimen, g, sd * g, 8.4, 0.05 * 8.4, 0.131, 0.002, "prior"))
     header = (*HEADER, "alpha_source")
-    path = tmp_path / f"results{suffix}"
-    if suffix == ".parquet":
-        columns = dict(zip(header, map(list, zip(*body, strict=True)), strict=True))
-        parquet.write_table(pyarrow.table(columns), path)
-    else:
-        written(path, body, header)
+    path = written(tmp_path / "results.csv", body, header)
     assert train(capsys, path, "-o", tmp_path / "l.yaml", "--config", LIVER_FILE)[0] == 0
     found = load_library(tmp_path / "l.yaml").tissues[0]
     assert found.mean[0] == pytest.approx(mean + 0.8, abs=0.05)
@@ -160,17 +149,6 @@ def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsy
     assert 0.05 < contact["typicality"] <= 1.0
     assert 0.12 < contact["decision_strain"] <= 0.23
     assert 0.2 < contact["decision_time"] < 1.5
-
-
-def test_list_of_bags_is_read_with_paths_from_its_folder(bags, tmp_path, capsys):
-    folder, config = bags
-    listed = written(
-        folder / "labels.csv",
-        [("soft", "soft", "one"), ("stiff", "stiff", "two")],
-        ("bag", "tissue", "specimen"),
-    )
-    _, out, _ = train(capsys, listed, "--config", config, "-o", tmp_path / "l.yaml", "--json")
-    assert json.loads(out)["contacts"] == 2
 
 
 def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, capsys):

@@ -19,8 +19,10 @@ from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.offline import batch
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import write_recording
 
 
@@ -201,13 +203,10 @@ def test_replay_goes_on_with_the_next_site_warns_and_logs_the_traceback_once(
 def test_batch_goes_on_and_says_so_in_the_bags_row(
     bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batch = pytest.importorskip("fden_ros.offline.batch")
-    from fden_ros.recording.source import Selection
-
     breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
     parameters = read_parameter_file(bag / "identifier.yaml")
-    record = batch.identify(str(bag), batch.Work(parameters, Selection()), "", None)
-    assert record["error"] is None
-    assert "the estimation failed in contact 1 of site 1" in record["warnings"]
-    assert "estimation_failed" in record["contacts"][0]["flags"]
-    assert record["contacts"][-1]["converged"]
+    rows = batch.identify(str(bag), batch.Work(parameters, Selection()))
+    assert rows[0]["error"] is None
+    assert "the estimation failed in contact 1 of site 1" in rows[0]["warnings"]
+    assert "estimation_failed" in rows[0]["flags"]
+    assert rows[-1]["converged"]

@@ -6,10 +6,8 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +15,12 @@ from pipeline_helpers import feed, identified, items_of, summaries_of
 from property_helpers import counts
 
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
-from fden_ros.cli import main
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Phase, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
     Disturbances,
@@ -187,18 +184,3 @@ def test_forgetting_the_rig_before_the_air_was_judged_lets_that_contact_teach_no
     assert len(summaries_of(outputs)) == 1
     pipeline.finish()
     assert pipeline.rig == stated
-
-
-def test_what_was_learned_is_saved_as_parameters_and_loaded(tmp_path, capsys):
-    press = Path(__file__).parent.parent / "examples"
-    given = [str(press / "press.csv"), "--columns", "time_s,force_N,depth_mm*1e-3"]
-    output = tmp_path / "learned.yaml"
-    config = ["--config", str(press / "probe.yaml")]
-    assert main(["calibrate", "rig", *given, *config, "-o", str(output), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    before, after = read_parameter_file(press / "probe.yaml"), read_parameter_file(output)
-    changed = {n: v for n, v in after.as_dict().items() if v != before.as_dict()[n]}
-    assert changed == printed["parameters"]
-    assert 0.0 < after.force.friction_sd < before.force.friction_sd
-    known = RigKnowledge.stated(pipeline_config(after).estimator)
-    assert known.values["friction"] == (after.force.friction, after.force.friction_sd)

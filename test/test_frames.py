@@ -40,7 +40,6 @@ from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.offline.session import gather
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.recording.contents import inspect
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import PARAMETER_FILE
@@ -247,8 +246,6 @@ def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
     assert main(["replay", str(bag), *config, "-o", str(out), "--with-inputs"]) == 0
     (out / PARAMETER_FILE).write_text((bag / PARAMETER_FILE).read_text())
     assert replayed(out, KINDS)[1] == replayed(bag, KINDS)[1]
-    contents = inspect(bag, read_parameter_file(bag / PARAMETER_FILE))
-    assert not contents.problems and not contents.warnings
     assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
 
 

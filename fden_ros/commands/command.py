@@ -25,10 +25,6 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
 
 
-def _nothing(parser: argparse.ArgumentParser) -> None:
-    pass
-
-
 @dataclass(frozen=True)
 class Command:
     """One command of ``fden``: a module of this folder has it as ``COMMAND``.
@@ -41,21 +37,18 @@ class Command:
         What ``--help`` says before and after the arguments; the epilog begins with examples.
     add_arguments : callable
         Adds the arguments to a parser.
-    run : callable, optional
+    run : callable
         Takes the parsed arguments and returns the exit code. It calls ``args.parser.error`` where
         arguments do not go together, and raises
         :class:`~fden_ros.errors.InputError` where what they name cannot be used.
-    parts : tuple of Command
-        Commands below this one, which then has no `run` of its own.
     """
 
     name: str
     summary: str
     description: str
     epilog: str
-    add_arguments: Callable[[argparse.ArgumentParser], None] = _nothing
-    run: Callable[[argparse.Namespace], int] | None = None
-    parts: tuple[Command, ...] = ()
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
 
     def add_to(self, commands: argparse._SubParsersAction[Any]) -> None:
         """Add the command to those of a parser."""
@@ -67,13 +60,7 @@ class Command:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         self.add_arguments(parser)
-        parser.set_defaults(parser=parser)
-        if self.run is not None:
-            parser.set_defaults(run=self.run)
-        if self.parts:
-            below = parser.add_subparsers(required=True, metavar="WHAT")
-            for part in self.parts:
-                part.add_to(below)
+        parser.set_defaults(parser=parser, run=self.run)
 
 
 def number(

@@ -43,7 +43,7 @@ examples:
       then: ros2 bag play -i palpation.mcap mcap -i results
   fden replay press.csv --config probe.yaml --columns '1,3,2*1e-3'
 
-`fden info BAG` shows what is in a bag and what would be used. The configuration is the identifier
+The configuration is the identifier
 node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 nothing
 was identified: no contact is converged, nor a stiffness known (contact.mode: continuous).
 """

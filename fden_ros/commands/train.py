@@ -26,10 +26,9 @@ specimen at a time is left out. LABELLED is
 
   TISSUE=BAG             a bag or a folder of bags, all of this tissue
   TISSUE/SPECIMEN=BAG    and all of this specimen
-  LIST.csv               columns bag, tissue and, if known, specimen; paths from the list's folder
-  RESULTS.csv, .parquet  columns tissue, specimen, g, g_sd, g_n, g_n_sd, alpha, alpha_sd; such as
+  RESULTS.csv            columns tissue, specimen, g, g_sd, g_n, g_n_sd, alpha, alpha_sd; such as
                          fden batch and fden report --csv write, with the columns tissue and
-                         specimen added, or as TISSUE/SPECIMEN=RESULTS.parquet
+                         specimen added, or as TISSUE/SPECIMEN=RESULTS.csv
 
 The column label of results is what the classifier said: it is not used.
 """
@@ -38,9 +37,8 @@ EPILOG = """\
 examples:
   fden train liver/pig1=bags/pig1 liver/pig2=bags/pig2 muscle/pig1=bags/muscle1 \\
       --config probe.yaml -o library.yaml
-  fden train labels.csv --config probe.yaml -o library.yaml
   fden train liver.csv muscle.csv -o library.yaml --prior liver=0.8 --prior muscle=0.15
-  fden train results.parquet --tissue-column organ --specimen-column animal -o library.yaml
+  fden train liver/pig1=monday.csv liver/pig2=tuesday.csv --config probe.yaml -o library.yaml
 then: fden replay BAG --config probe.yaml, with classifier.library: library.yaml in it
 
 The prior of the estimator is in every estimate, and is taken out again: give the --config that the
@@ -71,8 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="probability of meeting what is none of them (default: 0.1)",
     )
-    parser.add_argument("--tissue-column", default="tissue", metavar="NAME")
-    parser.add_argument("--specimen-column", default="specimen", metavar="NAME")
     add_json(parser)
     add_input_options(parser)
 
@@ -124,17 +120,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(args: argparse.Namespace, parameters: Parameters) -> Contacts:
-    from fden_ros.offline.labelled import Columns, Source, read_source
+    from fden_ros.offline.labelled import Source, read_source
     from fden_ros.progress import progress
     from fden_ros.tissues.training import joined
 
     selection = selection_of(args)
-    columns = Columns(args.tissue_column, args.specimen_column)
     sources = [Source.parse(text) for text in args.labelled]
     parts = []
     with progress("contacts", len(sources)) as show:
         for source in sources:
-            parts.append(read_source(source, parameters, selection, columns))
+            parts.append(read_source(source, parameters, selection))
             show(len(parts))
     contacts = joined(parts)
     for tissue, _ in args.prior:

@@ -1,60 +1,45 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An archive of recordings, identified on Dask: a table with a row a contact.
+"""An archive of recordings, identified by several processes: a table with a row a contact.
 
-What a run has done is kept in a journal beside the table, a line a bag, until the table is
-written. So a run that is interrupted, or whose workers die, goes on where it was, and a bag whose
-content and configuration have not changed is not done again.
+The rows of a bag are in the table as soon as it is done. So a run that is interrupted goes on
+where it was: a bag whose rows are there with the same configuration is not done again.
 """
 
 from __future__ import annotations
 
+import csv
 import glob
 import hashlib
-import itertools
 import json
+import multiprocessing
 import os
+import signal
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fden_ros import __version__
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
-from fden_ros.offline.rows import COLUMNS, LISTS, contact_row
+from fden_ros.offline.rows import COLUMNS, contact_row
 from fden_ros.offline.session import Innovations
 from fden_ros.parameters import Parameters
 from fden_ros.recording.source import Selection
 from fden_ros.tissues.library import load_library
 
-if TYPE_CHECKING:
-    from distributed import Client
-
-#: Raise when the meaning of a row changes: earlier rows are then made anew.
-_FORMAT = 3
-_BAG_COLUMNS = ("bag", "content", "configuration", "error", "warnings", "seconds", "pairs")
-_LOST = "lost: "
-#: Bags that wait at each worker beside the one in work.
-_AHEAD = 2
-_HASH_BLOCK = 1 << 20
+#: Of the bag: what it was identified with, what is wrong with it, its length, and how many
+#: contacts it has, which tells whether all of its rows are there.
+_BAG_COLUMNS = ("bag", "configuration", "error", "warnings", "seconds", "pairs", "contacts")
 _RECORDINGS = (".mcap", ".mcap.zst", ".mcap.zstd", ".mcap.lz4")
 
-Record = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a run is."""
-
-    done: int
-    total: int
-    skipped: int
-    broken: int
-    contacts: int
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -74,17 +59,8 @@ class Work:
     def digest(self) -> str:
         """Return what tells this configuration from others, the tissue library included."""
         library = load_library(self.parameters.classifier.library or None)
-        text = json.dumps(
-            [
-                _FORMAT,
-                __version__,
-                self.parameters.as_dict(),
-                asdict(self.selection),
-                repr(library),
-            ],
-            sort_keys=True,
-            default=str,
-        )
+        parts = [__version__, self.parameters.as_dict(), asdict(self.selection), repr(library)]
+        text = json.dumps(parts, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
@@ -109,11 +85,8 @@ def find_bags(places: Iterable[str]) -> list[Path]:
 
 
 def _bags_at(path: Path) -> Iterator[Path]:
-    if not path.is_dir():
-        # What is named is meant, whatever its name: if it is no bag, its row will say so.
-        yield path
-        return
-    if (path / "metadata.yaml").is_file():
+    # What is named is meant, whatever its name: if it is no bag, its row will say so.
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
         yield path
         return
     for child in sorted(path.iterdir()):
@@ -123,67 +96,27 @@ def _bags_at(path: Path) -> Iterator[Path]:
             yield from _bags_at(child)
 
 
-def content_digest(bag: Path) -> str:
-    """Return the digest of a bag's content: of all its files, with their names in a folder."""
-    digest = hashlib.sha256()
-    folder = bag.is_dir()
-    for file in sorted(p for p in bag.rglob("*") if p.is_file()) if folder else [bag]:
-        digest.update(
-            f"{file.relative_to(bag) if folder else ''}\0{file.stat().st_size}\0".encode()
-        )
-        with file.open("rb") as stream:
-            while block := stream.read(_HASH_BLOCK):
-                digest.update(block)
-    return digest.hexdigest()[:32]
-
-
-def identify(bag: str, work: Work, configuration: str, known: str | None) -> Record:
-    """Identify one bag; runs on a worker.
+def identify(bag: str, work: Work) -> list[Row]:
+    """Return the rows of a bag: one a contact, or one that says that there is none, or why.
 
     Parameters
     ----------
     bag : str
-        Path, as seen by the worker.
+        Path.
     work : Work
-    configuration : str
-        ``work.digest()``.
-    known : str or None
-        Content for which the answer is there already.
-
-    Returns
-    -------
-    dict
-        The bag's columns and ``contacts``, a list of rows; with an ``error`` where it is broken.
-        With ``unchanged`` set, nothing more.
     """
-    record = _empty_record(bag, configuration)
+    row: Row = dict.fromkeys((*_BAG_COLUMNS, *COLUMNS))
+    row |= {"bag": bag, "configuration": work.digest(), "contacts": 0}
     try:
-        record["content"] = content_digest(Path(bag))
-        if record["content"] == known:
-            return {**record, "unchanged": True}
-        return record | _identify(bag, work)
+        return _identify(row, work)
     except InputError as error:
-        record["error"] = str(error)
+        return [row | {"error": str(error)}]
     except Exception as error:
         # One bag must not end a run of thousands, whatever is wrong with it.
-        record["error"] = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return record
+        return [row | {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"}]
 
 
-def _empty_record(bag: str, configuration: str) -> Record:
-    return {
-        "bag": bag,
-        "content": "",
-        "configuration": configuration,
-        "error": None,
-        "warnings": "",
-        "seconds": None,
-        "pairs": 0,
-        "contacts": [],
-    }
-
-
-def _identify(bag: str, work: Work) -> Record:
+def _identify(row: Row, work: Work) -> list[Row]:
     innovations: defaultdict[int, Innovations] = defaultdict(Innovations)
     times: list[int] = []
 
@@ -194,25 +127,28 @@ def _identify(bag: str, work: Work) -> Record:
     def tick(log_time_ns: int, *_: object) -> None:
         times[1:] = [log_time_ns]
 
-    result = replay(bag, work.parameters, work.selection, on_output=see, on_input=tick)
-    return {
-        "contacts": [
-            contact_row(summary, innovations[summary.contact_id].mean_square)
-            for summary in result.summaries
-        ],
+    result = replay(row["bag"], work.parameters, work.selection, on_output=see, on_input=tick)
+    row = row | {
         "warnings": "; ".join(result.warnings),
         "seconds": (times[-1] - times[0]) * 1e-9 if times else 0.0,
         "pairs": result.samples,
+        "contacts": len(result.summaries),
     }
+    rows = [
+        row | contact_row(summary, innovations[summary.contact_id].mean_square)
+        for summary in result.summaries
+    ]
+    return rows or [row]
 
 
 class Results:
-    """The table and its journal.
+    """The table, CSV.
 
     Parameters
     ----------
     path : path
-        The table, Parquet.
+    configuration : str
+        That of the run: rows of another one are left out when their bag is done again.
 
     Raises
     ------
@@ -220,193 +156,106 @@ class Results:
         If there is a table that is not of this kind, or nothing can be written there.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, configuration: str) -> None:
         self.path = Path(path)
-        self._journal_path = self.path.with_name(f".{self.path.name}.journal")
-        self._records: dict[str, Record] = {}
-        for record in (*_read_table(self.path), *_read_journal(self._journal_path)):
-            self._records[record["bag"]] = record
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._journal = self._journal_path.open("a", encoding="utf-8")
-            # A line that was torn must not swallow the next one; empty lines do no harm.
-            self._journal.write("\n")
-        except OSError as error:
-            raise self._unwritable(error) from None
+        self._configuration = configuration
+        self._rows = _read_table(self.path)
+        self._is_written = False
 
-    def known(self, bag: str, configuration: str) -> str | None:
-        """Return the content of `bag` that is done with this configuration; None without."""
-        record = self._records.get(bag)
-        if record is None or record["configuration"] != configuration:
-            return None
-        # What was lost with a worker says nothing of the bag.
-        return None if (record["error"] or "").startswith(_LOST) else record["content"]
-
-    def add(self, record: Record) -> None:
-        """Keep a bag's record; it is on the disk when this returns."""
-        self._records[record["bag"]] = record
-        try:
-            self._journal.write(json.dumps(record, allow_nan=False) + "\n")
-            self._journal.flush()
-            os.fsync(self._journal.fileno())
-        except OSError as error:
-            raise self._unwritable(error) from None
-
-    def save(self) -> None:
-        """Write the table, and do away with the journal."""
-        import pyarrow.parquet
-
-        draft = self.path.with_name(f".{self.path.name}.part")
-        try:
-            pyarrow.parquet.write_table(self._table(), draft)
-            draft.replace(self.path)
-        except OSError as error:
-            draft.unlink(missing_ok=True)
-            raise self._unwritable(error) from None
-        self._journal.close()
-        self._journal_path.unlink()
-
-    def _table(self) -> Any:
-        import pyarrow
-
-        rows = [row for bag in sorted(self._records) for row in _rows(self._records[bag])]
-        return pyarrow.Table.from_pylist(rows, schema=_schema())
-
-    def _unwritable(self, error: OSError) -> InputError:
-        return InputError(
-            f"{self.path} cannot be written ({error.strerror}): choose another place"
+    def has(self, bag: str) -> bool:
+        """Return whether all rows of `bag` are there, of this configuration."""
+        rows = self._rows.get(bag, [])
+        return bool(rows) and all(
+            row["configuration"] == self._configuration
+            and len(rows) == max(1, int(row["contacts"] or 0))
+            for row in rows
         )
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep the rows of a bag; they are on the disk when this returns."""
+        bag = rows[0]["bag"]
+        can_follow = self._is_written and bag not in self._rows
+        self._rows[bag] = list(rows)
+        try:
+            if can_follow:
+                with self.path.open("a", encoding="utf-8", newline="") as file:
+                    _writer(file).writerows(rows)
+                return
+            self._write_anew()
+        except OSError as error:
+            raise InputError(
+                f"{self.path} cannot be written ({error.strerror}): choose another place"
+            ) from None
+
+    def _write_anew(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        draft = self.path.with_name(f".{self.path.name}.part")
+        with draft.open("w", encoding="utf-8", newline="") as file:
+            writer = _writer(file)
+            writer.writeheader()
+            for rows in self._rows.values():
+                writer.writerows(rows)
+        draft.replace(self.path)
+        self._is_written = True
+
+
+def _writer(file: Any) -> csv.DictWriter[str]:
+    return csv.DictWriter(file, (*_BAG_COLUMNS, *COLUMNS), lineterminator="\n")
+
+
+def _read_table(path: Path) -> dict[str, list[Row]]:
+    """Return the rows of a table by bag; without a line that was cut off."""
+    found: defaultdict[str, list[Row]] = defaultdict(list)
+    if not path.exists():
+        return found
+    try:
+        whole, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
+        reader = csv.DictReader(whole.splitlines())
+        if reader.fieldnames != [*_BAG_COLUMNS, *COLUMNS]:
+            raise InputError(f"{path} is a table of another kind: choose another place")
+        for row in reader:
+            found[row["bag"]].append(row)
+    except (OSError, UnicodeDecodeError, csv.Error):
+        raise InputError(f"{path} is no table of results: choose another place") from None
+    return found
 
 
 def run(
-    bags: list[Path],
-    work: Work,
-    results: Results,
-    client: Client,
-    report: Callable[[Progress], object] = lambda progress: None,
-    on_broken: Callable[[str, str], object] = lambda bag, error: None,
-) -> Progress:
-    """Identify `bags` on the workers of `client` and keep each as it comes.
+    bags: Sequence[Path], work: Work, results: Results, workers: int, on_bag: Callable[..., object]
+) -> None:
+    """Identify `bags` with `workers` processes and keep each as it comes.
 
     Parameters
     ----------
-    bags : list of path
-        Paths that the workers see too.
+    bags : sequence of path
     work : Work
     results : Results
-    client : distributed.Client
-    report : callable
-        Called after each bag.
-    on_broken : callable
-        Called with the path and the error of each bag that cannot be used.
+    workers : int
+    on_bag : callable
+        Called with the rows of each bag.
 
-    Returns
-    -------
-    Progress
-        Of the whole run.
+    Raises
+    ------
+    InputError
+        If a process was killed, as for want of memory.
     """
-    from distributed import as_completed
-
-    configuration = work.digest()
-    waiting = iter(bags)
-    paths: dict[str, str] = {}
-
-    def submit(bag: Path) -> Any:
-        path = str(bag)
-        future = client.submit(
-            identify, path, work, configuration, results.known(path, configuration), pure=False
-        )
-        paths[future.key] = path
-        return future
-
-    done = skipped = broken = contacts = 0
-    ahead = max(4, _AHEAD * sum(client.nthreads().values()) + 1)
-    pending = as_completed(
-        [submit(bag) for bag in itertools.islice(waiting, ahead)], loop=client.loop
-    )
-    for future in pending:
-        record = _record_of(future, paths.pop(future.key), configuration)
-        future.release()
-        following = next(waiting, None)
-        if following is not None:
-            pending.add(submit(following))
-        done += 1
-        if record.pop("unchanged", False):
-            skipped += 1
-        else:
-            results.add(record)
-            if record["error"] is not None:
-                broken += 1
-                on_broken(record["bag"], record["error"])
-            contacts += len(record["contacts"])
-        report(Progress(done, len(bags), skipped, broken, contacts))
-    return Progress(done, len(bags), skipped, broken, contacts)
-
-
-def _record_of(future: Any, bag: str, configuration: str) -> Record:
-    """Return the record that a future holds, or one that says how it was lost."""
-    if future.status == "finished":
-        record: Record = future.result()
-        return record
-    error = future.exception()
-    reason = f"{type(error).__name__}: {' '.join(str(error).split())}" if error else future.status
-    return _empty_record(bag, configuration) | {"error": f"{_LOST}{reason}"}
-
-
-def _rows(record: Record) -> Iterator[dict[str, Any]]:
-    """Yield a row a contact; one without a contact for a bag that has none, or is broken."""
-    head = {name: record[name] for name in _BAG_COLUMNS}
-    for contact in record["contacts"] or [dict.fromkeys(COLUMNS)]:
-        yield {**head, **contact}
-
-
-def _schema() -> Any:
-    import pyarrow
-
-    texts = {"bag", "content", "configuration", "error", "warnings"}
-    texts |= {"alpha_source", "frame", "label", *LISTS}
-    integers = {"contact_id", "site", "start_ns", "end_ns", "samples", "rejected", "pairs"}
-    booleans = {"converged", "complete"}
-
-    def kind(name: str) -> Any:
-        if name in texts:
-            return pyarrow.string()
-        if name in integers:
-            return pyarrow.int64()
-        return pyarrow.bool_() if name in booleans else pyarrow.float64()
-
-    return pyarrow.schema([(name, kind(name)) for name in (*_BAG_COLUMNS, *COLUMNS)])
-
-
-def _read_table(path: Path) -> Iterator[Record]:
-    import pyarrow
-    import pyarrow.parquet
-
-    if not path.exists():
-        return
+    # A fork would take the threads of the numerics with it.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
     try:
-        table = pyarrow.parquet.read_table(path)
-    except (OSError, pyarrow.ArrowInvalid):
-        raise InputError(f"{path} is no table of results: choose another place") from None
-    if table.schema.names != list(_schema().names):
-        raise InputError(f"{path} is a table of another kind: choose another place")
-    records: dict[str, Record] = {}
-    for row in table.to_pylist():
-        head = {name: row[name] for name in _BAG_COLUMNS}
-        record = records.setdefault(row["bag"], {**head, "contacts": []})
-        if row["contact_id"] is not None:
-            record["contacts"].append({name: row[name] for name in COLUMNS})
-    yield from records.values()
+        for future in as_completed([pool.submit(identify, str(bag), work) for bag in bags]):
+            rows = future.result()
+            results.add(rows)
+            on_bag(rows)
+    except BrokenProcessPool:
+        raise InputError(
+            f"a process was killed: {results.path} has what was done before; run it again, with "
+            "fewer --workers where memory is short"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def _read_journal(path: Path) -> Iterator[Record]:
-    if not path.exists():
-        return
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if not line:
-            continue
-        try:
-            yield json.loads(line)
-        except json.JSONDecodeError:
-            # Written halfway: that bag is done again.
-            continue
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the process that started this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
