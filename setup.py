@@ -80,7 +80,6 @@ setup(
             "identifier = fden_ros.nodes.programs:identifier",
             "tissue_simulator = fden_ros.nodes.programs:tissue_simulator",
             "force_controller = fden_ros.nodes.programs:force_controller",
-            "bridge = fden_ros.nodes.programs:bridge",
         ]
     },
 )

@@ -23,6 +23,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, by_case
+from benchmark.other_laws import (
+    Law,
+    Relaxation,
+    poroelastic,
+    quasi_linear,
+    springpot,
+    standard_linear_solid,
+    stress_of_law,
+)
 from benchmark.score import TWO_SIDED_95, Share, mean_of, rms, share, total
 from benchmark.trial import elapsed, fed, last_summaries
 from fden_ros.control.live_tissue import LiveTissue
@@ -32,15 +41,6 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
-from fden_ros.simulation.other_laws import (
-    Law,
-    Relaxation,
-    poroelastic,
-    quasi_linear,
-    springpot,
-    standard_linear_solid,
-    stress_of_law,
-)
 from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
 
 EPILOG = """\

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Start the identifier node with its parameter file, topics and lifecycle; the bridge if asked.
+r"""Start the identifier node with its parameter file, topics and lifecycle.
 
 ros2 launch fden_ros identifier.launch.py force_topic:=/ft/wrench \
     displacement_topic:=/arm/joint_states
@@ -9,9 +9,8 @@ ros2 launch fden_ros identifier.launch.py force_topic:=/ft/wrench \
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import LifecycleNode, Node
+from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
@@ -75,12 +74,6 @@ def generate_launch_description() -> LaunchDescription:
             description="Start the node again, 2 s after it has ended.",
         ),
         DeclareLaunchArgument(
-            "bridge",
-            default_value="false",
-            choices=["true", "false"],
-            description="Start the bridge to a controller, too; `parameters` has its section.",
-        ),
-        DeclareLaunchArgument(
             "log_level",
             default_value="info",
             choices=["debug", "info", "warn", "error", "fatal"],
@@ -115,18 +108,6 @@ def generate_launch_description() -> LaunchDescription:
             LaunchConfiguration("parameters"),
         ],
     )
-    bridge = Node(
-        package="fden_ros",
-        executable="bridge",
-        name="bridge",
-        namespace=LaunchConfiguration("namespace"),
-        output="screen",
-        # Without it a controller keeps the gains that were set last.
-        respawn=True,
-        respawn_delay=0.5,
-        arguments=["--ros-args", "--params-file", LaunchConfiguration("parameters")],
-        condition=IfCondition(LaunchConfiguration("bridge")),
-    )
     return LaunchDescription(
-        [*arguments, OpaqueFunction(function=_check_parameters), identifier, bridge]
+        [*arguments, OpaqueFunction(function=_check_parameters), identifier]
     )

@@ -21,7 +21,6 @@ from unknown_rig_bags import RigBag
 from benchmark.configure import judge
 from benchmark.unknown_rigs import SimulatedRig, simulate_rig
 from fden_ros.cli import main
-from fden_ros.configure.picture import save_picture
 from fden_ros.configure.reading import read
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
@@ -269,13 +268,12 @@ def test_the_file_replays_on_the_same_recording(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     truth = bag_rig().truth
-    output, picture = tmp_path / "probe.yaml", tmp_path / "evidence.png"
+    output = tmp_path / "probe.yaml"
     indenter = ["--flat-punch", truth.area, "--thickness", truth.thickness]
-    assert run("configure", bag, "-o", output, "--plot", picture, *indenter) == 0
+    assert run("configure", bag, "-o", output, *indenter) == 0
     printed = capsys.readouterr().out
     assert f"Next: fden replay {bag} --config {output}" in printed
     assert "ATTENTION" not in printed
-    assert picture.stat().st_size > 20_000
     parameters = read_parameter_file(output)
     assert parameters.tool.mass == pytest.approx(truth.mass, rel=0.02)
     assert parameters.displacement.delay == pytest.approx(truth.delay, abs=1e-3)
@@ -415,13 +413,6 @@ def test_wrong_usage_is_told(
         run("configure", bag, *arguments)
     assert error.value.code == 2
     assert words in capsys.readouterr().err
-
-
-def test_a_picture_is_drawn_where_nothing_is_known(tmp_path: Path) -> None:
-    times = np.arange(0.0, 5.0, 0.01)
-    streams = Streams("rest", times, np.zeros((times.size, 1)), times, np.ones((times.size, 1)))
-    save_picture(survey([streams]), tmp_path / "empty.png")
-    assert (tmp_path / "empty.png").stat().st_size > 10_000
 
 
 # Measured

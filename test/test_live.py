@@ -37,7 +37,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.nodes.monitor import Monitor
-from fden_ros.report.monitor import MonitorView, Trace, monitor_view, trace_row
+from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.markers import StiffnessMap, colour_of
 from fden_ros.simulation.simulate import START_NS
 
@@ -203,31 +203,8 @@ def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
         f"[{500 * math.exp(-0.2):.4g}, {500 * math.exp(0.2):.4g}]",
     ):
         assert words in text
-    # A state in the air is a gap in the curves.
-    assert all(map(math.isnan, trace_row(replace(state, status=Status.NO_CONTACT))[1:]))
-    assert trace_row(state) == pytest.approx(
-        (500.0, 500.0, 500.0 * math.exp(-0.2), 500.0 * math.exp(0.2))
-    )
     lost = MonitorView("/identifier", state=state, age=3.0, refusal=Refusal.LOST)
     assert "no estimate for 3.0 s" in shown(lost)
-
-
-def test_the_monitor_draws_the_force_and_g_with_its_band() -> None:
-    ages = np.linspace(10.0, 0.0, 501)
-    stress = np.where(ages > 5.0, np.nan, 600.0)
-    stiffness = np.where(ages > 5.0, np.nan, 500.0)
-    trace = Trace(ages, stress, stiffness, 0.8 * stiffness, 1.25 * stiffness, 3000.0)
-    lines = shown(MonitorView("/identifier", trace=trace)).splitlines()
-    begin = next(i for i, line in enumerate(lines) if "force [N]" in line)
-    assert "G [Pa s^α], ±2 sd" in lines[begin] and "-10 s" in lines[begin + 7]
-    chart = lines[begin + 1 : begin + 7]
-    assert "0.22" in chart[0] and max(map(len, chart)) <= 110
-    force, stiffness_chart = zip(*((line[:55], line[55:]) for line in chart), strict=True)
-    dots = [i for line in force for i, c in enumerate(line) if "\u2801" <= c <= "\u28ff"]
-    # Half of 10 s in the air, half in contact.
-    assert min(dots) > 9 + 20 and max(dots) > 9 + 40
-    assert sum("░" in line for line in stiffness_chart) >= 4
-    assert "stress [Pa]" in shown(MonitorView("/i", trace=replace(trace, stress_per_force=None)))
 
 
 def test_the_monitor_tells_a_bag_that_is_over_from_a_node_that_is_gone() -> None:

@@ -86,7 +86,7 @@ def test_another_type_another_qos_and_a_missing_clock_are_named_with_what_mends_
             "a publisher on /force offers an incompatible reliability, best_effort where reliable "
             "is asked for: nothing comes from it; "
             "set qos_overrides./force.subscription.reliability to best_effort",
-            "use_sim_time is set but nothing publishes /clock: play the bag with --clock",
+            "nothing publishes /clock: play the bag with ros2 bag play --clock",
         )
         with identifier({"autostart": True, **wrong}) as node:
             wait_for_words(bench, *mended)

@@ -23,6 +23,7 @@ from benchmark.laws import (
     recorded,
     run_trial,
 )
+from benchmark.other_laws import Law, springpot
 from fden_ros.control.left_out import Hold
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.estimation.estimate import StateIndex
@@ -31,7 +32,6 @@ from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
-from fden_ros.simulation.other_laws import Law, springpot
 from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
 
 IN_THE_HOLD = MOMENTS[2:]

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from output_helpers import ESTIMATE, state, summary
+from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
@@ -24,7 +23,6 @@ from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag, OrderSource
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.nodes.decisions import Decisions
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import replay
 from fden_ros.offline.results import replay_to_bag
@@ -202,30 +200,6 @@ def test_a_replay_does_not_warn_of_what_is_usual(tmp_path: Path) -> None:
     assert not any("rejected" in text for text in result.warnings)
 
 
-# What the node says at the level of debug
-
-
-def test_what_is_decided_is_said_once() -> None:
-    decisions = Decisions(Counter({"force.spike": 2}))
-    said: list[str] = []
-    replay(
-        PRESS,
-        read_parameter_file(PRESS / "identifier.yaml"),
-        on_output=lambda output, _frame: said.extend(decisions.of(output)),
-    )
-    text = "\n".join(said)
-    for words in (
-        *("unknown -> no contact", "contact 1 begins, at site 1", "converging -> converged; G "),
-        *("known: linear_stiffness, nonlinear_stiffness", "contact 1: class"),
-        *("contact 2 ends: converged, released, ", "strain up to 0."),
-    ):
-        assert words in text, text
-    assert len(said) < 60
-    spiked = list(decisions.of(state(contact_id=2, flags=Flag.INPUT_REJECTED | Flag.GAP)))
-    assert spiked[:2] == ["rejected: force.spike 2", "contact 2: flags raised: gap"]
-    assert list(decisions.of(state(contact_id=2, flags=Flag.GAP))) == []
-
-
 # Results of a table
 
 
@@ -286,11 +260,11 @@ def test_a_number_as_large_as_its_deviation_is_a_bound_or_nothing(
     assert result(value, deviation, is_of_data=is_of_data) == words
 
 
-def test_table_and_log_put_what_the_prior_says_in_brackets() -> None:
+def test_table_puts_what_the_prior_says_in_brackets() -> None:
     open_ = ESTIMATE._replace(
         covariance=np.diag([1.2, 0.04, 0.0001]), valid=ParameterSet.LINEAR_STIFFNESS
     )
     contact = summary(estimate=open_, apparent_stiffness=ApparentStiffness(40.0, 44.0, 0.1))
-    for text in (printed(contact), "\n".join(Decisions(Counter()).of(state(estimate=open_)))):
-        assert "below 3" in text and "(8.0 ± 1.6)" in text and "± 5" not in text
+    text = printed(contact)
+    assert "below 3" in text and "(8.0 ± 1.6)" in text and "± 5" not in text
     assert "below 250" in printed(contact)

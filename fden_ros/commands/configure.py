@@ -32,7 +32,7 @@ motion that would. The parameter file that comes out is commented.
 EPILOG = """\
 examples:
   fden configure palpation.mcap -o probe.yaml --flat-punch 3.14e-4 --thickness 0.02
-  fden configure plate.mcap tissue.mcap --rigid plate.mcap -o probe.yaml --plot evidence.png
+  fden configure plate.mcap tissue.mcap --rigid plate.mcap -o probe.yaml
   fden configure robot.csv --columns @500,5,3*1e-3        500 Hz, force and depth by number
   fden configure --live --robot ur -o probe.yaml          what to do, step by step
   fden configure press.csv --json | jq '.findings[] | select(.claim == false)'
@@ -57,7 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the evidence")
     parser.add_argument(
         "--live",
         action="store_true",
@@ -117,10 +116,6 @@ def run(args: argparse.Namespace) -> int:
     if args.output is not None:
         text = parameter_file(found, readings, notes)
         write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
-    if args.plot is not None:
-        from fden_ros.configure.picture import save_picture
-
-        write(args.plot, lambda path: save_picture(found, path))
     if args.json:
         return print_json(result_object(found, readings))
     _show(found, readings, briefly=args.output is not None)
@@ -128,9 +123,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"note: {note}")
     for problem in replay_problems(found):
         print(f"ATTENTION: {problem}")
-    for path in (args.plot, args.output):
-        if path is not None:
-            print(f"wrote {path}")
+    if args.output is not None:
+        print(f"wrote {args.output}")
     if args.output is None:
         print("Next: the same with -o probe.yaml")
     elif args.live:

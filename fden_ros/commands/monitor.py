@@ -16,8 +16,7 @@ from fden_ros.commands.command import Command, positive
 
 DESCRIPTION = """\
 Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
-standard deviations, curves of the force and of G with its interval over the last 20 s, the
-classification, the last contacts, and its warnings. Ctrl-C ends it.
+standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it.
 """
 
 EPILOG = """\

@@ -10,7 +10,7 @@ import math
 import sys
 import time
 
-from fden_ros.commands.command import Command, count, number, positive
+from fden_ros.commands.command import Command, positive
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
@@ -22,14 +22,15 @@ subscriber, and ends when reliable subscribers have received everything.
 EPILOG = """\
 examples:
   fden play ramp_bag                            as recorded
-  fden play ramp_bag --rate 5 --clock           five times faster; nodes with use_sim_time follow
+  fden play ramp_bag --rate 5                   five times faster
   fden play ramp_bag --remap /force:=/ft/wrench /displacement:=/arm/joints
   fden play ramp_bag --loop --no-wait           again and again, with the same stamps, until Ctrl-C
 
 `--rate inf` sends 4000 messages a second: subscribers need deep queues. `fden replay` is faster.
 """
 
-_DEFAULT_CLOCK_HZ = 100.0
+#: Between finding the subscribers and the first message [s].
+_PAUSE = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,17 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--loop", action="store_true", help="play again and again")
     parser.add_argument(
-        "--clock",
-        type=positive,
-        nargs="?",
-        const=_DEFAULT_CLOCK_HZ,
-        metavar="HZ",
-        help=f"publish the bag's time on /clock (default: {_DEFAULT_CLOCK_HZ:g} times a second)",
-    )
-    parser.add_argument(
-        "--topics", nargs="+", action="extend", metavar="TOPIC", help="play only these topics"
-    )
-    parser.add_argument(
         "--remap",
         type=_remapping,
         nargs="+",
@@ -63,29 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FROM:=TO",
         help="publish a topic under another name",
     )
-    waiting = parser.add_mutually_exclusive_group()
-    waiting.add_argument(
-        "--wait-for",
-        type=count,
-        default=1,
-        metavar="N",
-        help="subscribers that each force and displacement topic must have first (default: 1)",
-    )
-    waiting.add_argument("--no-wait", action="store_true", help="begin without subscribers")
-    parser.add_argument(
-        "--timeout",
-        type=positive,
-        default=30.0,
-        metavar="S",
-        help="how long to wait for subscribers (default: 30 s)",
-    )
-    parser.add_argument(
-        "--delay",
-        type=number(least=0.0),
-        default=0.5,
-        metavar="S",
-        help="pause between finding the subscribers and the first message (default: 0.5 s)",
-    )
+    parser.add_argument("--no-wait", action="store_true", help="begin without subscribers")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -95,9 +63,7 @@ def run(args: argparse.Namespace) -> int:
     from fden_ros.recording.reader import BagReader
 
     bag = BagReader(args.bag)
-    player = Player(
-        bag, rate=args.rate, topics=args.topics, remap=dict(args.remap), clock_hz=args.clock
-    )
+    player = Player(bag, rate=args.rate, remap=dict(args.remap))
     if player.message_count == 0:
         raise InputError(f"{args.bag} holds no message to play: choose another bag")
     for warning in (*bag.warnings, *player.warnings):
@@ -106,11 +72,9 @@ def run(args: argparse.Namespace) -> int:
     with player:
         if not args.no_wait and player.input_topics:
             player.wait_for_subscribers(
-                args.wait_for,
-                args.timeout,
-                lambda lacking: _say(f"waiting for a subscriber to {lacking} ..."),
+                on_wait=lambda lacking: _say(f"waiting for a subscriber to {lacking} ...")
             )
-        time.sleep(args.delay)
+            time.sleep(_PAUSE)
         while True:
             began = time.monotonic()
             with progress("playing [s]", player.duration_s) as show:

@@ -1,18 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Gains of controllers that exist, from the tissue's stiffness by the force controller's rule.
-
-The rule is :math:`v = w (F_{target} - F) / k`: a force loop of the bandwidth w on tissue of the
-stiffness k. An admittance controller moves by :math:`M \ddot x + D \dot x + S x = F`, which is the
-rule where D is k / w; and D is no less than what keeps the loop with the tissue from ringing,
-
-.. math:: D = \max\Bigl( \frac{k}{w},\; 2 \sqrt{M (S + k)} \Bigr), \qquad
-          \zeta = \frac{D}{2 \sqrt{M S}}
-
-A Cartesian compliance controller moves by p times the force that is left; with its own stiffness
-S the loop gain is p (S + k), which stays what it is on the tissue that p is made for.
-"""
+"""The stiffness that a controller's gains are made for, from what is known of the tissue."""
 
 from __future__ import annotations
 
@@ -107,64 +96,3 @@ class StiffnessInUse:
     def leave(self) -> None:
         """In the air: whatever is touched next is new, and the last tissue counts no more."""
         self.value, self.is_live = self._limits.safe_stiffness, False
-
-
-@dataclass(frozen=True)
-class AdmittanceRule:
-    """Damping ratio of one axis of an admittance controller.
-
-    Parameters
-    ----------
-    mass, stiffness
-        M [kg] and S [N/m] of the axis.
-    bandwidth
-        w of the force on the tissue [rad/s].
-
-    Raises
-    ------
-    InputError
-        If mass or stiffness is not positive: there is no damping then, whatever the ratio.
-    """
-
-    mass: float
-    stiffness: float
-    bandwidth: float
-
-    def __post_init__(self) -> None:
-        for name in ("mass", "stiffness"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"admittance.{name} of the axis is {getattr(self, name):g}: the damping is "
-                    "2 damping_ratio sqrt(mass stiffness), so give it a positive one"
-                )
-
-    def damping_ratio(self, stiffness: float) -> float:
-        """Return the ratio for tissue of a stiffness [N/m]."""
-        damping = max(
-            stiffness / self.bandwidth, 2.0 * math.sqrt(self.mass * (self.stiffness + stiffness))
-        )
-        return damping / (2.0 * math.sqrt(self.mass * self.stiffness))
-
-
-@dataclass(frozen=True)
-class CartesianRule:
-    """Gains of one axis of a Cartesian force or compliance controller.
-
-    Parameters
-    ----------
-    gains
-        p and d as they are right for tissue of `safe_stiffness`.
-    stiffness
-        Of the controller's own spring [N/m]; 0 for a force controller.
-    safe_stiffness
-        [N/m].
-    """
-
-    gains: tuple[float, float]
-    stiffness: float
-    safe_stiffness: float
-
-    def for_tissue(self, stiffness: float) -> tuple[float, float]:
-        """Return p and d for tissue of a stiffness [N/m]."""
-        ratio = (self.stiffness + self.safe_stiffness) / (self.stiffness + stiffness)
-        return self.gains[0] * ratio, self.gains[1] * ratio

@@ -179,8 +179,8 @@ def clock_problem(node: Node) -> str | None:
     if not node.get_parameter("use_sim_time").value or node.get_clock().now().nanoseconds:
         return None
     return (
-        "use_sim_time is set but nothing publishes /clock: play the bag with --clock, or set "
-        "use_sim_time to false"
+        "use_sim_time is set but nothing publishes /clock: play the bag with ros2 bag play "
+        "--clock, or set use_sim_time to false"
     )
 
 

@@ -9,18 +9,12 @@ import time
 from collections import deque
 from contextlib import ExitStack
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fden_msgs.msg import PalpationSummary, TissueClassification
-from rcl_interfaces.srv import GetParameters
-from rclpy.parameter import parameter_value_to_python
-from rclpy.task import Future
 from std_msgs.msg import String
 
 from fden_ros.core.outputs import ContactSummary, Status, TissueState
-from fden_ros.errors import InputError
-from fden_ros.parameters import PARAMETERS, check, geometry_of
-from fden_ros.report.monitor import MonitorView, Trace, trace_row
+from fden_ros.report.monitor import MonitorView
 from fden_ros.ros.messages import summary_of
 from fden_ros.ros.plain_node import plain_node, spin_for
 from fden_ros.ros.topics import latched
@@ -28,9 +22,6 @@ from fden_ros.tissue_feed import TissueFeed
 
 _DEADLINE = 0.5
 _RATE_WINDOW = 2.0
-#: Curves show this much [s].
-_SPAN = 20.0
-_GEOMETRY = tuple(p.name for p in PARAMETERS if p.name.startswith("geometry."))
 
 
 class Monitor:
@@ -66,10 +57,6 @@ class Monitor:
         self._classification: TissueClassification | None = None
         self._diagnostics: dict[str, str] = {}
         self._gains = ""
-        self._rows: deque[tuple[float, ...]] = deque()
-        self._stress_per_force: float | None = None
-        self._asked: Future | None = None
-        self._asked_restarts = -1
 
     def __enter__(self) -> Monitor:
         node, self._executor = self._opened.enter_context(plain_node("fden_monitor"))
@@ -90,7 +77,6 @@ class Monitor:
         node.create_subscription(
             String, f"{namespace}/force_controller/gains", self._on_gains, latched(100)
         )
-        self._parameters = node.create_client(GetParameters, f"{self._identifier}/get_parameters")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -98,7 +84,6 @@ class Monitor:
 
     def spin(self, seconds: float) -> None:
         """Receive for `seconds`."""
-        self._ask_geometry()
         spin_for(self._executor, seconds)
 
     @property
@@ -127,49 +112,14 @@ class Monitor:
             summaries=tuple(self.summaries),
             diagnostics=dict(self._diagnostics),
             gains=self._gains,
-            trace=self._trace(now),
         )
 
     def _on_state(self, state: TissueState) -> None:
         self._state, self._heard = state, time.monotonic()
         self._arrivals.append(self._heard)
-        self._rows.append((self._heard, *trace_row(state)))
         if self._keeps_states and state.status is not Status.STALE:
             self.states.append(state)
             self._last_news = self._heard
-
-    def _trace(self, now: float) -> Trace | None:
-        rows = self._rows
-        while rows and now - rows[0][0] > _SPAN:
-            rows.popleft()
-        if not rows:
-            return None
-        times, stress, stiffness, low, high = np.array(rows).T
-        return Trace(now - times, stress, stiffness, low, high, self._stress_per_force, _SPAN)
-
-    def _ask_geometry(self) -> None:
-        """Ask the identifier how stress follows from force, whenever it began anew."""
-        restarts = self._feed.restarts
-        is_due = self._asked_restarts != restarts and self._state is not None
-        if not is_due or not self._parameters.service_is_ready():
-            return
-        self._asked_restarts = restarts
-        self._asked = self._parameters.call_async(GetParameters.Request(names=list(_GEOMETRY)))
-        self._asked.add_done_callback(self._on_geometry)
-
-    def _on_geometry(self, answer: Future) -> None:
-        response = answer.result()
-        if response is None or len(response.values) != len(_GEOMETRY):
-            return
-        values = {
-            name: parameter_value_to_python(value)
-            for name, value in zip(_GEOMETRY, response.values, strict=True)
-        }
-        try:
-            self._stress_per_force = geometry_of(check(values)).stress_per_force
-        except InputError:
-            # Of another version: the stress is shown.
-            self._stress_per_force = None
 
     def _on_classification(self, message: TissueClassification) -> None:
         self._classification = message

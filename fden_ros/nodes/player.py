@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.duration import Duration
-from rosgraph_msgs.msg import Clock
 
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import RELIABLE, Qos
 from fden_ros.recording.reader import BagReader, Topic
 from fden_ros.ros.inputs import INPUT_MESSAGES
-from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.plain_node import plain_node
 from fden_ros.ros.status import type_name
 
@@ -31,6 +29,7 @@ INPUT_TYPES = frozenset(
     type_name(kind) for name in ("force", "displacement") for kind in INPUT_MESSAGES[name].values()
 )
 _POLL_S = 0.02
+_WAIT_TIMEOUT_S = 30.0
 # What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:
 # faster than this (messages per second) a subscriber in Python receives less, not more.
 _FASTEST_HZ = 4000.0
@@ -53,14 +52,8 @@ class Player:
         The bag, or its path.
     rate
         Speed (1: as recorded); ``math.inf`` plays as fast as subscribers in Python can follow.
-    topics
-        Names of the topics to play; all when None.
     remap
         New names of topics.
-    clock_hz
-        Rate at which the bag's time is published on ``/clock`` [Hz]; None: not at all.
-    domain_id
-        The ROS domain; None: the environment's.
 
     Raises
     ------
@@ -79,27 +72,19 @@ class Player:
         bag: BagReader | str | Path,
         *,
         rate: float = 1.0,
-        topics: Collection[str] | None = None,
         remap: Mapping[str, str] | None = None,
-        clock_hz: float | None = None,
-        domain_id: int | None = None,
     ) -> None:
         if not rate > 0.0:
             raise InputError(f"rate {rate:g} cannot be played: expected a number above 0, or inf")
-        if clock_hz is not None and not 0.0 < clock_hz < math.inf:
-            raise InputError(f"clock rate {clock_hz:g} Hz is not possible: expected above 0")
         self.bag = bag if isinstance(bag, BagReader) else BagReader(bag)
         self._rate = rate
-        self._clock_hz = clock_hz
-        self._domain_id = domain_id
         self._warnings: list[str] = []
-        self._topics = self._select(topics)
+        self._topics = self._select()
         self._names = {topic.name: topic.name for topic in self._topics}
         for old, new in (remap or {}).items():
             self.bag.topic(old)
             self._names[old] = new
         self._publishers: dict[tuple[str, str], Any] = {}
-        self._clock: Any = None
         self._stop = threading.Event()
         self._opened = ExitStack()
 
@@ -130,14 +115,9 @@ class Player:
             self._names[topic.name] for topic in self._topics if topic.type_name in INPUT_TYPES
         )
 
-    @property
-    def clock_subscribers(self) -> int:
-        """How many subscribers ``/clock`` has."""
-        return 0 if self._clock is None else int(self._clock.get_subscription_count())
-
     def __enter__(self) -> Player:
         """Start the node and its publishers."""
-        self._node, _ = self._opened.enter_context(plain_node("fden_player", self._domain_id))
+        self._node, _ = self._opened.enter_context(plain_node("fden_player"))
         try:
             self._advertise()
         except BaseException:
@@ -155,16 +135,13 @@ class Player:
 
     def wait_for_subscribers(
         self,
-        count: int = 1,
-        timeout_s: float = 30.0,
+        timeout_s: float = _WAIT_TIMEOUT_S,
         on_wait: Callable[[str], None] | None = None,
     ) -> None:
-        """Wait until every force and displacement topic has enough subscribers.
+        """Wait until every force and displacement topic has a subscriber.
 
         Parameters
         ----------
-        count
-            Subscribers that each of `input_topics` must have.
         timeout_s
             How long to wait (s).
         on_wait
@@ -178,7 +155,7 @@ class Player:
         """
         deadline = time.monotonic() + timeout_s
         told = ""
-        while lacking := self._lacking(count):
+        while lacking := self._lacking():
             topics, why = ", ".join(lacking), self._incompatible(lacking)
             if on_wait is not None and topics + why != told:
                 told = topics + why
@@ -187,8 +164,8 @@ class Player:
                 return
             if time.monotonic() > deadline:
                 raise InputError(
-                    f"{topics}: fewer than {count} subscribers after {timeout_s:g} s: "
-                    f"start them first, or do not wait (--no-wait){why}"
+                    f"{topics}: no subscriber after {timeout_s:g} s: "
+                    f"start it first, or do not wait (--no-wait){why}"
                 )
 
     def play(self, on_progress: Callable[[int, float], None] | None = None) -> int:
@@ -209,14 +186,8 @@ class Player:
         if start_ns is None:
             return 0
         began = time.monotonic()
-        clock_step_ns = self._clock_step_ns()
-        next_clock_ns = start_ns
         sent = 0
         for message in self.bag.messages([topic.name for topic in self._topics]):
-            while self._clock is not None and next_clock_ns <= message.log_time_ns:
-                self._sleep_until(began, next_clock_ns - start_ns, sent)
-                self._publish_clock(next_clock_ns)
-                next_clock_ns += clock_step_ns
             self._sleep_until(began, message.log_time_ns - start_ns, sent)
             if self._stop.is_set():
                 break
@@ -248,14 +219,12 @@ class Player:
                 self._names[topic.name],
                 _offer(topic.offered_qos).to_profile(),
             )
-        if self._clock_hz is not None:
-            self._clock = self._node.create_publisher(Clock, "/clock", RELIABLE.to_profile())
 
-    def _lacking(self, count: int) -> list[str]:
+    def _lacking(self) -> list[str]:
         return [
             publisher.topic_name
             for (_, type_name), publisher in self._publishers.items()
-            if type_name in INPUT_TYPES and publisher.get_subscription_count() < count
+            if type_name in INPUT_TYPES and not publisher.get_subscription_count()
         ]
 
     def _incompatible(self, topics: Collection[str]) -> str:
@@ -280,22 +249,9 @@ class Player:
         if delay > 0.0:
             self._stop.wait(delay)
 
-    def _clock_step_ns(self) -> int:
-        if self._clock_hz is None:
-            return 0
-        rate = 1.0 if math.isinf(self._rate) else self._rate
-        return max(1, round(_NS_PER_S * rate / self._clock_hz))
-
-    def _publish_clock(self, stamp_ns: int) -> None:
-        self._clock.publish(Clock(clock=to_stamp(stamp_ns)))
-
-    def _select(self, names: Collection[str] | None) -> tuple[Topic, ...]:
-        for name in names or ():
-            message_class(self.bag.topic(name).type_name)
+    def _select(self) -> tuple[Topic, ...]:
         selected = []
         for topic in self.bag.topics:
-            if names is not None and topic.name not in names:
-                continue
             try:
                 message_class(topic.type_name)
             except InputError as error:

@@ -40,7 +40,6 @@ def _run(name: str) -> int:
 identifier = functools.partial(_run, "identifier")
 tissue_simulator = functools.partial(_run, "tissue_simulator")
 force_controller = functools.partial(_run, "force_controller")
-bridge = functools.partial(_run, "bridge")
 
 if __name__ == "__main__":
     sys.exit(_run(sys.argv.pop(1)))

@@ -27,7 +27,6 @@ from fden_ros.core.outputs import ContactSummary, Output, TissueState, placed, s
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
-from fden_ros.nodes.decisions import Decisions
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.nodes.tool_identification import ToolCollection, ToolIdentification
@@ -79,7 +78,6 @@ class Session:
         )
         self._lost: Counter[str] = Counter()
         self._messages = OutputMessages()
-        self._decisions = Decisions(self.pipeline.rejected)
         self._last_state: TissueState | None = None
         self._last_input = self._steady.now()
         self._said_stale: Time | None = None
@@ -212,8 +210,6 @@ class Session:
         if isinstance(output, TissueState):
             self._last_state = output
         self._publish_messages(output)
-        for decision in self._decisions.of(output):
-            self._node.get_logger().debug(decision)
         if isinstance(output, ContactSummary):
             self.lacks = shortfall(output, self.pipeline.config)
             if self.lacks:

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from rich import box
 from rich.console import Group
 from rich.panel import Panel
@@ -18,11 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from fden_ros.control.live_tissue import Refusal
-from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
-from fden_ros.report.chart import Chart
-from fden_ros.report.limits import interval_limits
 from fden_ros.report.numbers import DASH, law, stiffness
 from fden_ros.report.table import contact_table
 
@@ -35,12 +31,6 @@ _COLOURS = {
 _LAST_CONTACTS = 6
 #: Half width of the intervals, in standard deviations.
 _DEVIATIONS = 2.0
-#: Curves show at least this [s].
-_LEAST_SPAN = 5.0
-#: Logarithms of an interval's width beyond this are drawn as this.
-_LARGEST_LOG = 600.0
-#: An interval whose ends are within this factor [1] says where the axis of G lies.
-_NARROW = 4.0
 
 
 @dataclass(frozen=True)
@@ -57,30 +47,6 @@ class MonitorView:
     summaries: tuple[ContactSummary, ...] = ()
     diagnostics: Mapping[str, str] = field(default_factory=dict)  #: words under ``message``
     gains: str = ""  #: of a force controller beside it
-    trace: Trace | None = None
-
-
-@dataclass(frozen=True)
-class Trace:
-    """The newest seconds, oldest first; arrays of shape (n,), NaN where there is nothing."""
-
-    ages: Array  #: time before now [s]
-    stress: Array  #: [Pa]
-    linear_stiffness: Array  #: G [Pa s^alpha]
-    low: Array  #: lower end of its interval
-    high: Array
-    stress_per_force: float | None = None  #: [Pa/N]; None: not known
-    span: float = 20.0  #: shown at most [s]
-
-
-def trace_row(state: TissueState) -> tuple[float, float, float, float]:
-    """Return stress [Pa], G and the ends of its interval in a contact; NaN where not known."""
-    stress = state.signals.stress if state.signals is not None else math.nan
-    if state.estimate is None or state.status not in (Status.CONVERGING, Status.CONVERGED):
-        return stress, math.nan, math.nan, math.nan
-    value = state.estimate.linear_stiffness
-    spread = math.exp(min(_DEVIATIONS * float(state.estimate.deviations[0]), _LARGEST_LOG))
-    return stress, value, value / spread, value * spread
 
 
 def monitor_view(view: MonitorView, truth: Mapping[int, Mapping[str, Any]] | None = None) -> Group:
@@ -89,43 +55,9 @@ def monitor_view(view: MonitorView, truth: Mapping[int, Mapping[str, Any]] | Non
         Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False),
         *_warnings(view),
     ]
-    if view.trace is not None and view.trace.ages.size:
-        parts.append(_charts(view.trace))
     if view.summaries:
         parts.append(contact_table(view.summaries[-_LAST_CONTACTS:], truth))
     return Group(*parts)
-
-
-def _charts(trace: Trace) -> Table:
-    quantity, values = "stress [Pa]", trace.stress
-    if trace.stress_per_force is not None:
-        quantity, values = "force [N]", trace.stress / trace.stress_per_force
-    finite = values[np.isfinite(values)]
-    top = 1.1 * float(finite.max(initial=0.0)) or 1.0
-    bottom = 1.1 * float(finite.min(initial=0.0))
-    stiffness = trace.linear_stiffness
-    # The prior, at the touch, would flatten the rest.
-    is_known = trace.high < _NARROW * trace.low
-    counts = is_known if is_known.any() else np.isfinite(stiffness)
-    low, high = interval_limits(stiffness[counts], trace.low[counts], trace.high[counts])
-    limits = max(low, 0.0), high
-    span = min(trace.span, max(_LEAST_SPAN, math.ceil(trace.ages[0])))
-    table = Table.grid(padding=(0, 1, 0, 0), expand=True)
-    table.add_column(ratio=1)
-    table.add_column(ratio=1)
-    table.add_row(
-        Chart(quantity, trace.ages, values, (bottom, top), span=span),
-        Chart(
-            "G [Pa s^α], ±2 sd",
-            trace.ages,
-            stiffness,
-            limits,
-            trace.low,
-            trace.high,
-            span=span,
-        ),
-    )
-    return table
 
 
 def _present(view: MonitorView) -> Table:
