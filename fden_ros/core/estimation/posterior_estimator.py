@@ -126,10 +126,11 @@ class PosteriorEstimator:
         if self._solved is None:
             return 0.0
         belief, best, off = self._solved.posterior.belief, self._solved.best, 0.0
+        # What an earlier press of the site has told is told of several unknowns together.
+        before = np.linalg.pinv(belief.precision, hermitian=True).diagonal()
         for k, unknown in enumerate(self._solved.model.unknowns):
             if unknown.lifetime is Lifetime.RIG:
-                before = 1.0 / belief.precision[k, k]
-                told = max(before - best.covariance[k, k], _LEAST_TOLD * before)
+                told = max(before[k] - best.covariance[k, k], _LEAST_TOLD * before[k])
                 off = max(off, abs(best.mean[k] - belief.mean[k]) / math.sqrt(told))
         return off
 
