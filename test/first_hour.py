@@ -108,7 +108,7 @@ def recorded(folder: Path, layout: str, seed: int, noise: float) -> tuple[Path, 
     # What the other axes read.
     across = np.eye(3) - np.outer(rig.force, rig.force)
     force += draw.normal(0.0, noise, force.shape) @ across
-    position = np.array([0.3, -0.2, 0.1]) + np.outer(recording.displacement.value, rig.displacement)
+    position = np.outer(recording.displacement.value, rig.displacement) + [0.3, -0.2, 0.1]
     streams = Streams(layout, seconds[0], force, seconds[1], position)
     return rig.record(folder, streams), truth
 
@@ -116,8 +116,9 @@ def recorded(folder: Path, layout: str, seed: int, noise: float) -> tuple[Path, 
 def _as_table(folder: Path, streams: Streams) -> Path:
     """Write the file of the real-time interface's recorder, separated by blanks."""
     path = folder / "robot_data.csv"
-    rows = np.hstack([streams.force_times[:, None], streams.force, streams.position_at(streams.force_times)])
-    names = [f"actual_TCP_force_{k}" for k in range(3)] + [f"actual_TCP_pose_{k}" for k in range(3)]
+    times = streams.force_times
+    rows = np.hstack([times[:, None], streams.force, streams.position_at(times)])
+    names = [f"actual_TCP_{what}_{k}" for what in ("force", "pose") for k in range(3)]
     np.savetxt(path, rows, "%.6f", header=" ".join(["timestamp", *names]), comments="")
     return path
 

@@ -442,6 +442,15 @@ def test_rounded_force_is_known_no_better_than_its_steps():
     assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
 
 
+def test_force_that_rises_while_the_probe_rests_is_air_that_drifts():
+    rng = np.random.default_rng(15)
+    depth = np.concatenate([np.zeros(1500), np.linspace(0.0, 0.004, 1500)])
+    force = 5.0 * 0.05 * np.expm1(np.maximum(depth - 0.002, 0.0) / 0.0016)
+    force += 1e-5 * np.arange(3000) + 0.01 * rng.standard_normal(3000)
+    (onset,) = onsets(events_of(made(force, depth))[1])
+    assert onset.seen and onset.drift > 0.0
+
+
 def test_force_that_rises_on_the_way_before_the_first_release_is_no_air():
     rng = np.random.default_rng(15)
     depth = np.linspace(0.0, 0.004, 1500)

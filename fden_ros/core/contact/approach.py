@@ -23,6 +23,9 @@ _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: half of a vibration of 5 Hz is over.
 _MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
 _LASTING_TIME, _SHALLOW = 0.15, 0.1
+#: The force rises by itself where a line in time explains it better than one in the way does, by
+#: this chi-squared [1].
+_BY_ITSELF = 4.0
 
 
 class Approach(NamedTuple):
@@ -43,6 +46,20 @@ class Approach(NamedTuple):
         return way > max(
             _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
         )
+
+    def rises_by_itself(self, drift: float, noise: float) -> bool:
+        """Whether time explains the force before the touch, and not the way of the probe.
+
+        Tissue that was pressed already would push more as the probe advances, and less at rest.
+        `drift` [N/s] was taken off the force, whose noise per sample is `noise` [N].
+        """
+        time, way = (values[: self.surface.first] for values in (self.time, self.displacement))
+        force = self.force[: self.surface.first] + drift * time
+        if way.size < 3 or np.ptp(way) == 0.0:
+            return False
+        explained = [np.corrcoef(force, by)[0, 1] ** 2 for by in (time, way)]
+        better = float(explained[0] - explained[1]) * force.size * float(np.var(force))
+        return better > _BY_ITSELF * noise**2
 
     def began_in_air(self, threshold: float, rest: float) -> bool:
         """Whether no force was there [N] when the data began, or none for `rest` [s] since."""

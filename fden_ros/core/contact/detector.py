@@ -304,6 +304,11 @@ class ContactDetector:
             self.below_baseline += 1
             self._highest = None
 
+    @property
+    def _drift_taken_off(self) -> float:
+        """Drift that is taken off the force of an approach [N/s]."""
+        return self._baseline.drift if self._config.measure_bias else 0.0
+
     def _approach_until(
         self, now_ns: int, bias: float, white: float, *, is_clear: bool
     ) -> Approach:
@@ -311,8 +316,7 @@ class ContactDetector:
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
         force = np.array([pair.force for pair in pairs]) - bias
-        if self._config.measure_bias:
-            force -= self._baseline.drift * (time - (now_ns - start_ns) * 1e-9)
+        force -= self._drift_taken_off * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         window = FIRST_WINDOW if is_clear else _LONG_WINDOW
@@ -338,8 +342,9 @@ class ContactDetector:
         # A probe that rested there until the force rose may have pressed already: its bias would
         # hide the preload.
         came = not self._config.measure_bias or approach.came_through_air()
-        # Nor is it air, before the first release, where the force rises on the way.
-        came &= self._has_released or level.slope <= 0.0
+        # Nor is it air, before the first release, where the force rises with the way.
+        if level.slope > 0.0 and not self._has_released:
+            came &= approach.rises_by_itself(self._drift_taken_off, level.noise)
         seen = surface.first > 0 and air_seen and came
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
