@@ -108,7 +108,8 @@ def recorded(folder: Path, layout: str, seed: int, noise: float) -> tuple[Path, 
     # What the other axes read.
     across = np.eye(3) - np.outer(rig.force, rig.force)
     force += draw.normal(0.0, noise, force.shape) @ across
-    position = np.outer(recording.displacement.value, rig.displacement) + [0.3, -0.2, 0.1]
+    position = np.outer(recording.displacement.value, rig.displacement)
+    position += np.array([0.3, -0.2, 0.1])
     streams = Streams(layout, seconds[0], force, seconds[1], position)
     return rig.record(folder, streams), truth
 
