@@ -193,24 +193,6 @@ class TissueFeed:
         predictor = self._predictor()
         return None if predictor is None else predictor.force(times, displacements)
 
-    def predict_motion(self, times: ArrayLike, forces: ArrayLike) -> Prediction | None:
-        """Return the motion that makes a planned force, or None if that cannot be known.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Seconds from the latest estimate, increasing.
-        forces : array_like, shape (n,)
-            Force on the tissue by then [N], linear in between.
-
-        Raises
-        ------
-        InputError
-            If the feed was given no geometry.
-        """
-        predictor = self._predictor()
-        return None if predictor is None else predictor.motion(times, forces)
-
     @property
     def restarts(self) -> int:
         """How often the identifier began anew: its memory of the tissue is gone then."""

@@ -29,7 +29,7 @@ from fden_ros.offline.session import (
     gather,
 )
 from fden_ros.offline.signals import Envelope
-from fden_ros.parameters import check, read_parameter_file
+from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.synthetic import write_recording
 from fden_ros.report import figure, style
 from fden_ros.report.figure import save_session_figure
@@ -94,39 +94,6 @@ def test_a_browser_shows_the_numbers_without_a_script_error(page: Path, session:
     assert "2 contacts at 2 sites; all converged." in text
     assert dom.count('<details class="contact" open') == 2
     assert dom.count("<svg") == 3 + 4 * 2
-
-
-def scanned(session: Session, places: np.ndarray, **values: Any) -> str:
-    """Return what the page says of the surface where sites were touched at places (n, 3)."""
-    from fden_ros.report.page import page
-
-    first = session.replay.summaries[0]
-    summaries = tuple(
-        replace(first, site_id=number, contact_id=number, position=tuple(map(float, place)))
-        for number, place in enumerate(places, start=1)
-    )
-    parameters = check(session.parameters.as_dict() | values)
-    replay = replace(session.replay, summaries=summaries)
-    shown = replace(session, replay=replay, parameters=parameters)
-    return " ".join(re.sub(r"<[^>]+>", " ", page(shown)).split())
-
-
-def test_a_scan_says_how_the_probe_stands_on_the_fitted_surface(session: Session) -> None:
-    """The surface rises by 0.1 along x; the probe comes along -z."""
-    x, y = np.meshgrid(np.arange(0.0, 0.03, 0.01), np.arange(0.0, 0.03, 0.01))
-    uneven = np.random.default_rng(1).normal(0.0, 5e-5, 9)
-    places = np.column_stack([x.ravel(), y.ravel(), 0.1 * x.ravel() + uneven])
-    along = {"displacement.axis": [0.0, 0.0, -1.0]}
-    page = scanned(session, places, **along)
-    words = re.search(r"normal \[(.*?)\] by a plane through 9 sites", page)
-    assert words is not None
-    normal = [float(part) for part in words[1].split(",")]
-    assert normal == pytest.approx([0.0995, 0.0, -0.995], abs=0.01)
-    tilt = re.search(r"displacement.axis is (.*?) ± .* degrees off: the depth is 0.995", page)
-    assert tilt is not None and float(tilt[1]) == pytest.approx(5.7, abs=0.6)
-    on_line = scanned(session, places[np.abs(places[:, 1]) < 1e-9].repeat(2, axis=0))
-    assert "normal not known: the 6 touches lie on one line" in on_line
-    assert "Surface" not in scanned(session, places[:2])
 
 
 @needs_browser

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from property_helpers import first
 from unknown_rig_bags import RigBag
 
 from benchmark.configure import judge
@@ -187,54 +186,6 @@ def test_rubber_without_softer_tissue_beside_it_is_no_rigid_plate_unless_it_is_s
     assert not look(rig).finding("compliance").claim
     finding = look(rig, rigid=[rig.streams.name]).finding("compliance")
     assert finding.value == pytest.approx(rig.truth.compliance, rel=0.1)
-
-
-def off_normal(found: Survey, normal: np.ndarray | None) -> float:
-    """Return the error of the normal over its deviation, the larger of both tilts."""
-    plane = found.scan.plane
-    assert plane is not None and normal is not None
-    variances, directions = np.linalg.eigh(plane.covariance)
-    errors = (plane.normal - normal) @ directions[:, 1:] / np.sqrt(variances[1:])
-    return float(np.max(np.abs(errors)))
-
-
-@pytest.mark.parametrize("seed", first(11, 12, 13))
-def test_the_normal_of_a_surface_is_fitted_from_the_touches_of_a_scan(
-    seed: int, tmp_path: Path
-) -> None:
-    rig = whole_rig(seed, presses=7, slope=(0.15, -0.1))
-    reading = read(RigBag(rig.streams).write(tmp_path / "bag"))
-    found = survey([reading.streams])
-    assert off_normal(found, rig.truth.normal) < 4.0
-    finding = found.finding("surface normal")
-    assert "the probe comes 10." in finding.evidence and "degrees askew" in finding.evidence
-    path = tmp_path / "probe.yaml"
-    path.write_text(parameter_file(found, [reading]), encoding="utf-8")
-    proposed = np.array(read_parameter_file(path).surface.normal)
-    assert proposed == pytest.approx(rig.truth.normal, abs=0.01)
-
-
-def test_a_probe_that_leans_elsewhere_at_each_touch_shows_the_same_normal() -> None:
-    rig = whole_rig(11, presses=7, slope=(0.15, -0.1))
-    upright = survey([rig.streams])
-    streams, into = rig.streams, rig.truth.displacement_axis
-    position = streams.position.copy()
-    lean = np.cross(into, [0.6, -0.8, 0.0])
-    for number, touch in enumerate(upright.scan.touches):
-        start, end = (streams.start + second for second in touch.seconds)
-        near = (streams.motion_times > start - 1.2) & (streams.motion_times < end + 0.5)
-        depth = (position[near] - touch.place) @ into
-        position[near] += (0.2 * (-1) ** number * depth)[:, None] * lean
-    found = survey([replace(streams, position=position)])
-    assert not found.finding("displacement axis").claim
-    assert len(found.scan.touches) == len(upright.scan.touches)
-    assert off_normal(found, rig.truth.normal) < 4.0
-
-
-def test_a_normal_without_touches_enough_is_not_stated_but_asked_for() -> None:
-    finding = look(whole_rig(14, presses=1)).finding("surface normal")
-    assert not finding.claim and not finding.parameters
-    assert "at places of their own" in finding.evidence and "touch at" in finding.motion
 
 
 def test_noise_alone_is_no_contact() -> None:

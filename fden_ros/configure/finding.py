@@ -73,12 +73,6 @@ SUBJECTS: Mapping[str, Subject] = {
         "press a rigid plate twice, slowly, to the largest force of your presses, and in the same "
         "recording press tissue (or say that the recording is of a rigid plate: --rigid)",
     ),
-    "surface normal": Subject(
-        "rad",
-        "surface",
-        "touch it at five places or more, 10 mm apart and not on one line, and lift off in "
-        "between",
-    ),
     "place": Subject("", "site"),
     "indenter": Subject(
         "", "geometry", "state the indenter: --flat-punch AREA --thickness H, or --sphere R"

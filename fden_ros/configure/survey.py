@@ -17,7 +17,6 @@ from fden_ros.configure.rigid import Press, compliance_finding, rigid_presses
 from fden_ros.configure.sampling import bias_findings, lift_off_finding, sampling_findings
 from fden_ros.configure.session import Session, make_sessions
 from fden_ros.configure.streams import Streams
-from fden_ros.configure.surface import Scan, find_surface_plane
 from fden_ros.configure.units import Units, find_units
 from fden_ros.configure.weight import Weight, find_weight, weight_findings
 
@@ -35,8 +34,6 @@ class Survey:
     weight : Weight or None
     presses : tuple of Press
         Those on something rigid.
-    scan : Scan
-        Touches of the surface.
     """
 
     findings: tuple[Finding, ...]
@@ -44,7 +41,6 @@ class Survey:
     axes: Axes
     weight: Weight | None
     presses: tuple[Press, ...]
-    scan: Scan
 
     def finding(self, subject: str) -> Finding:
         """Return the finding of a subject."""
@@ -91,8 +87,6 @@ def survey(
     known = compliance.value if isinstance(compliance.value, float) else None
     show("delay")
     delay = delay_finding(sessions, axes, weight, presses, known)
-    show("surface")
-    scan = find_surface_plane(sessions, axes, presses, delay, units.displacement)
     load_sd = weight.weight_sd if weight is not None and weight.holds else 0.0
     found = (
         *axes.findings(),
@@ -105,12 +99,11 @@ def survey(
         *weight_findings(weight, recordings),
         delay,
         compliance,
-        scan.finding,
         _indenter(indenter),
         *([_one_place(sessions)] if one_place else []),
     )
     findings = tuple(_in_known_units(finding, units) for finding in found)
-    return Survey(findings, sessions, axes, weight, presses, scan)
+    return Survey(findings, sessions, axes, weight, presses)
 
 
 def _sessions(recordings: Sequence[Streams], weight: Weight | None) -> tuple[Session, ...]:

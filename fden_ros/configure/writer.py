@@ -92,7 +92,7 @@ def value_text(finding: Finding) -> str:
     value, sd = finding.value, finding.deviation
     if value is None or isinstance(value, str):
         return value or "-"
-    if finding.subject.endswith(("axis", "normal")):
+    if finding.subject.endswith("axis"):
         if isinstance(value, float):
             return "grows" if value > 0.0 else "falls"
         return "[" + ", ".join(f"{part:.4f}" for part in value) + "]"

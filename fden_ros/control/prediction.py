@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Force of a planned motion, and motion for a planned force, with their intervals.
+r"""Force of a planned motion, with its interval.
 
 The law at a time t after the present, with the motion so far remembered and the one to come
 between the points of the plan linear in :math:`\varphi`:
@@ -12,8 +12,7 @@ between the points of the plan linear in :math:`\varphi`:
 M is what the law makes of the past motion (:mod:`fden_ros.control.tissue_memory`). The stress v is
 what law and rig leave out at present: the plan begins at what is measured now, and what the law
 leaves out stays as it is, or goes on as it went in the hold so far
-(:mod:`fden_ros.control.left_out`). The motion for a planned force is the same triangular system
-solved for :math:`\Delta\varphi`.
+(:mod:`fden_ros.control.left_out`).
 
 The interval is first-order: derivatives by (ln G, ln Gn, alpha, v) under the estimate's covariance
 and the variance of the last innovation. To it comes the variance by which what is left out may
@@ -39,7 +38,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
 
 from fden_ros.control.left_out import Slope
 from fden_ros.control.tissue_memory import TissueMemory
@@ -57,7 +55,6 @@ from fden_ros.core.law.characteristic import (
     apparent_stiffness_factor,
     elastic_responses,
     phi,
-    strain_of_phi,
 )
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.errors import InputError
@@ -84,7 +81,7 @@ class Prediction:
     """What will happen, with its deviation."""
 
     times: Array  #: [s] from the present, shape (n,)
-    value: Array  #: force [N] or change of displacement [m], shape (n,)
+    value: Array  #: force [N], shape (n,)
     sd: Array  #: its standard deviation, shape (n,)
 
     def interval(self, deviations: float = 2.0) -> tuple[Array, Array]:
@@ -150,7 +147,7 @@ class Predictor:
         InputError
             If the plan has no shape, or its times do not increase from 0.
         """
-        wanted, moves = _plan(times, displacements, "displacements")
+        wanted, moves = _plan(times, displacements)
         grid = _grid(wanted)
         way = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
         compressions = self.memory.compression + way / self.geometry.length
@@ -172,53 +169,6 @@ class Predictor:
             wanted,
             scale * np.interp(wanted, grid, planned),
             scale * np.sqrt(np.interp(wanted, grid, variance)),
-        )
-
-    def motion(self, times: ArrayLike, forces: ArrayLike) -> Prediction:
-        """Return the way further into the tissue that makes a planned force.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Seconds from the present, positive, increasing.
-        forces : array_like, shape (n,)
-            Force on the tissue by then [N], linear in between from the present one.
-
-        Raises
-        ------
-        InputError
-            If the plan has no shape, or its times do not increase from 0.
-        """
-        wanted, planned = _plan(times, forces, "forces")
-        grid = _grid(wanted)
-        scale = self.geometry.stress_per_force
-        present = self.stress / scale
-        stress = scale * np.interp(grid, np.append(0.0, wanted), np.append(present, planned))
-
-        # How the loading ages follows from the motion, and that a little from the ageing.
-        path = self._path(grid, np.full(grid.size, self.memory.strain))
-
-        def strains(logs: Array, order: float, shift: float) -> Array:
-            remembered, gains = self._remembered(grid, path, logs, order)
-            steps = solve_triangular(gains, stress - remembered - shift, lower=True)
-            start = phi(np.array([self.memory.strain]), *np.exp(logs))
-            return strain_of_phi(start + np.cumsum(steps), *np.exp(logs))
-
-        def ways(logs: Array, order: float, shift: float) -> Array:
-            reached = strains(logs, order, shift)
-            compressions = np.array([self.geometry.compression(float(x)) for x in reached])
-            return (compressions - self.memory.compression) * self.geometry.length
-
-        path = self._path(grid, strains(*self._parameters, 0.0))
-        way = ways(*self._parameters, 0.0)
-        left_out = self._left_out_variance(path, stress)
-        small = _DERIVATIVE_STEP * (float(np.max(np.abs(stress))) or 1.0)
-        by_stress = (ways(*self._parameters, small) - way) / small
-        variance = self._variance(ways, way) + left_out * by_stress**2
-        return Prediction(
-            wanted,
-            np.interp(wanted, grid, way),
-            np.sqrt(np.interp(wanted, grid, variance)),
         )
 
     @property
@@ -331,17 +281,17 @@ class Predictor:
         return result
 
 
-def _plan(times: ArrayLike, values: ArrayLike, what: str) -> tuple[Array, Array]:
+def _plan(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     instants = np.atleast_1d(np.asarray(times, dtype=float))
     planned = np.atleast_1d(np.asarray(values, dtype=float))
     if instants.ndim != 1 or instants.shape != planned.shape or instants.size == 0:
         raise InputError(
-            f"plan: {instants.shape} times and {planned.shape} {what}; give as many of each"
+            f"plan: {instants.shape} times and {planned.shape} displacements; give as many of each"
         )
     steps = np.diff(instants, prepend=0.0)
     if not (np.all(steps > 1e-5) and np.all(np.isfinite(planned)) and np.all(np.isfinite(steps))):
         raise InputError(
-            f"plan: times must increase from 0 by more than 10 µs each, and {what} be finite"
+            "plan: times must increase from 0 by more than 10 µs each, and displacements be finite"
         )
     return instants, planned
 

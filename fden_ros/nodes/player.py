@@ -20,14 +20,11 @@ from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import RELIABLE, Qos
 from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.ros.inputs import INPUT_MESSAGES
+from fden_ros.recording.topics import USABLE_TYPES
 from fden_ros.ros.plain_node import plain_node
-from fden_ros.ros.status import type_name
 
 #: Types that carry force or displacement.
-INPUT_TYPES = frozenset(
-    type_name(kind) for name in ("force", "displacement") for kind in INPUT_MESSAGES[name].values()
-)
+INPUT_TYPES = frozenset((*USABLE_TYPES["force"], *USABLE_TYPES["displacement"]))
 _POLL_S = 0.02
 _WAIT_TIMEOUT_S = 30.0
 # What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:

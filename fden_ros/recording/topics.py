@@ -10,18 +10,12 @@ from collections.abc import Collection, Mapping, Sequence
 
 from fden_ros.errors import InputError
 from fden_ros.recording.reader import BagReader, Topic
+from fden_ros.ros.inputs import INPUT_MESSAGES
+from fden_ros.ros.status import type_name
 
-FORCE_TYPES = ("geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState")
-DISPLACEMENT_TYPES = (
-    "sensor_msgs/msg/JointState",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/PointStamped",
-)
+#: By the name of an input, the types of the messages that hold it.
 USABLE_TYPES: Mapping[str, Sequence[str]] = {
-    "force": FORCE_TYPES,
-    "displacement": DISPLACEMENT_TYPES,
-    "surface": DISPLACEMENT_TYPES,
+    what: [type_name(kind) for kind in kinds.values()] for what, kinds in INPUT_MESSAGES.items()
 }
 
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"

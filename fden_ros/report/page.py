@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections import Counter
 from collections.abc import Iterator
 from datetime import datetime, timezone
@@ -15,7 +14,6 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
-from fden_ros.configure.plane import LEAST_TOUCHES, NoPlaneError, fit_plane
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
@@ -92,37 +90,8 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         yield what.capitalize(), name
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
-    surface = _surface(session)
-    if surface:
-        yield "Surface", surface
     kind = session.parameters.geometry.kind.replace("_", " ")
     yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
-
-
-def _surface(session: Session) -> str:
-    """Return the plane through the first touches of the sites, and how the probe stands on it."""
-    first = {s.site_id: s.position for s in reversed(session.replay.summaries)}
-    places = [place for place in first.values() if place is not None]
-    parameters = session.parameters
-    stated = any(parameters.surface.normal)
-    if len(places) < LEAST_TOUCHES or parameters.contact.mode == "continuous":
-        return ""
-    if parameters.displacement.along_tool and not stated:
-        # Only the orientation of its poses tells which side the tissue is on.
-        return ""
-    axis = parameters.surface.normal if stated else parameters.displacement.axis
-    try:
-        plane = fit_plane(places, axis)
-    except NoPlaneError as error:
-        return f"normal not known: {error}"
-    normal = ", ".join(f"{part:.3f}" for part in plane.normal)
-    tilt, sd = plane.tilt(axis)
-    return (
-        f"normal [{normal}] by a plane through {len(places)} sites, {1e3 * plane.flatness:.2g} mm "
-        f"off it; {'surface.normal' if stated else 'displacement.axis'} is "
-        f"{math.degrees(tilt):.1f} ± {math.degrees(sd):.1f} degrees off: the depth is "
-        f"{math.cos(tilt):.3f} of its way"
-    )
 
 
 def _headline(session: Session) -> str:
