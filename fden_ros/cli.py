@@ -31,6 +31,7 @@ COMMANDS = (
     "train",
     "fit",
     "configure",
+    "plan",
     "parameters",
     "benchmark",
     "monitor",
@@ -52,6 +53,8 @@ Identify soft tissue from force and displacement with the FDEN model.
                                       a tissue library from labelled contacts
   fden play /tmp/ramp                 publish a bag on live topics
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
+  fden plan --config probe.yaml --target G=0.1,Gn=0.1
+                                      which press to make next, and what to expect of it
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
   fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together

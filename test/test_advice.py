@@ -21,9 +21,10 @@ from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import ContactSummary, apparent_stiffness_of
-from fden_ros.offline.advice import WORDS, quantity, shortfall
+from fden_ros.offline.advice import shortfall
 from fden_ros.offline.remarks import remarks
 from fden_ros.parameters import check, pipeline_config
+from fden_ros.planning.remedies import WORDS, quantity
 from fden_ros.report.sentence import next_step
 from fden_ros.simulation.scenario import (
     DisplacementSensor,

@@ -37,6 +37,7 @@ ROOMS = (
     "core.input_warnings",
     "core.pipeline",
     "core",  # its public names
+    "planning",
     "simulation",
     "experiments",
     "tissues",

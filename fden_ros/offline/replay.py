@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any, cast
 
 from fden_ros.core.estimation.budget import Budget
-from fden_ros.core.estimation.estimate import KEYS
+from fden_ros.core.estimation.estimate import KEYS, Estimate
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.planning.tissue import TissueBelief
 from fden_ros.progress import progress as bar
 from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection, open_source
@@ -189,6 +190,8 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "valid_parameters": list(estimate.valid.names) if estimate is not None else [],
         "converged_parameters": list(estimate.known.names) if estimate is not None else [],
         "edge_parameters": list(estimate.at_edge.names) if estimate is not None else [],
+        "covariance": estimate.covariance.tolist() if estimate is not None else None,
+        "modes": _modes_object(estimate),
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
@@ -208,6 +211,15 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "budget": _budget_object(summary.budget),
         "rig": _rig_object(summary.rig),
     }
+
+
+def _modes_object(estimate: Estimate | None) -> list[dict[str, Any]]:
+    """Return the modes of (ln G, ln Gn, alpha), whose moments are mean and covariance."""
+    members = TissueBelief.found(estimate).members if estimate is not None else ()
+    return [
+        {"weight": m.weight, "mean": m.mean.tolist(), "covariance": m.covariance.tolist()}
+        for m in members
+    ]
 
 
 def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:

@@ -15,8 +15,9 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.offline.advice import LARGEST_COMPRESSION, cure, wanted_strain
+from fden_ros.offline.advice import cure, wanted_strain
 from fden_ros.offline.session import Contact, Session
+from fden_ros.planning.remedies import LARGEST_COMPRESSION
 from fden_ros.report.numbers import DASH, stiffness
 
 #: So many places are named one by one.

@@ -70,6 +70,14 @@ class LawError(NamedTuple):
         return tuple(name + part for name in errors for part in ("", "_sd"))
 
 
+class Member(NamedTuple):
+    """One mode as a Gaussian."""
+
+    weight: float
+    mean: Array
+    covariance: Array
+
+
 class Estimate(NamedTuple):
     """The parameters and how well they are known."""
 
@@ -100,6 +108,9 @@ class Estimate(NamedTuple):
     #: What the variances of ln G and ln Gn have because no surface was seen [1]: where the tissue
     #: begins, on which the slope of the force does not depend.
     hidden: tuple[float, float] = (0.0, 0.0)
+    #: Modes of (ln G, ln Gn, alpha), of which `covariance` is that of all, with the thickness and
+    #: what else stands against it; one: the posterior is a Gaussian. Empty: not known.
+    modes: tuple[Member, ...] = ()
 
     @property
     def converged(self) -> bool:

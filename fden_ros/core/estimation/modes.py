@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit, log_ndtr
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Member
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Posterior, Solution
@@ -41,14 +41,6 @@ _CLEAR = 8.0
 _NEAR, _BENT = 0.05, 0.3
 #: ln Gn of a linear law is below the boundary by this [1].
 _BELOW = 1e-3
-
-
-class Member(NamedTuple):
-    """One mode as a Gaussian."""
-
-    weight: float
-    mean: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -74,16 +66,20 @@ class Modes:
         """The likeliest maximum's."""
         return self.solutions[0]
 
-    def mixed(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return the moments of all modes, where those of the first have gone on to these."""
+    def members(self, mean: Array, covariance: Array) -> list[Member]:
+        """Return all modes, where the moments of the first have gone on to these."""
         best = self.best
         if best.considered is not None:
             covariance = covariance + best.considered
-        if not self.others:
-            return mean, covariance
         shift = mean - best.mean
-        members = [Member(self.weight, mean, covariance)]
-        members += [m._replace(mean=m.mean + shift) for m in self.others]
+        others = [m._replace(mean=m.mean + shift) for m in self.others]
+        return [Member(self.weight, mean, covariance), *others]
+
+    def mixed(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """Return the moments of all modes, where those of the first have gone on to these."""
+        members = self.members(mean, covariance)
+        if len(members) == 1:
+            return members[0].mean, members[0].covariance
         middle = np.sum([m.weight * m.mean for m in members], axis=0)
         spread = np.zeros_like(covariance)
         for member in members:

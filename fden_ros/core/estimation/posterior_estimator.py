@@ -17,7 +17,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate, LawError
+from fden_ros.core.estimation.estimate import Estimate, LawError, Member
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.filter import PressFilter
@@ -294,7 +294,17 @@ class PosteriorEstimator:
             mismatch_probability=self._mismatch_probability,
             at_edge=claims.at_edge,
             is_order_contradicted=is_contradicted,
+            modes=self._modes_now(solved, press.filter),
         )
+
+    @staticmethod
+    def _modes_now(solved: Solved, own_filter: PressFilter) -> tuple[Member, ...]:
+        """Return the modes of ln G, ln Gn and alpha, for the tissue under the probe."""
+        found = []
+        for mode in solved.modes.members(own_filter.mean, own_filter.covariance):
+            mean, covariance = _after_changes(solved.model, mode.mean, mode.covariance)
+            found.append(Member(mode.weight, mean[:3].copy(), covariance[:3, :3].copy()))
+        return tuple(found)
 
     @staticmethod
     def _moments_now(solved: Solved, own_filter: PressFilter) -> tuple[Array, Array]:

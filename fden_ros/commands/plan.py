@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``fden plan``: which press to make next, and what to expect of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fden_ros.commands.command import Command, add_json, positive, print_json, write
+from fden_ros.commands.inputs import add_config_options, as_argument, parameters_of
+from fden_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from fden_ros.parameters import Parameters
+    from fden_ros.planning.motion import Sensors
+    from fden_ros.planning.plan import Limits, Plan
+    from fden_ros.planning.tissue import TissueBelief
+
+_NOT_POSSIBLE = 3
+_TARGETS = ("G", "Gn", "alpha")
+#: What ``fden configure`` writes of the streams, and the factor to SI units.
+_MEASURED = re.compile(r"# (force|displacement) (noise|rate): ([\d.e+-]+)(?: ± \S+)? (\w+)")
+_UNITS = {"N": 1.0, "Hz": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "rad": 1.0}
+
+DESCRIPTION = """\
+Plan the next press: how deep, how fast, how long; with the deviations that the identifier will
+state after it, the probability that these are what you want, or why that is not possible.
+"""
+
+EPILOG = """\
+examples:
+  fden plan --config probe.yaml --target G=0.1,Gn=0.1
+  fden plan --config probe.yaml --config liver.yaml --target Gn=0.05 --max-force 2 --plot plan.png
+  fden replay press.csv --config probe.yaml --json > press.json
+      then: fden plan --config probe.yaml --after press.json
+
+Targets are standard deviations of ln G and ln Gn (0.1: to 10 %) and of alpha; without any, what a
+contact takes to converge. Noise and rate come from the file of `fden configure`, or are stated.
+What is planned holds for tissue of the prior, or of the results of --after; it is never exact.
+Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 the target is not possible.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
+    add_config_options(parser)
+    parser.add_argument(
+        "--target",
+        type=as_argument(_target),
+        metavar="G=SD,...",
+        help="standard deviations of ln G, ln Gn and alpha that are wanted",
+    )
+    limits = parser.add_argument_group("what a press may do")
+    for name, unit, usual in (
+        ("depth", "m", "a strain of 0.3"),
+        ("force", "N", "plausible.force"),
+        ("speed", "m/s", "0.02"),
+        ("time", "s", "10"),
+    ):
+        limits.add_argument(
+            f"--max-{name}", type=positive, metavar=unit, help=f"at most (default: {usual})"
+        )
+    sensors = parser.add_argument_group("sensors (default: as fden configure has measured them)")
+    sensors.add_argument("--noise", type=positive, metavar="N", help="of the force, per sample")
+    sensors.add_argument("--rate", type=positive, metavar="Hz", help="of the force")
+    sensors.add_argument(
+        "--displacement-noise", type=positive, metavar="m", help="of the displacement, per sample"
+    )
+    parser.add_argument(
+        "--after",
+        type=Path,
+        metavar="RESULTS",
+        help="go on from the last contact of what fden replay --json has printed",
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw deviations against depth and time"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan and print; return the exit code."""
+    from fden_ros.parameters import pipeline_config
+    from fden_ros.planning.plan import Search, Target
+
+    parameters = parameters_of(args)
+    config = pipeline_config(parameters)
+    if not config.geometry.is_stated:
+        raise InputError("state probe and tissue (geometry): without it no press can be planned")
+    sensors = _sensors(args, parameters)
+    target = Target(args.target) if args.target else None
+    tissue = _tissue(args.after) if args.after else None
+    search = Search(config, sensors, target, _limits(args, config), tissue)
+    plan = search.plan()
+    if args.plot is not None:
+        from fden_ros.report.plan_picture import draw_plan
+        from fden_ros.report.style import save
+
+        write(args.plot, lambda path: save(lambda figure: draw_plan(figure, search, plan), path))
+    if args.json:
+        print_json(plan_object(plan))
+    else:
+        print(plan.line())
+    return 0 if plan.is_possible else _NOT_POSSIBLE
+
+
+def plan_object(plan: Plan) -> dict[str, Any]:
+    """Return a plan as ``--json`` prints it; SI units."""
+    motion = plan.motion
+    return {
+        "possible": plan.is_possible,
+        "presses": plan.presses,
+        "probability": plan.probability,
+        "deviations": dict(zip(("g", "g_n", "alpha"), plan.deviations.tolist(), strict=True)),
+        "depth": motion.depth,
+        "speed": motion.speed,
+        "hold": motion.hold,
+        "amplitude": motion.amplitude * motion.depth,
+        "cycles": motion.cycles,
+        "release": motion.release,
+        "seconds": motion.seconds,
+        "force": plan.force,
+        "cause": plan.cause,
+        "line": plan.line(),
+    }
+
+
+def _target(text: str) -> tuple[float, float, float]:
+    found = dict.fromkeys(_TARGETS, math.inf)
+    for part in text.split(","):
+        name, _, value = part.partition("=")
+        try:
+            found[name] = positive(value)
+        except argparse.ArgumentTypeError as error:
+            raise InputError(f"{part!r}: {error}") from None
+        if name not in _TARGETS:
+            raise InputError(f"{part!r}: a target is one of {', '.join(_TARGETS)}")
+    return found["G"], found["Gn"], found["alpha"]
+
+
+def _limits(args: argparse.Namespace, config: Any) -> Limits:
+    from fden_ros.planning.plan import Limits
+
+    stated = {name: getattr(args, f"max_{name}") for name in ("depth", "force", "speed", "time")}
+    return replace(Limits.usual(config), **{k: v for k, v in stated.items() if v is not None})
+
+
+def _sensors(args: argparse.Namespace, parameters: Parameters) -> Sensors:
+    from fden_ros.planning.motion import Sensors
+
+    found = {"force noise": parameters.force.noise}
+    for path in args.config or []:
+        for stream, what, number, unit in _MEASURED.findall(path.read_text(encoding="utf-8")):
+            found[f"{stream} {what}"] = float(number) * _UNITS.get(unit, 1.0)
+    noise, rate = args.noise or found["force noise"], args.rate or found.get("force rate", 0.0)
+    if not noise or not rate:
+        raise InputError(
+            "noise and rate of the force are not known: state --noise (standard deviation per "
+            "sample, N) and --rate (Hz), or give the file that fden configure writes"
+        )
+    return Sensors(rate, noise, args.displacement_noise or found.get("displacement noise", 0.0))
+
+
+def _tissue(path: Path) -> TissueBelief:
+    """Return what the results of a replay tell of the tissue at their last place."""
+    from fden_ros.planning.tissue import TissueBelief
+
+    try:
+        contacts = json.loads(path.read_text(encoding="utf-8"))["contacts"]
+        known = [one for one in contacts if one["modes"]]
+        if not known:
+            raise InputError(f"{path} has no contact with an estimate")
+        return TissueBelief.of(known[-1]["modes"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path} cannot be read as the output of fden replay --json: {error}"
+        ) from None
+
+
+COMMAND = Command("plan", "which press to make next", DESCRIPTION, EPILOG, add_arguments, run)

@@ -1,0 +1,293 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""What a motion will tell: the posterior of its record, at tissues that are drawn.
+
+Nothing here models a press: response, error processes, priors and modes are those of the posterior
+that will be given the real record. With the Jacobian J whitened by the error processes,
+
+.. math:: \Sigma = (J^T J + \Lambda)^{-1}
+
+is the covariance at given scales of the law's errors, which compares motions; what is stated of
+one is the mixture over scales and modes, with a noise that is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation.budget import Budget, budget_of
+from fden_ros.core.estimation.claims import Reservations, reserved
+from fden_ros.core.estimation.density import Belief
+from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.maximum import Maximum, inverted
+from fden_ros.core.estimation.modes import follow_modes
+from fden_ros.core.estimation.press_model import Evaluation
+from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
+from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.scales import Scales, WeighedScales
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.unknowns import LAW, LOG_GN, ORIGIN, Lifetime
+from fden_ros.planning.motion import Motion, Sensors, record, until
+from fden_ros.planning.tissue import TissueBelief
+from fden_ros.planning.touch import Touch, touch_of, zero_sd
+
+#: Scales of the law's errors at which motions are compared, over the stated one [1]: of tissue
+#: that is all but the law's.
+_COMPARED = (0.1, 0.1, 0.05)
+#: Places of the scales that stand for all, of the smooth errors and of the roughness [1].
+_SMOOTH, _ROUGH = (0, 2, 3), (0, 1, 3)
+#: Standard deviation of the origin before a touch was simulated [1].
+_FIRST_ORIGIN_SD = 3e-3
+#: Standard deviations of the origin that a touch may be before its nominal place [1].
+_REACH = 6.0
+#: Deviation of what is not told at all [1].
+_UNTOLD = 10.0
+_LAW = slice(0, len(LAW))
+
+
+class Expected(NamedTuple):
+    """What one motion tells of one tissue."""
+
+    #: Standard deviations of ln G, ln Gn and alpha [1] after each of such presses, (presses, 3).
+    deviations: Array
+    force: float  #: largest [N]
+    is_left: bool  #: the tissue leaves the probe before the release
+
+
+class Stated(NamedTuple):
+    """What the estimator will state of one tissue."""
+
+    deviations: Array  #: standard deviations of ln G, ln Gn and alpha [1], (3,)
+    touch: Touch
+    budget: Budget | None  #: of the first tissue alone
+
+
+class Forecast:
+    """What motions will tell of a tissue.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+    sensors : Sensors
+    tissue : TissueBelief
+    """
+
+    def __init__(self, config: PipelineConfig, sensors: Sensors, tissue: TissueBelief) -> None:
+        self.config, self.sensors, self.tissue = config, sensors, tissue
+        self._scale = config.geometry.stress_per_force
+        precision: Array = np.asarray(np.linalg.inv(tissue.covariance), dtype=np.float64)
+        self._known = Belief(tissue.mean, precision)
+        self._touches: dict[tuple[float, int], Touch] = {}
+
+    def _setting(self, origin_sd: float) -> PressSetting:
+        config = self.config.estimator
+        return PressSetting(
+            config,
+            config.uncertainty,
+            self.config.geometry,
+            origin_sd,
+            self._scale * self.sensors.force_sd,
+            self._scale * zero_sd(self.sensors),
+            0.0,
+            RigKnowledge.stated(config),
+        )
+
+    def _posterior(self, setting: PressSetting, depth: float) -> Posterior:
+        """Return the posterior of a press, with what is known of the tissue for a prior."""
+        length = self.config.geometry.length
+        noise = self.sensors.displacement_sd / length
+        posterior = setting.posterior((), noise, depth / length)
+        mean, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
+        mean[_LAW], precision[_LAW, _LAW] = self._known.mean, self._known.precision
+        posterior.belief = Belief(mean, precision)
+        return posterior
+
+    def _state(self, posterior: Posterior, tissue: Array) -> Array:
+        state: Array = posterior.belief.mean.copy()
+        state[_LAW] = tissue
+        return state
+
+    @property
+    def _origin_sd(self) -> float:
+        """Usual standard deviation of the origin at a touch [1]."""
+        if self.config.strain_origin is not None:
+            return 0.0
+        found = [touch.origin_sd for touch in self._touches.values()]
+        return float(np.median(found)) if found else _FIRST_ORIGIN_SD
+
+    @property
+    def _scales(self) -> Scales:
+        unit = self.config.estimator.uncertainty.characteristic_sd
+        kernel, characteristic, roughness = (part * unit for part in _COMPARED)
+        return Scales(kernel, characteristic, roughness, 1.0)
+
+    def compared(self, motion: Motion, tissues: Array, presses: int = 1) -> list[Expected]:
+        """Return what up to so many presses tell of tissues (k, 3), at one place of the scales.
+
+        Tissues that no number can hold are left out.
+        """
+        setting, scales = self._setting(self._origin_sd), self._scales
+        posterior = self._posterior(setting, motion.deepest)
+        points = record(motion, self.config.geometry, self.sensors, _REACH * setting.origin_sd)
+        lasting = [u.lifetime is not Lifetime.CONTACT for u in posterior.model.unknowns]
+        lasting += [True] * (posterior.model.size - len(lasting))
+        found: list[Expected] = []
+        for seed, tissue in enumerate(tissues):
+            state = self._state(posterior, tissue)
+            try:
+                evaluation = posterior.evaluate(points, state)
+                touch = self._touch(motion, points, evaluation, tissue, seed)
+                if setting.origin_sd:
+                    evaluation.jacobian[:, ORIGIN] *= touch.origin_sd / setting.origin_sd
+                errors = posterior.error_model.errors(points, state, evaluation)
+                white, _, _ = posterior.error_model.whitened(
+                    evaluation.jacobian, errors, scales.roughness, scales.motion
+                )
+                kept, is_left = _kept(motion, points, evaluation)
+                normal = white[:kept].T @ white[:kept]
+                prior = posterior.precision(state, scales)
+                covariances = _repeated(normal, prior, np.array(lasting), presses)
+            except UNSOLVABLE:
+                continue
+            deviations = np.array([self._stated(c, touch) for c in covariances])
+            force = float(evaluation.stress.max()) / self._scale
+            found.append(Expected(deviations, force, is_left))
+        return found
+
+    def _touch(
+        self, motion: Motion, points: Points, found: Evaluation, tissue: Array, seed: int
+    ) -> Touch:
+        key = motion.speed, seed
+        if key not in self._touches:
+            course = points.middles, found.stress / self._scale
+            self._touches[key] = touch_of(
+                self.config, self.sensors, motion, course, math.exp(tissue[LOG_GN]), seed
+            )
+        return self._touches[key]
+
+    def _stated(self, covariance: Array, touch: Touch) -> Array:
+        """Return the deviations that will be stated: with thickness, and a hidden surface."""
+        config, law = self.config.estimator, covariance[_LAW, _LAW].copy()
+        law[:2, :2] += config.uncertainty.thickness_sd**2
+        known = ParameterSet.ALL
+        log_g, log_gn, order = self.tissue.mean.tolist()
+        estimate = Estimate(log_g, log_gn, order, law, 0.0, 0.0, 1.0, known, known, 0)
+        estimate = reserved(config, estimate, Reservations(is_surface_hidden=touch.is_hidden))
+        return estimate.deviations + (0.0 if touch.is_told else _UNTOLD)
+
+    def stated(self, motion: Motion, tissues: Array) -> list[Stated]:
+        """Return what the estimator will state of tissues (k, 3) after a motion."""
+        found: list[Stated] = []
+        common = self._posterior(self._setting(self._origin_sd), motion.deepest)
+        points = record(motion, self.config.geometry, self.sensors, _REACH * self._origin_sd)
+        before: Solution | None = None
+        for seed, tissue in enumerate(tissues):
+            try:
+                response = common.model.response(points, self._state(common, tissue))
+                touch = self._touch(motion, points, response, tissue, seed)
+                setting = self._setting(touch.origin_sd)
+                posterior = self._posterior(setting, motion.deepest)
+                own = self._measured(motion, points, response, seed)
+                state = self._state(posterior, tissue)
+                posterior.grid, middle = _thinned(posterior.grid)
+                before = before or _linearised(posterior, own, state, middle)
+                modes = follow_modes(posterior, own, [(state, before)], self._strain(motion))
+            except UNSOLVABLE:
+                continue
+            _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)
+            budget = None
+            if not found:
+                length = self.config.geometry.length
+                press = PressPosterior(setting, 0.0, 0.0, self.sensors.displacement_sd / length)
+                press.solved = Solved(posterior, modes, motion.seconds, 0.0, False)
+                budget = budget_of(press)
+            found.append(Stated(self._stated(covariance, touch), touch, budget))
+        return found
+
+    def _measured(self, motion: Motion, points: Points, found: Evaluation, seed: int) -> Points:
+        """Return a record with the stresses of a response, and noise, until the release."""
+        kept, _ = _kept(motion, points, found)
+        noise = np.random.default_rng(seed).standard_normal(found.stress.size)
+        noise *= self._scale * self.sensors.force_sd / np.sqrt(points.counts)
+        return until(replace(points, stresses=found.stress + noise), kept)
+
+    def _strain(self, motion: Motion) -> float:
+        geometry = self.config.geometry
+        return geometry.strain(motion.deepest / geometry.length)
+
+    def depth_of_force(self, motion: Motion, force: float, tissues: Array) -> Array:
+        """Return at which depth of a ramp tissues (k, 3) meet a force [N], (k,) [m]."""
+        posterior = self._posterior(self._setting(self._origin_sd), motion.deepest)
+        points = record(motion, self.config.geometry, self.sensors, 0.0)
+        depths = motion.depths(points.middles)
+        found = np.zeros(len(tissues))
+        for k, tissue in enumerate(tissues):
+            try:
+                stress = posterior.model.response(points, self._state(posterior, tissue)).stress
+            except UNSOLVABLE:
+                continue
+            above = np.flatnonzero(stress > force * self._scale)
+            found[k] = depths[above[0]] if above.size else motion.depth
+        return found
+
+
+def _kept(motion: Motion, points: Points, found: Evaluation) -> tuple[int, bool]:
+    """Return how many blocks the tissue is on the probe, and whether it leaves too soon."""
+    away = np.flatnonzero((found.stress <= 0.0) & (points.middles > motion.held[0]))
+    if not away.size:
+        return points.middles.size, False
+    return int(away[0]), bool(points.middles[away[0]] < motion.held[1])
+
+
+def _thinned(grid: Sequence[WeighedScales]) -> tuple[Sequence[WeighedScales], Scales]:
+    """Return a part of a grid of scales that stands for all, and the one beside all of it.
+
+    The deviations are those of the whole grid within 8 % (test_planning).
+    """
+    each = [sorted({getattr(w.scales, name) for w in grid}) for name in Scales._fields]
+    if len(each[0]) == 1:
+        return grid, grid[0].scales
+    kernels, curves = ([values[k] for k in _SMOOTH] for values in each[:2])
+    rough = [each[2][k] for k in _ROUGH]
+    pairs = set(zip(kernels, curves, strict=True))
+    kept = [w for w in grid if w.scales[:2] in pairs and w.scales.roughness in rough]
+    return kept, Scales(kernels[1], curves[1], rough[1], each[3][0])
+
+
+def _linearised(posterior: Posterior, points: Points, state: Array, scales: Scales) -> Solution:
+    """Return the posterior at a state and one place of the scales."""
+    found = posterior.evaluate(points, state)
+    errors = posterior.error_model.errors(points, state, found)
+    rows = np.column_stack([points.stresses - found.stress, found.jacobian])
+    white, _, walk = posterior.error_model.whitened(rows, errors, scales.roughness, scales.motion)
+    covariance = _inverse(white[:, 1:].T @ white[:, 1:] + posterior.precision(state, scales))
+    maximum = Maximum(state, found, errors, scales, True)
+    return Solution(maximum, state, covariance, {scales: 1.0}, 0.0, white[:, 0], walk)
+
+
+def _repeated(normal: Array, prior: Array, lasting: Array, presses: int) -> list[Array]:
+    """Return the covariances after each press: what a contact alone has begins anew."""
+    found = [_inverse(normal + prior)]
+    for _ in range(presses - 1):
+        before = prior.copy()
+        kept = np.ix_(lasting, lasting)
+        before[kept] = _inverse(found[-1][kept])
+        found.append(_inverse(normal + before))
+    return found
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a precision."""
+    root = inverted(np.column_stack([matrix, np.zeros(len(matrix))])[None])[0][0]
+    result: Array = root.T @ root
+    return result

@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One motion of a press, and the record that it leaves without a force."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.record import TOUCH_TIME, Points, Record
+from fden_ros.core.law.geometry import Geometry
+
+#: Frequency of an oscillation [Hz]: slow enough for any arm.
+FREQUENCY = 1.5
+#: Steps of the samples that stand for those of the sensors [s]: in motion, two in a block, and at
+#: rest, from when it has lasted so long [s]. Half of them change no deviation by 2 %.
+_MOVING, _RESTING, _AT_REST = 5e-3, 2e-2, 0.2
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What is measured, and how well.
+
+    Attributes
+    ----------
+    rate : float
+        Of the force [Hz].
+    force_sd : float
+        Noise of the force per sample [N]; where it is coloured, that of the white noise with the
+        same mean over a second.
+    displacement_sd : float
+        Noise of the displacement per sample [m].
+    """
+
+    rate: float
+    force_sd: float
+    displacement_sd: float = 0.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A ramp, a hold, perhaps an oscillation about the same depth, and the way out.
+
+    Attributes
+    ----------
+    depth : float
+        Of ramp and hold [m].
+    speed, release : float
+        On the way in and out [m/s].
+    hold : float
+        Time at rest [s].
+    amplitude : float
+        Of the oscillation behind the hold, over the depth [1].
+    cycles : int
+        Of the oscillation, whole ones.
+    """
+
+    depth: float
+    speed: float
+    hold: float
+    release: float
+    amplitude: float = 0.0
+    cycles: int = 0
+
+    @property
+    def held(self) -> tuple[float, float]:
+        """Times from the touch to the end of the ramp and to the beginning of the release [s]."""
+        ramp = self.depth / self.speed
+        return ramp, ramp + self.hold + self.cycles / FREQUENCY
+
+    @property
+    def seconds(self) -> float:
+        """Time from the touch until the probe is back at the surface [s]."""
+        return self.held[1] + self.depth / self.release
+
+    @property
+    def deepest(self) -> float:
+        """Largest depth [m]."""
+        return self.depth * (1.0 + self.amplitude * (self.cycles > 0))
+
+    def depths(self, times: Array) -> Array:
+        """Return the depths [m] at times from the touch [s], negative in the air."""
+        ramp, held = self.held
+        corners = [-1.0, ramp, held, self.seconds]
+        depths = np.interp(times, corners, [-self.speed, self.depth, self.depth, 0.0])
+        if self.cycles:
+            phase = 2.0 * math.pi * FREQUENCY * (times - ramp - self.hold)
+            is_on = (phase > 0.0) & (times < held)
+            depths += self.amplitude * self.depth * np.sin(phase) * is_on
+        return depths
+
+    def times(self, sensors: Sensors) -> Array:
+        """Return the times of samples from just before the touch to the end [s].
+
+        Fewer than the sensors give, for a record of the same blocks in less time.
+        """
+        own = 1.0 / sensors.rate
+        moving, resting = max(_MOVING, own), max(_RESTING, own)
+        ramp, held = self.held
+        rest = ramp + self.hold if self.cycles else held
+        pieces = [(-2.0 * own, min(TOUCH_TIME, ramp), own), (TOUCH_TIME, ramp + _AT_REST, moving)]
+        pieces += [(ramp + _AT_REST, rest, resting), (rest, self.seconds, moving)]
+        found: list[Array] = []
+        last = -math.inf
+        for start, stop, step in pieces:
+            first = max(start, last + step)
+            found.append(np.arange(first, stop, step))
+            last = max(last, float(found[-1][-1])) if found[-1].size else last
+        return np.concatenate(found)
+
+
+def record(motion: Motion, geometry: Geometry, sensors: Sensors, reach: float) -> Points:
+    """Return the record of a motion, of which the stresses are 0.
+
+    `reach`: how far before its nominal place the touch may be, as compression [1].
+    """
+    times = motion.times(sensors)
+    own = Record(sensors.displacement_sd / geometry.length, reach)
+    for time, compression in zip(
+        times.tolist(), (motion.depths(times) / geometry.length).tolist(), strict=True
+    ):
+        own.add(time, compression, 0.0, is_observed=True)
+    points = own.points()
+    steps = np.interp(points.middles, times[1:], np.diff(times))
+    return replace(points, counts=points.counts * np.maximum(steps * sensors.rate, 1.0))
+
+
+def until(points: Points, count: int) -> Points:
+    """Return a record of which only the first blocks are observed."""
+    kept = slice(count)
+    return replace(
+        points,
+        first=points.first[kept],
+        last=points.last[kept],
+        middles=points.middles[kept],
+        durations=points.durations[kept],
+        counts=points.counts[kept],
+        stresses=points.stresses[kept],
+    )

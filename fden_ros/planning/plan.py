@@ -1,0 +1,287 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The motion to make next: a search over depth, speed, hold and oscillation, and what to expect.
+
+A motion is judged by the deviations that are wanted: the median over tissues of the root of the
+summed squares of their ratios to the targets. Of the motions within 5 % of the best the shortest
+is chosen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.config import PipelineConfig
+from fden_ros.planning.forecast import Expected, Forecast, Stated
+from fden_ros.planning.motion import FREQUENCY, Motion, Sensors
+from fden_ros.planning.remedies import WORDS, Case, quantity, remedy, uncover
+from fden_ros.planning.tissue import TissueBelief
+
+#: Tissues by which motions are compared, of which the estimator's own deviations are found, for
+#: which the probability is stated, and for which forces are limited [1].
+_COMPARED, _STATED, _COUNTED, _LIMITED = 4, 4, 12, 24
+#: Presses that are planned at most [1].
+MOST_PRESSES = 3
+#: Part of the tissues in which a limit may be exceeded [1].
+_EXCEEDED = 0.05
+#: A motion is as good as the best within this [1].
+_AS_GOOD = 1.05
+#: A target is said to be possible from this probability on [1].
+POSSIBLE = 0.8
+#: Depths over the largest, speeds over the largest [1], and holds [s] that are tried; the second
+#: depth shows where the law's own error is larger than the noise.
+_DEPTHS, _SPEEDS, _HOLDS = (1.0, 0.7), (1.0, 0.4), (0.25, 0.5, 1.0, 2.0, 4.0)
+#: Oscillation that is tried: over the depth [1], and cycles [1].
+_AMPLITUDE, _CYCLES = 0.05, 2
+#: Strain beyond which nobody presses unless it is allowed [1], usual largest speed [m/s], longest
+#: time [s].
+_USUAL_STRAIN, _USUAL_SPEED, _USUAL_TIME = 0.3, 0.02, 10.0
+NAMES = ("G", "Gn", "alpha")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a motion may do.
+
+    Attributes
+    ----------
+    depth, force, speed, time : float
+        Largest depth [m], force [N], speed [m/s] and duration [s].
+    """
+
+    depth: float
+    force: float
+    speed: float = _USUAL_SPEED
+    time: float = _USUAL_TIME
+
+    @classmethod
+    def usual(cls, config: PipelineConfig) -> Limits:
+        """Return those of a configuration that nobody has limited further."""
+        depth = config.geometry.length * config.geometry.compression(_USUAL_STRAIN)
+        return cls(depth, min(config.synchronize.force_limit, config.plausibility.most_force))
+
+
+@dataclass(frozen=True)
+class Target:
+    """Standard deviations of ln G, ln Gn and alpha that are wanted [1]; infinite: any."""
+
+    deviations: tuple[float, float, float]
+
+    @classmethod
+    def converged(cls, config: PipelineConfig) -> Target:
+        """Return what a contact takes to converge."""
+        own = config.estimator
+        return cls((own.converged_linear_log_sd, own.converged_log_sd, math.inf))
+
+    def ratios(self, deviations: Array) -> Array:
+        """Return deviations (..., 3) over those that are wanted, (..., 3)."""
+        result: Array = deviations / np.array(self.deviations)
+        return result
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One motion and what to expect of it.
+
+    Attributes
+    ----------
+    motion : Motion
+    deviations : ndarray, shape (3,)
+        Medians of those of ln G, ln Gn and alpha that will be stated [1].
+    probability : float
+        Of the target, after one press [1].
+    presses : int
+        So many of the same place meet the target; 0: not possible.
+    force : float
+        That 95 % of the tissues stay below [N].
+    cause : str
+        What limits the deviations where the target is not possible, and what would change it.
+    target : Target
+    """
+
+    motion: Motion
+    deviations: Array
+    probability: float
+    presses: int
+    force: float
+    cause: str
+    target: Target
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the target can be met."""
+        return self.presses > 0
+
+    def line(self) -> str:
+        """Return the plan in one line."""
+        found = ", ".join(
+            f"{name} to {100.0 * sd:.2g} %" if name != "alpha" else f"alpha to {sd:.2g}"
+            for name, sd in zip(NAMES, self.deviations.tolist(), strict=True)
+        )
+        words = f"{motion_words(self.motion)}: {found}"
+        chance = f"{100.0 * self.probability:.0f} %"
+        if not self.is_possible:
+            often = f"possible with {chance} only" if self.probability else "not possible"
+            return f"{often}: {self.cause}; at best {words}"
+        if self.presses == 1:
+            return f"{words}; the target with {chance}"
+        return f"{words}; the target with {chance}, or after {self.presses} such presses"
+
+
+def motion_words(motion: Motion) -> str:
+    """Return a motion in words."""
+    parts = [f"press to {quantity(motion.depth, 'm')} at {quantity(motion.speed, 'm')}/s"]
+    parts.append(f"hold for {motion.hold:.2g} s")
+    if motion.cycles:
+        size = quantity(motion.amplitude * motion.depth, "m")
+        parts.append(f"swing {motion.cycles} times by {size} at {FREQUENCY:g} Hz")
+    parts.append(f"release at {quantity(motion.release, 'm')}/s")
+    return f"{', '.join(parts)} ({motion.seconds:.1f} s)"
+
+
+def plan(
+    config: PipelineConfig,
+    sensors: Sensors,
+    target: Target | None = None,
+    limits: Limits | None = None,
+    tissue: TissueBelief | None = None,
+) -> Plan:
+    """Return the motion to make next.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+    sensors : Sensors
+    target : Target, optional
+        Without one: what a contact takes to converge.
+    limits : Limits, optional
+    tissue : TissueBelief, optional
+        What is known of it; without it the prior.
+    """
+    return Search(config, sensors, target, limits, tissue).plan()
+
+
+class Search:
+    """The search for a motion.
+
+    Parameters
+    ----------
+    config, sensors, target, limits, tissue
+        As for :func:`plan`.
+    """
+
+    def __init__(
+        self,
+        config: PipelineConfig,
+        sensors: Sensors,
+        target: Target | None = None,
+        limits: Limits | None = None,
+        tissue: TissueBelief | None = None,
+    ) -> None:
+        self._config = config
+        self.target = target or Target.converged(config)
+        self.limits = limits or Limits.usual(config)
+        known = tissue or TissueBelief.stated(config.estimator.prior)
+        self._draws = known.draws(_LIMITED)
+        self.forecast = Forecast(config, sensors, known)
+        self._found: dict[Motion, tuple[float, list[Expected]]] = {}
+        fastest = Motion(self.limits.depth, self.limits.speed, 0.0, self.limits.speed)
+        depths = self.forecast.depth_of_force(fastest, self.limits.force, self._draws)
+        #: Largest depth within the limits of depth and force [m].
+        self.depth = min(self.limits.depth, float(np.quantile(depths, _EXCEEDED)))
+
+    def plan(self) -> Plan:
+        """Return the best motion and what to expect."""
+        motion = self._chosen()
+        stated = self.forecast.stated(motion, self._draws[:_STATED])
+        known = self.forecast.compared(motion, self._draws[:_COUNTED], MOST_PRESSES)
+        if not stated or not known:
+            raise FloatingPointError("no tissue has a finite stress")
+        after = np.array([one.deviations for one in known])
+        own = np.array([one.deviations for one in stated])
+        after = after * np.median(own / after[: len(own), 0], axis=0)
+        is_met = np.all(self.target.ratios(after) <= 1.0, axis=-1)
+        likely = np.flatnonzero(is_met.mean(axis=0) >= POSSIBLE)
+        return Plan(
+            motion=motion,
+            deviations=np.median(after[:, 0], axis=0),
+            probability=float(is_met[:, 0].mean()),
+            presses=int(likely[0]) + 1 if likely.size else 0,
+            force=float(np.quantile([one.force for one in known], 1.0 - _EXCEEDED)),
+            cause="" if likely.size else self._cause(motion, stated[0], known, after),
+            target=self.target,
+        )
+
+    # The search
+
+    def _chosen(self) -> Motion:
+        limits, depth = self.limits, self.depth
+        best = Motion(depth, limits.speed, 1.0, limits.speed)
+        best = self._best(replace(best, depth=part * depth) for part in _DEPTHS)
+        best = self._best(replace(best, speed=part * limits.speed) for part in _SPEEDS)
+        best = self._best([best, *(replace(best, hold=hold) for hold in _HOLDS)])
+        smaller = min(best.depth, depth / (1.0 + _AMPLITUDE))
+        swing = replace(best, depth=smaller, amplitude=_AMPLITUDE, cycles=_CYCLES)
+        best = self._best([best, swing, replace(swing, hold=0.5 * swing.hold)])
+        least = _AS_GOOD * self._found[best][0]
+        good = [motion for motion, (score, _) in self._found.items() if score <= least]
+        return min(good, key=lambda motion: motion.seconds, default=best)
+
+    def _best(self, motions: Iterable[Motion]) -> Motion:
+        return min(motions, key=self.score)
+
+    def score(self, motion: Motion) -> float:
+        """Return how far a motion is from the target [1]; infinite: it is not allowed."""
+        if motion not in self._found:
+            found = self.compared(motion)
+            score = math.inf
+            if found and self._is_allowed(motion, found):
+                ratios = self.target.ratios(np.array([one.deviations[0] for one in found]))
+                score = float(np.median(np.sqrt(np.sum(ratios**2, axis=-1))))
+            self._found[motion] = score, found
+        return self._found[motion][0]
+
+    def compared(self, motion: Motion) -> list[Expected]:
+        """Return what a motion tells of a few tissues."""
+        return self.forecast.compared(motion, self._draws[:_COMPARED])
+
+    def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
+        is_within = motion.seconds <= self.limits.time and motion.deepest <= 1.001 * self.depth
+        return is_within and sum(one.is_left for one in found) <= _EXCEEDED * len(found)
+
+    # Why not
+
+    def _cause(self, motion: Motion, typical: Stated, known: list[Expected], after: Array) -> str:
+        """Return what keeps the target away, and what would change it."""
+        geometry, config = self._config.geometry, self._config.estimator
+        strain = geometry.strain(motion.depth / geometry.length)
+        gn = float(np.exp(self.forecast.tissue.mean[1]))
+        if strain * gn < 1.2 and self.depth < 0.95 * self.limits.depth:
+            most, depth = quantity(self.limits.force, "N"), quantity(self.depth, "m")
+            return (
+                f"with {most} no more than {depth} are safe while so little is known of the "
+                "tissue: press, and plan again with --after"
+            )
+        index = int(np.argmax(self.target.ratios(np.median(after[:, 0], axis=0))))
+        if index == 2:
+            return "alpha shows in time alone: a longer hold (--max-time)"
+        budget = typical.budget
+        if not typical.touch.is_told or budget is None:
+            return "the noise hides the contact: a quieter sensor or a larger face"
+        if typical.touch.is_hidden and index == 0:
+            linear = float(np.exp(self.forecast.tissue.mean[0])) / gn
+            return f"noise hides the linear part: {uncover(budget, geometry, linear)}"
+        wanted = self.target.deviations[index]
+        if config.uncertainty.thickness_sd >= wanted:
+            return f"{WORDS['thickness']}: state geometry.thickness_sd"
+        force = float(np.median([one.force for one in known]))
+        case = Case(self._config, budget, index, wanted, gn, force, strain)
+        largest = budget.largest(index)
+        named = f"{NAMES[index]} by {WORDS[largest[0]]}" if largest else NAMES[index]
+        return f"{named}; {remedy(case)}"
