@@ -94,9 +94,9 @@ def run(args: argparse.Namespace) -> int:
     config = pipeline_config(parameters)
     if not config.geometry.is_stated:
         raise InputError("state probe and tissue (geometry): without it no press can be planned")
+    tissue = _tissue(args.after) if args.after else None
     sensors = _sensors(args, parameters)
     target = Target(args.target) if args.target else None
-    tissue = _tissue(args.after) if args.after else None
     search = Search(config, sensors, target, _limits(args, config), tissue)
     plan = search.plan()
     if args.plot is not None:
