@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from property_helpers import first
 
 from benchmark.closed_loop import Program, Run, close_loop, tissues
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
-from fden_ros.control.gain_rules import StiffnessInUse, StiffnessLimits
 from fden_ros.control.live_tissue import Reading
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
@@ -145,23 +142,3 @@ def test_a_loss_in_the_middle_of_a_motion_leads_to_safe_gains_within_a_deadline(
     assert result.live[(result.times > lost - 0.1) & (result.times < lost)].all()
     assert not result.live[result.times > lost + 0.1].any()
     assert result.force.max() <= PROGRAM.limit and result.overshoot[0] <= 0.05
-
-
-def known(value: float, sd: float = 0.0) -> Any:
-    """A reading whose stiffness is known."""
-    return SimpleNamespace(stiffness=lambda time_scale: (value, sd))
-
-
-def test_the_stiffness_in_use_falls_slowly_rises_at_once_and_is_safe_on_a_loss() -> None:
-    limits = StiffnessLimits(400.0, least_stiffness=20.0, softening_rate=2.0, time_scale=0.1)
-    in_use = StiffnessInUse(limits)
-    values = [in_use.step(t, known(50.0, 5.0)) for t in np.arange(0.0, 3.0, 0.05)]
-    assert values[0] == 400.0 and values[-1] == 55.0
-    assert np.all(np.diff(np.log(values)) >= -2.0 * 0.05 - 1e-12)
-    assert in_use.step(3.0, None) == 400.0 and not in_use.is_live
-    assert in_use.step(3.1, known(900.0)) == 900.0 and in_use.is_live
-    # No faster than before the loss.
-    assert in_use.step(3.2, None) == 900.0
-    assert in_use.step(9.0, known(50.0)) < 900.0
-    with pytest.raises(InputError, match="must be the larger"):
-        StiffnessLimits(5.0, least_stiffness=10.0)

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fden_ros.control.gain_rules import StiffnessInUse, StiffnessLimits
 from fden_ros.control.live_tissue import Reading
 from fden_ros.errors import InputError
 
@@ -126,15 +125,6 @@ class ForceController:
         self.config = config
         self.gains = Gains.SAFE if config.scheduled else Gains.FIXED
         self.stiffness = config.safe_stiffness
-        self._in_use = StiffnessInUse(
-            StiffnessLimits(
-                config.safe_stiffness,
-                least_stiffness=min(_LEAST_STIFFNESS, config.safe_stiffness),
-                softening_rate=math.inf,
-                deviations=config.deviations,
-                time_scale=1.0 / config.bandwidth,
-            )
-        )
         self._recent: deque[tuple[float, float, float]] = deque()
         self._time: float | None = None
         self._target = 0.0
@@ -175,7 +165,7 @@ class ForceController:
         """In the air: whatever is touched next is new."""
         self._recent.clear()
         self._stiffening = 1.0
-        self._in_use.leave()
+        self._known = self.config.safe_stiffness
         self._integral = 0.0
         if self.config.scheduled:
             self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
@@ -191,8 +181,16 @@ class ForceController:
     def _schedule(
         self, time: float, force: float, depth: float, reading: Reading | None, elapsed: float
     ) -> None:
-        known = self._in_use.step(time, reading)
-        self.gains = Gains.SAFE if reading is None else Gains.LIVE
+        config = self.config
+        if reading is None:
+            # No faster than is safe, and no faster than before the loss.
+            self.gains, self._known = Gains.SAFE, max(config.safe_stiffness, self._known)
+        else:
+            stiffness, sd = reading.stiffness(1.0 / config.bandwidth)
+            least = min(_LEAST_STIFFNESS, config.safe_stiffness)
+            self._known = max(stiffness + config.deviations * sd, least)
+            self.gains = Gains.LIVE
+        known = self._known
         measured = self._measured_stiffness(time, force, depth)
         if measured is not None:
             ratio = max(measured / known / _BELIEVED, 1.0)

@@ -37,7 +37,6 @@ from fden_ros.tissues.library import load_library
 #: Of the bag: what it was identified with, what is wrong with it, its length, and how many
 #: contacts it has, which tells whether all of its rows are there.
 _BAG_COLUMNS = ("bag", "configuration", "error", "warnings", "seconds", "pairs", "contacts")
-_RECORDINGS = (".mcap", ".mcap.zst", ".mcap.zstd", ".mcap.lz4")
 
 Row = dict[str, Any]
 
@@ -92,7 +91,7 @@ def _bags_at(path: Path) -> Iterator[Path]:
     for child in sorted(path.iterdir()):
         if child.name.startswith("."):
             continue
-        if child.is_dir() or child.name.endswith(_RECORDINGS):
+        if child.is_dir() or child.suffix == ".mcap":
             yield from _bags_at(child)
 
 

@@ -61,7 +61,6 @@ class _Rows:
         self._means: list[Any] = []
         self._covariances: list[Any] = []
         self._counts: list[bool] = []
-        self._names: list[str] = []
         self.mismatched = 0
         self.skipped: Counter[str] = Counter()
 
@@ -84,7 +83,6 @@ class _Rows:
         self._means.append(estimate[0])
         self._covariances.append(estimate[1])
         self._counts.append(order_counts)
-        self._names.append(name)
         self.mismatched += mismatch
 
     def contacts(self, source: str) -> Contacts:
@@ -95,7 +93,6 @@ class _Rows:
             np.array(self._covariances, dtype=float).reshape(-1, 3, 3),
             self._prior,
             self._counts,
-            names=tuple(self._names),
             sources=(source,),
             mismatched=self.mismatched,
             skipped=dict(self.skipped),

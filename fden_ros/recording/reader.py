@@ -8,17 +8,13 @@ from __future__ import annotations
 import bisect
 import heapq
 import re
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import lz4.frame
 import yaml
-import zstandard
 from mcap.well_known import MessageEncoding
 
 from fden_ros.errors import InputError
@@ -39,8 +35,8 @@ _SQLITE3 = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _LZ4 = b"\x04\x22\x4d\x18"
-_RECORDINGS = ("*.mcap", "*.mcap.zst", "*.mcap.zstd", "*.mcap.lz4")
-_FOREIGN = ("*.db3", "*.db3.zstd", "*.bag")
+_RECORDINGS = ("*.mcap",)
+_FOREIGN = ("*.mcap.*", "*.db3", "*.db3.zstd", "*.bag")
 
 
 @dataclass(frozen=True)
@@ -73,8 +69,8 @@ class BagReader:
     Parameters
     ----------
     path
-        A rosbag2 folder (one file or several) or an ``.mcap`` file; chunks or whole files may be
-        compressed with zstd or lz4.
+        A rosbag2 folder (one file or several) or an ``.mcap`` file; chunks may be compressed with
+        zstd or lz4.
 
     Raises
     ------
@@ -85,7 +81,6 @@ class BagReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._warnings: list[str] = []
-        self._unpacked: tempfile.TemporaryDirectory[str] | None = None
         self._metadata: dict[str, Any] = {}
         self._files = [self._open(file) for file in self._find_files()]
         self._routes = [self._route(file) for file in self._files]
@@ -264,7 +259,7 @@ class BagReader:
         return file
 
     def _check_format(self, path: Path) -> Path:
-        """Return the path of the plain MCAP file, unpacked first if need be."""
+        """Return the path of an MCAP file, or raise."""
         with path.open("rb") as file:
             head = file.read(16)
         if head.startswith(MAGIC):
@@ -272,7 +267,11 @@ class BagReader:
         if not head:
             raise InputError(f"{path} is empty: give a bag folder or an .mcap file")
         if head.startswith((_ZSTD, _LZ4)):
-            return self._check_format(self._decompress(path, head))
+            tool = "zstd" if head.startswith(_ZSTD) else "lz4"
+            raise InputError(
+                f"{path} is compressed as a whole: unpack it with: {tool} -d {path}; chunks of a "
+                "bag may be compressed"
+            )
         if MAGIC.startswith(head):
             raise _cut_short(path)
         if head == _SQLITE3:
@@ -285,23 +284,6 @@ class BagReader:
                 f"rosbags-convert --src {path} --dst {path.with_suffix('')} --dst-storage mcap"
             )
         raise InputError(f"{path} is not an MCAP file: give a bag folder or an .mcap file")
-
-    def _decompress(self, path: Path, head: bytes) -> Path:
-        """Unpack a file that is compressed as a whole; what is cut off yields what there is."""
-        if self._unpacked is None:
-            self._unpacked = tempfile.TemporaryDirectory(prefix="fden_")
-        target = Path(self._unpacked.name, f"{len(list(Path(self._unpacked.name).iterdir()))}")
-        target = target.with_name(f"{target.name}_{path.name}")
-        with path.open("rb") as packed, target.open("wb") as plain:
-            try:
-                if head.startswith(_ZSTD):
-                    zstandard.ZstdDecompressor().copy_stream(packed, plain)
-                else:
-                    with lz4.frame.open(packed) as stream:
-                        shutil.copyfileobj(stream, plain)
-            except (zstandard.ZstdError, RuntimeError, EOFError):
-                self._warn(f"{path.name} cannot be unpacked to its end")
-        return target
 
     # Topics
 

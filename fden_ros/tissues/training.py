@@ -67,8 +67,6 @@ class Contacts:
         Specimen of each, within its class; empty where it is not named, (n,).
     likelihood : Likelihood
         Of all, leading axis n.
-    names : tuple of str
-        What each is called in messages, (n,).
     sources : tuple of str
         Where they come from.
     mismatched : int
@@ -80,7 +78,6 @@ class Contacts:
     tissues: tuple[str, ...]
     specimens: tuple[str, ...]
     likelihood: Likelihood
-    names: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     mismatched: int = 0
     skipped: Mapping[str, int] = field(default_factory=dict)
@@ -114,7 +111,6 @@ class Contacts:
             tuple(self.tissues[i] for i in index),
             tuple(groups[i][1] for i in index),
             Likelihood(one.centre[index], one.score[index], one.information[index]),
-            tuple(self.names[i] for i in index) if self.names else (),
         )
 
 
@@ -144,7 +140,6 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
             np.concatenate([part.likelihood.score for part in full]),
             np.concatenate([part.likelihood.information for part in full]),
         ),
-        sum((part.names for part in full), ()),
         sum((part.sources for part in parts), ()),
         sum(part.mismatched for part in parts),
         skipped,
