@@ -101,7 +101,7 @@ def judge(found: Survey, truth: RigTruth) -> Judged:
         if finding.claim and finding.value != (usual if unit == 1.0 else other):
             judged.misses.append((finding.subject, str(finding.value)))
     _judge_numbers(judged, by_name, truth)
-    shows_delay = truth.rigid or truth.turns or len(truth.frequencies) > 1
+    shows_delay = truth.rigid or truth.turns
     shown = {"delay": shows_delay, "compliance": truth.rigid, "tool mass": truth.turns}
     judged.unfounded = [name for name, is_so in shown.items() if by_name[name].claim and not is_so]
     return judged

@@ -370,7 +370,7 @@ def test_wrong_usage_is_told(
 
 
 @pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
-def test_the_robot_recording_has_two_explanations(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_robot_recording_tells_no_delay(capsys: pytest.CaptureFixture[str]) -> None:
     assert DATA is not None
     path = Path(DATA, "robot_on_silicone_500hz.csv")
     assert run("configure", path, "--columns", "@500,5,1", "--json") == 0
@@ -384,8 +384,6 @@ def test_the_robot_recording_has_two_explanations(capsys: pytest.CaptureFixture[
     assert answer["parameters"]["force.inverted"] is False
     assert found["lift-off"]["value"] == "never"
     assert not found["delay"]["claim"]
-    assert found["delay"]["value"] == pytest.approx(0.031, abs=0.001)
-    assert "alpha 0.25" in found["delay"]["evidence"]
     assert not found["compliance"]["claim"]
     assert math.isclose(found["force rate"]["value"], 500.0)
 

@@ -64,8 +64,7 @@ SUBJECTS: Mapping[str, Subject] = {
     "delay": Subject(
         "s",
         "displacement",
-        "turn the tool in the air at half a turn in 2 s, or press a rigid plate, or oscillate in "
-        "tissue by 0.5 mm at 1 and at 4 Hz, ten cycles each",
+        "turn the tool in the air at half a turn in 2 s, or press a rigid plate twice",
     ),
     "compliance": Subject(
         "m/N",

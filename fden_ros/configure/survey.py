@@ -83,10 +83,7 @@ def survey(
         axes = find_axes(sessions)
     show("rigid presses")
     presses = rigid_presses(sessions, axes, rigid)
-    compliance = compliance_finding(presses)
-    known = compliance.value if isinstance(compliance.value, float) else None
     show("delay")
-    delay = delay_finding(sessions, axes, weight, presses, known)
     load_sd = weight.weight_sd if weight is not None and weight.holds else 0.0
     found = (
         *axes.findings(),
@@ -97,8 +94,8 @@ def survey(
         lift_off_finding(sessions),
         *bias_findings(sessions, axes.force, load_sd),
         *weight_findings(weight, recordings),
-        delay,
-        compliance,
+        delay_finding(weight, presses),
+        compliance_finding(presses),
         _indenter(indenter),
         *([_one_place(sessions)] if one_place else []),
     )
@@ -176,13 +173,7 @@ _STEPS = (
     Step(
         "plate",
         "press a rigid plate twice, slowly, to the largest force of your presses",
-        ("compliance",),
-    ),
-    Step(
-        "delay",
-        "press tissue by 3 mm, wait for 2 s, and move by 0.5 mm in a sine: ten cycles at 1 Hz, "
-        "ten at 4 Hz",
-        ("delay",),
+        ("compliance", "delay"),
     ),
 )
 
