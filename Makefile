@@ -13,7 +13,7 @@ help:
 	@echo "make live    simulator, node, controller and monitor together, until Ctrl-C"
 	@echo "make test    lint, then every test but statistics, on the same examples each time"
 	@echo "make statistics  statistical claims at their full counts"
-	@echo "make search  property tests and fuzzers on new examples for SEARCH_TIME seconds (3600)"
+	@echo "make search  property tests on new examples for SEARCH_TIME seconds (3600)"
 	@echo "make lint    ruff and mypy"
 	@echo "make setup   make or mend the environment (PYTHON=... chooses the interpreter)"
 	@echo "make clean   remove the environment and everything built"
@@ -45,7 +45,8 @@ statistics:
 	@$(PYTEST) $(STATISTICS_ARGS) -m statistics
 
 search: setup
-	@$(ENV) python test/search.py $(SEARCH_TIME)
+	@end=$$(($$(date +%s) + $(SEARCH_TIME))); while [ $$(date +%s) -lt $$end ]; do \
+		FDEN_SEARCH=4 $(ENV) python -m pytest -q -n 2 -m hypothesis || exit 1; done
 
 clean:
 	rm -rf .venv .venv-jazzy build install log demo *.egg-info

@@ -70,8 +70,6 @@ setup(
             "ros-jazzy-domain-coordinator",
             "rosbags",
         ],
-        # The fuzzer; tests skip without it. No rosdep key.
-        "fuzz": ["atheris; python_version < '3.14'"],
         "lint": ["mypy", "ruff"],
     },
     entry_points={

@@ -7,15 +7,14 @@ They stand beside the tests and are installed nowhere. A benchmark is a module o
 a :class:`benchmark.harness.Benchmark` of the name ``BENCHMARK``, and a line in :data:`BENCHMARKS`.
 All have the same parts: *cases*, simulated or recorded data with their truth; a *trial*, the
 pipeline on one of them, in a pool of processes (:func:`benchmark.harness.measured`); *scores*
-(:mod:`benchmark.score`); *tables*, which are the picture and the JSON object too; and *goals*.
+(:mod:`benchmark.score`); *tables*, which are the JSON object too; and *goals*.
 """
 
 from __future__ import annotations
 
 #: Name of every benchmark, which is that of its module, and what it measures in a line.
 BENCHMARKS: dict[str, str] = {
-    "accuracy": "errors over the Cramér-Rao bound, honesty of the intervals; simulated contacts",
-    "exact": "false alarms, silent errors and honesty on tissue that obeys the law exactly",
+    "exact": "the law's own tissue: false alarms, silent errors, honesty, errors over the bound",
     "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",
     "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
@@ -24,7 +23,7 @@ BENCHMARKS: dict[str, str] = {
     "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",
     "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "closed_loop": "force control with gains from the live stiffness, and with fixed ones",
-    "replay": "a sample beside a filter's step; speed and memory of replay beside decoding",
+    "replay": "a sample beside a filter's step; speed of replay beside decoding",
     "study": "the paper's study, simulated, and evaluated by the paper's procedures",
     "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
 }

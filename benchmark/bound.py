@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.simulation.closed_form import FdenModel, LinearMove, Move, SineMove
+from fden_ros.simulation.closed_form import FdenModel, LinearMove
 from fden_ros.simulation.contact import contacts_of_moves
 
 #: Of (ln G, ln Gn, alpha, origin, bias), the order everywhere.
@@ -39,19 +39,7 @@ _TIMES = 800
 
 
 def slope(response: Callable[[Array], Array], parameters: Array, index: int, step: float) -> Array:
-    """Return the central difference of a response by one parameter, shape (samples,).
-
-    Parameters
-    ----------
-    response : callable
-        From parameters, shape (n,), to what is observed without noise, shape (samples,).
-    parameters : ndarray, shape (n,)
-        The truth.
-    index : int
-        Which parameter.
-    step : float
-        Half the distance of the two responses.
-    """
+    """Return the central difference of a response by one parameter, shape (samples,)."""
     offset = np.zeros_like(parameters)
     offset[index] = step
     result: Array = (response(parameters + offset) - response(parameters - offset)) / (2.0 * step)
@@ -79,13 +67,13 @@ def bounds(information: Array, prior: Array) -> Array:
 
 
 def contact_bounds(
-    moves: Sequence[Move], model: FdenModel, stamps: Array, noise_pa: float, prior: Array
+    moves: Sequence[LinearMove], model: FdenModel, stamps: Array, noise_pa: float, prior: Array
 ) -> Array:
     """Return the least standard deviations after all contacts of a motion, shape (5,).
 
     Parameters
     ----------
-    moves : sequence of Move
+    moves : sequence of LinearMove
         The probe's motion, in strain from the true origin.
     model : FdenModel
         The true tissue.
@@ -130,13 +118,9 @@ def contact_bounds(
     return found
 
 
-def _shifted(moves: Sequence[Move], origin: float) -> list[Move]:
-    """Return the motion in strain from another origin."""
-    shifted: list[Move] = []
-    for move in moves:
-        if isinstance(move, LinearMove):
-            ends = (move.start_strain - origin, move.stop_strain - origin)
-            shifted.append(replace(move, start_strain=ends[0], stop_strain=ends[1]))
-        elif isinstance(move, SineMove):
-            shifted.append(replace(move, mean=move.mean - origin))
-    return shifted
+def _shifted(moves: Sequence[LinearMove], origin: float) -> list[LinearMove]:
+    """Return the linear motion in strain from another origin."""
+    return [
+        replace(m, start_strain=m.start_strain - origin, stop_strain=m.stop_strain - origin)
+        for m in moves
+    ]

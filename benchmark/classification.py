@@ -127,9 +127,7 @@ def run(args: argparse.Namespace) -> Report:
     ]
     tables = {
         "figures": Table("Simulated tissues", {name: {"": v} for name, v in figures.items()}),
-        "lesions": Table(
-            "Sites against their surroundings", rows_of(drawn), {"area under ROC": (0.9, 1.0)}
-        ),
+        "lesions": Table("Sites against their surroundings", rows_of(drawn)),
     }
     if size.sites:
         tables["lesions pressed"] = Table(

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Report, Table, at_most, measured
-from benchmark.picture import Curve
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import LiveTissue
 from fden_ros.core.arrays import Array
@@ -232,7 +231,6 @@ def run(args: argparse.Namespace) -> Report:
     tasks = [(number,) for number in range(count)]
     found = measured(run_trial, tasks, count, args.first, jobs=args.jobs, what="tissues")
     rows: dict[str, dict[str, Any]] = {}
-    curves = {}
     for model, pair in zip(tissues(count), found, strict=True):
         name = f"G {model.linear_stiffness:.0f}, Gn {model.nonlinear_stiffness:.1f}"
         for gains, one in zip((FIXED, SCHEDULED), pair, strict=True):
@@ -243,17 +241,11 @@ def run(args: argparse.Namespace) -> Report:
                 "largest [N]": float(one.force.max()),
                 "gains live [%]": 100.0 * float(one.live.mean()),
             }
-        curves[f"{name}: force [N] over time [s]"] = [
-            Curve(gains, one.times, one.force)
-            for gains, one in zip((FIXED, SCHEDULED), pair, strict=True)
-        ]
     own = [row for name, row in rows.items() if name.endswith(SCHEDULED)]
     most = max(row["largest [N]"] for row in own)
-    drawn = {"settles [s]": None, "largest [N]": (0.0, limit)}
     return Report(
         [at_most(f"{SCHEDULED}: largest force [N]", most, limit)],
-        {"tissues": Table(f"Two steps of force, limit {limit:g} N", rows, drawn)},
-        {name: curves[name] for name in list(curves)[:: max((count - 1) // 2, 1)]},
+        {"tissues": Table(f"Two steps of force, limit {limit:g} N", rows)},
     )
 
 

@@ -181,8 +181,7 @@ def run(args: argparse.Namespace) -> Report:
         for rig in rigs
         for name, says in [*rig.misses, *((name, "without evidence") for name in rig.unfounded)]
     }
-    drawn = {"errors over sd": (-_ONE, _ONE)}
-    tables = {"findings": Table(f"Findings on {len(rigs)} rigs", rows, drawn, ("errors over sd",))}
+    tables = {"findings": Table(f"Findings on {len(rigs)} rigs", rows, ("errors over sd",))}
     if misses:
         tables["misses"] = Table("Stated, and wrong", misses)
     return Report(goals, tables)

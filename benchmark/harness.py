@@ -25,7 +25,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmark.picture import Curve, draw
 from benchmark.score import Share
 from fden_ros.errors import InputError
 from fden_ros.parameters import read_parameter_file
@@ -113,25 +112,21 @@ class Table:
     title : str
     rows : mapping
         Name of a row to its cells by column: words, numbers, :class:`Share`, or sequences.
-    drawn : mapping
-        Columns that the picture shows, and between which values they ought to lie.
     hidden : sequence of str
-        Columns for the picture and JSON alone.
+        Columns for JSON alone.
     """
 
     title: str
     rows: Mapping[str, Mapping[str, Any]]
-    drawn: Mapping[str, tuple[float, float] | None] = field(default_factory=dict)
     hidden: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a benchmark has found: goals, tables by name, curves by the title of their panel."""
+    """What a benchmark has found: goals, and tables by name."""
 
     goals: Sequence[Goal]
     tables: Mapping[str, Table]
-    curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
 
     def json_object(self, benchmark: str, quick: bool) -> dict[str, Any]:
         """Return what ``--json`` prints; numbers that are not finite become null."""
@@ -313,8 +308,6 @@ def main(args: argparse.Namespace) -> int:
     """Measure, print and write; return the exit code."""
     from rich.console import Console
 
-    from fden_ros.report.style import save
-
     benchmark: Benchmark = importlib.import_module(f"benchmark.{args.benchmark}").BENCHMARK
     try:
         args.output.mkdir(parents=True, exist_ok=True)
@@ -325,10 +318,8 @@ def main(args: argparse.Namespace) -> int:
     benchmark.resolve(args)
     report = benchmark.run(args)
     result = report.json_object(args.benchmark, args.quick)
-    figures, picture = (args.output / f"{args.benchmark}.{end}" for end in ("json", "png"))
+    figures = args.output / f"{args.benchmark}.json"
     figures.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    drawn = [(table.rows, table.drawn) for table in report.tables.values()]
-    save(lambda figure: draw(figure, drawn, report.curves), picture)
     if args.json:
         json.dump(result, sys.stdout, allow_nan=False)
         print()
@@ -343,7 +334,7 @@ def main(args: argparse.Namespace) -> int:
         for goal in report.goals
     }
     console.print(_printed(Table("Goals", rows)))
-    console.print(f"wrote {picture} and {figures}")
+    console.print(f"wrote {figures}")
     return 0
 
 

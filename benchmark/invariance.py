@@ -125,8 +125,7 @@ def run(args: argparse.Namespace) -> Report:
         if (values := [moves[name] for moves in found if name in moves])
     }
     title = "Moves in stated deviations: ln G, ln Gn, alpha"
-    drawn = {"95 %": (0.0, 0.5), "largest": (0.0, 2.0)}
-    return Report(goals_of(found), {"changes": Table(title, rows, drawn)})
+    return Report(goals_of(found), {"changes": Table(title, rows)})
 
 
 def run_trial(number: int) -> Moves:

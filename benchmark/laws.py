@@ -258,10 +258,9 @@ def run(args: argparse.Namespace) -> Report:
     ]
     found = by_case(run_trial, tasks, jobs=args.jobs, what="recordings")
     rows = {f"{CASES[name].says}, {rig}": row_of(some) for (name, rig), some in found.items()}
-    drawn = {"in 95 %": (0.9, 1.0), "half width": None, "refused": None}
     return Report(
         goals_of(rows, {name: trials for (name, rig), trials in found.items() if rig == RIGID}),
-        {"laws": Table("The force of the next 3 s on tissue of other laws", rows, drawn)},
+        {"laws": Table("The force of the next 3 s on tissue of other laws", rows)},
     )
 
 

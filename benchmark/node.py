@@ -107,8 +107,7 @@ def run(args: argparse.Namespace) -> Report:
         rows = measure(plan, show)
     title = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end"
     shown = {name: row | {"memory": row["memory"][-1]} for name, row in rows.items()}
-    drawn = dict.fromkeys(("CPU", *_QUANTILES))
-    return Report(goals_of(rows), {"turns": Table(title, shown, drawn)})
+    return Report(goals_of(rows), {"turns": Table(title, shown)})
 
 
 def goals_of(rows: dict[str, dict[str, Any]]) -> list[Goal]:

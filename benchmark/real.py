@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured, within
 from benchmark.measured import FORCE_NOISE, Test, hold_order, identify, read_tests, some_of
 from benchmark.peers import PEERS, Samples
-from benchmark.picture import Curve
 from benchmark.score import NAMES, TWO_SIDED_95, mean_of, rms, share
 from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
@@ -113,15 +112,12 @@ def run(args: argparse.Namespace) -> Report:
         for name in dict.fromkeys((kind, f"{kind}, {day}" if day else kind)):
             groups.setdefault(name, []).append(outcome)
     rows = {name: row_of(groups[name]) for name in sorted(groups)}
-    drawn = {"error, 90 %": (0.0, 2.0), "in 95 %": (0.92, 1.0), "short over whole": (0.0, 1.0)}
-    tables = {"materials": Table("The rest of the hold, from the ramp and 2 s", rows, drawn)}
+    tables = {"materials": Table("The rest of the hold, from the ramp and 2 s", rows)}
     for kind in (TISSUE, NOT_TISSUE):
         if kind in groups:
             title = f"{kind}: error of FDEN and of others"
-            tables[f"others, {kind}"] = Table(
-                title, _others(groups[kind]), {"error, median": None}
-            )
-    return Report(_goals(rows), tables, _curves(groups))
+            tables[f"others, {kind}"] = Table(title, _others(groups[kind]))
+    return Report(_goals(rows), tables)
 
 
 def predict(test: Test) -> Outcome:
@@ -221,23 +217,6 @@ def _goals(rows: dict[str, dict[str, Any]]) -> list[Goal]:
         goals.append(at_most(words, 0.0 if told else moved, 1.5))
         goals.append(at_most("silicone: told as changed", float(silicone["changed"].part), 0.0))
     return goals
-
-
-def _curves(groups: dict[str, list[Outcome]]) -> dict[str, list[Curve]]:
-    """Return the median test of each kind."""
-    curves = {}
-    for kind in (TISSUE, NOT_TISSUE):
-        own = sorted(
-            groups.get(kind, ()), key=lambda o: float(rms(o.percent(o.predicted - o.rest)))
-        )
-        if own:
-            one = own[len(own) // 2]
-            test, band = one.test, TWO_SIDED_95 * one.sd
-            curves[f"{test.name}: force [N] over time [s]"] = [
-                Curve("measured", test.times, test.forces),
-                Curve("predicted, 95 %", test.times[test.seen :], one.predicted, band),
-            ]
-    return curves
 
 
 BENCHMARK = Benchmark(run, EPILOG, data=True)

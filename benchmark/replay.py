@@ -1,39 +1,34 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Speed and memory: a sample in the pipeline beside a filter's step, and the replay of bags.
+"""Speed: a sample in the pipeline beside a filter's step, and the replay of bags.
 
 A sample at 1 kHz, ten to a block, in the air and in contact, stands beside a step of filterpy's
 extended Kalman filter with four states: processor time, the least of several.
 A simulated palpation of one site, force and displacement at 1 kHz each, is replayed by a process
 of its own on one core, which then decodes the same messages with rclpy and does nothing with
-them. Memory is the peak of such a process on a bag of a minute and on one of an hour; the long
-bag repeats a press every 30 s at 100 Hz, so that it holds as many samples as six minutes at 1 kHz.
+them.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import resource
-import struct
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from benchmark.harness import Benchmark, Report, Table, at_least, at_most, measured, undecided
+from benchmark.harness import Benchmark, Report, Table, at_least, measured
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
-from fden_ros.recording.writer import BagWriter
 from fden_ros.simulation.scenario import Scenario, load_scenario, ramp_scenario
 from fden_ros.simulation.simulate import simulate
 
@@ -45,73 +40,32 @@ examples:
 An otherwise idle machine is wanted: the speeds are of processor time, but cores share caches.
 """
 
-_MEMORY_RATE_HZ = 100.0
-_REPETITION_S = 30
-_MINUTE, _HOUR, _QUICK_HOUR = 60, 3600, 600
 _ROUNDS, _QUICK_ROUNDS = 3, 1
 #: Samples of the contact and steps that are timed, and timings of which the least counts.
 _CONTACT_SAMPLES, _STEPS, _REPEATS = 2500, 500, 3
 _NS_PER_S = 1_000_000_000
-_STAMP = struct.Struct("<iI")
-_STAMP_AT = 4  # after the encapsulation's header, every header of a message begins with its stamp
 
 
 def run(args: argparse.Namespace) -> Report:
     """Measure; return the report."""
-    long = _QUICK_HOUR if args.quick else _HOUR
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        bag = _make(load_scenario("palpation"), place / "palpation")
+        bag = _make(load_scenario("palpation"), Path(folder) / "palpation")
         rounds = [_alone(speed_of, bag) for _ in range(_QUICK_ROUNDS if args.quick else _ROUNDS)]
         speed = min(rounds, key=lambda found: found["replay [s]"])
-        memory = {
-            f"{length // 60} minutes at 100 Hz": _alone(
-                memory_of, _long(place / f"{length}", length)
-            )
-            for length in (_MINUTE, long)
-        }
-    short, other = (row["peak [MiB]"] for row in memory.values())
-    growth = [at_most(f"peak memory, {long // 60} minutes over one", other / short, 1.05)]
     return Report(
         [
             at_least("replay at 1 kHz, times real time, one core", speed["times real time"], 25.0),
             at_least("speed of replay over merely decoding", speed["over decoding"], 0.4),
-            *(undecided(growth) if args.quick else growth),
         ],
         {
-            "steps": Table("One sample at 1 kHz, ten to a block", _steps(), {"us": None}),
+            "steps": Table("One sample at 1 kHz, ten to a block", _steps()),
             "speed": Table("Replay", {"palpation at 1 kHz": speed}),
-            "memory": Table("Peak memory", memory, {"peak [MiB]": (0.0, 1.05 * short)}),
         },
     )
 
 
 def _make(scenario: Scenario, folder: Path) -> Path:
     write_recording(simulate(scenario, scenario.seed), folder)
-    return folder
-
-
-def _long(folder: Path, seconds: int) -> Path:
-    """Make a bag of one press, repeated with later stamps."""
-    scenario = load_scenario("ramp")
-    scenario = replace(
-        scenario,
-        sites=scenario.sites[:1],
-        force=replace(scenario.force, rate_hz=_MEMORY_RATE_HZ),
-        displacement=replace(scenario.displacement, rate_hz=_MEMORY_RATE_HZ),
-    )
-    once = BagReader(_make(scenario, folder.with_name(f"{folder.name}_once")))
-    topics = [topic for topic in once.topics if "truth" not in topic.name]
-    with BagWriter(folder) as writer:
-        for topic in topics:
-            writer.add_topic(topic.name, topic.type_name, *topic.offered_qos)
-        for shift in range(0, seconds // _REPETITION_S * _REPETITION_S, _REPETITION_S):
-            for message in once.messages([topic.name for topic in topics]):
-                data = bytearray(message.data)
-                whole, rest = _STAMP.unpack_from(data, _STAMP_AT)
-                _STAMP.pack_into(data, _STAMP_AT, whole + shift, rest)
-                writer.write(message.topic, bytes(data), message.log_time_ns + shift * _NS_PER_S)
-    (folder / PARAMETER_FILE).write_bytes((once.path / PARAMETER_FILE).read_bytes())
     return folder
 
 
@@ -142,19 +96,6 @@ def speed_of(bag: Path) -> dict[str, float]:
         "us a message": 1e6 * replayed / count,
         "times real time": _recorded_s(reader) / replayed,
         "over decoding": decoded / replayed,
-    }
-
-
-def memory_of(bag: Path) -> dict[str, float]:
-    """Return the peak memory of a process that replays a bag."""
-    result = replay(bag, read_parameter_file(bag / PARAMETER_FILE))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    assert result.summaries
-    reader = BagReader(bag)
-    return {
-        "recorded [s]": _recorded_s(reader),
-        "messages": reader.message_count,
-        "peak [MiB]": peak,
     }
 
 

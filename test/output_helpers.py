@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Phase, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 
 ESTIMATE = Estimate(
     math.log(500.0),
@@ -49,17 +49,3 @@ def summary(**changes: Any) -> ContactSummary:
         "classes": None,
     }
     return ContactSummary(**values | changes)
-
-
-def state(**changes: Any) -> TissueState:
-    """A block of a press that has not converged."""
-    values: dict[str, Any] = {
-        "stamp_ns": 1,
-        "status": Status.CONVERGING,
-        "flags": Flag.NONE,
-        "site_id": 1,
-        "contact_id": 1,
-        "phase": Phase.LOADING,
-        "estimate": ESTIMATE,
-    }
-    return TissueState(**values | changes)

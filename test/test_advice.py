@@ -24,7 +24,7 @@ from fden_ros.core.outputs import ContactSummary, apparent_stiffness_of
 from fden_ros.offline.advice import shortfall
 from fden_ros.offline.remarks import remarks
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.planning.remedies import WORDS, quantity
+from fden_ros.planning.remedies import WORDS
 from fden_ros.report.sentence import next_step
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
@@ -172,18 +172,3 @@ def test_a_part_is_what_the_variance_loses_where_the_source_is_stated_as_none(so
     part, left = budget.parts[source][0], without.variances[0]
     # The drift's zero at the touch is not stated, but measured.
     assert budget.variances[0] - part == pytest.approx(left, rel=0.15)
-
-
-def test_no_source_has_more_than_all_of_the_variance() -> None:
-    budget = pressed(2000.0, 0.002, 0.06)[0].budget
-    assert budget is not None
-    parts = np.array(list(budget.parts.values()))
-    assert np.all(parts >= 0.0) and np.all(parts <= np.array(budget.variances) * (1.0 + 1e-6))
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "words"),
-    [(0.0071, "N", "7.1 mN"), (1.24, "N", "1.2 N"), (0.0214, "m", "21 mm"), (0.5, "N", "0.50 N")],
-)
-def test_quantities_have_two_digits(value, unit, words) -> None:
-    assert quantity(value, unit) == words

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, first_press, outcome_of, undisturbed
-from frame_helpers import FRAMES, place
+from fault_helpers import Outcome, first_press, undisturbed
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from pipeline_helpers import DISPLACEMENT, FORCE
 from scipy.spatial.transform import Rotation
@@ -125,16 +124,6 @@ def test_a_turn_on_the_spot_far_from_the_origin_is_no_way() -> None:
         assert way == 0.0 and tilt == 0.0
 
 
-def test_the_same_by_transforms(still: Outcome) -> None:
-    s = first_press()
-    samples: list[Any] = [
-        place(stamp, "base", "tip", at, turn) for stamp, at, turn, _ in poses(wobble=0.05)
-    ]
-    samples += [item for item in s.items if item.stream == FORCE]
-    samples.sort(key=lambda one: one.stamp_ns)
-    assert_alike(outcome_of(samples, s.parameters | FRAMES | ALONG), still)
-
-
 def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     still: Outcome,
 ) -> None:
@@ -146,13 +135,3 @@ def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     assert "up to 20 degrees askew: the way along the tool is taken for 0.940 of it" in words
     # The punch of 10 mm radius: 20 mm times the tangent.
     assert "by its edge first, over 7.3 mm" in words
-
-
-def test_a_pose_without_an_orientation_is_counted(still: Outcome) -> None:
-    values = check(ALONG)
-    pipeline = Pipeline(pipeline_config(values), lambda output: None)
-    message = PoseStamped()
-    message.header.stamp.sec = 1
-    message.pose.orientation.w = 0.0
-    Inputs(values, pipeline).add("displacement", message)
-    assert pipeline.rejected == {"displacement.missing_field": 1}

@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from fden_ros.cli import main
 from fden_ros.errors import InputError
 from fden_ros.offline import batch
 from fden_ros.parameters import check
-from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
 
@@ -146,37 +144,3 @@ def test_another_table_is_not_touched(tmp_path: Path) -> None:
     path.write_bytes(bytes(range(128, 256)))
     with pytest.raises(InputError, match="no table of results"):
         batch.Results(path, "")
-
-
-def test_memory_of_reading_does_not_grow_with_the_bag(tmp_path: Path) -> None:
-    data = bytes(100)
-
-    def peak(name: str, count: int) -> int:
-        with BagWriter(tmp_path / name) as bag:
-            bag.add_topic("/force", "geometry_msgs/msg/WrenchStamped")
-            for index in range(count):
-                bag.write("/force", data, START + index)
-        tracemalloc.start()
-        reader = BagReader(tmp_path / name)
-        assert sum(1 for _ in reader.messages()) == count
-        _, highest = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return highest
-
-    peak("first", 100)
-    # Several chunks each: what is held is the present one and the next.
-    assert peak("long", 60_000) < 1.05 * peak("short", 20_000)
-
-
-@pytest.mark.parametrize("arguments", [(), ("x",), ("x", "-o", "y", "--workers", "0")])
-def test_wrong_usage_is_2(arguments: tuple[str, ...]) -> None:
-    with pytest.raises(SystemExit) as exit_:
-        main(["batch", *arguments])
-    assert exit_.value.code == 2
-
-
-def test_no_bag_is_1_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["batch", str(tmp_path), "-o", str(tmp_path / "r.csv")]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "holds no bag" in line
-    assert list(tmp_path.iterdir()) == []

@@ -63,19 +63,6 @@ def test_a_path_is_identified_and_its_places_are_a_map(
     assert column("x", "<f4") == pytest.approx([o["position"][0] for o in known], abs=1e-6)
 
 
-def test_a_table_shows_stiffness_and_alpha_and_no_prior(
-    bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert command(bag, "replay") == 0
-    text = capsys.readouterr().out
-    assert "dF/dd and α at places on the path" in text
-    assert text.count("stiffness  ") > 20
-    assert "3200" not in text
-    # The first places, before four windows of the palpation are over.
-    assert "Places" in text and "no stiffness yet" in text
-    assert not any(words in text for words in ("not converged", "origin", "undetermined"))
-
-
 def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
     page, picture, table = (tmp_path / name for name in ("page.html", "picture.png", "table.csv"))
     assert command(bag, "report", "-o", page, "--png", picture, "--csv", table) == 0
@@ -92,26 +79,6 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
     with table.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["apparent_stiffness"]]
     assert len(rows) > 20
-
-
-def test_sliding_alone_is_told_to_tell_no_stiffness(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    time = np.arange(0.0, 15.0, 0.01)
-    noise = np.random.default_rng(1).normal(size=(2, time.size))
-    depth = 3e-3 + 5e-4 * np.sin(0.25 * time) + 5e-6 * noise[0]
-    force = 400.0 * depth + 0.01 * noise[1]
-    path, page = tmp_path / "slide.csv", tmp_path / "page.html"
-    rows = ("time_s", "force_N", "depth_m"), *zip(time, force, depth, strict=True)
-    path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
-    config = tmp_path / "probe.yaml"
-    config.write_text('/**:\n  ros__parameters:\n    contact:\n      mode: "continuous"\n')
-    assert main(["replay", str(path), "--config", str(config)]) == 3
-    printed = capsys.readouterr()
-    assert "no oscillation of the displacement" in " ".join(printed.out.split())
-    assert "takes a probe that palpates as it slides" in printed.err
-    assert main(["report", str(path), "--config", str(config), "-o", str(page)]) == 0
-    assert "No stiffness is known on the path" in page.read_text(encoding="utf-8")
 
 
 def test_a_slide_meets_tissue_as_much_stiffer_as_it_says() -> None:

@@ -318,15 +318,6 @@ def write_topics(folder: Path, *topics: tuple[str, str]) -> Path:
         ),
         (
             {
-                "/a": "geometry_msgs/WrenchStamped",
-                "/camera/pose": "geometry_msgs/PoseStamped",
-                "/probe/displacement": "sensor_msgs/JointState",
-            },
-            "/a",
-            "/probe/displacement",
-        ),
-        (
-            {
                 "/joint_states": "sensor_msgs/JointState",
                 "/force_torque": "geometry_msgs/WrenchStamped",
                 "/desired_wrench": "geometry_msgs/WrenchStamped",
@@ -455,11 +446,8 @@ def test_exit_codes_are_one_line_each(capsys: pytest.CaptureFixture[str], tmp_pa
     "arguments",
     [
         (),
-        ("bag", "--columns", "a,b"),
         ("bag", "--force-field", "a..b"),
-        ("bag", "--rows", "a=b"),
         ("bag", "--with-inputs"),
-        ("bag", "--nonsense"),
     ],
 )
 def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
@@ -467,16 +455,6 @@ def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], arguments: tuple[s
         fden("replay", *arguments)
     assert exit_.value.code == 2
     assert re.match(r"fden( replay)?: error: ", capsys.readouterr().err.splitlines()[-1])
-
-
-def test_the_examples_of_the_help_are_whole_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        fden("replay", "--help")
-    help_ = capsys.readouterr().out
-    examples = help_[help_.index("examples:") :].replace("\\\n", "").splitlines()
-    commands = [line.strip() for line in examples if "fden replay" in line]
-    assert len(commands) >= 5
-    assert all(command.startswith("fden replay ") for command in commands)
 
 
 # The bag of results
@@ -547,10 +525,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bag
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_replay_leaves_no_bag(
-    tmp_path: Path, long: Path, number: signal.Signals
-) -> None:
+def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, long: Path) -> None:
     out = tmp_path / "out" / "results"
     out.parent.mkdir()
     process = subprocess.Popen(
@@ -567,9 +542,9 @@ def test_an_interrupted_replay_leaves_no_bag(
     )
     while not list(out.parent.rglob("*.mcap")) and process.poll() is None:
         time.sleep(0.01)
-    process.send_signal(number)
+    process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=LIMIT)
-    assert process.returncode == 128 + number
+    assert process.returncode == 128 + signal.SIGINT
     assert errors == b""
     assert list(out.parent.iterdir()) == []
 

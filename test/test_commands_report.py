@@ -11,28 +11,21 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-from unittest import mock
 
 import matplotlib.image
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from fden_ros.cli import main
-from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.offline.session import (
     Innovations,
     Session,
-    Thinned,
     fractional_derivative,
     gather,
 )
-from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.synthetic import write_recording
-from fden_ros.report import figure, style
-from fden_ros.report.figure import save_session_figure
+from fden_ros.report import style
 from fden_ros.report.sentence import sentence
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
@@ -96,42 +89,6 @@ def test_a_browser_shows_the_numbers_without_a_script_error(page: Path, session:
     assert dom.count("<svg") == 3 + 4 * 2
 
 
-@needs_browser
-def test_a_script_error_and_a_reach_for_the_network_do_not_go_unseen(
-    page: Path, tmp_path: Path
-) -> None:
-    broken = tmp_path / "broken.html"
-    for change in ("<script>nowhere();</script>", '<img src="http://localhost:9/x.png">'):
-        broken.write_text(page.read_text().replace("</main>", f"{change}</main>"))
-        assert len(browse(broken, "--dump-dom")[1]) >= 1
-
-
-@needs_browser
-def test_the_page_follows_light_and_dark(page: Path, tmp_path: Path) -> None:
-    def brightness(scheme: int) -> tuple[float, float]:
-        shot = tmp_path / f"{scheme}.png"
-        browse(
-            page,
-            f"--blink-settings=preferredColorScheme={scheme}",
-            "--window-size=1200,1000",
-            f"--screenshot={shot}",
-        )
-        pixels = matplotlib.image.imread(shot)[..., :3].mean(axis=2)
-        return float(np.median(pixels)), float(np.ptp(pixels))
-
-    (dark, dark_contrast), (light, light_contrast) = brightness(0), brightness(1)
-    assert dark < 0.2 and light > 0.9
-    assert min(dark_contrast, light_contrast) > 0.7
-
-
-@needs_browser
-def test_the_page_prints(page: Path, tmp_path: Path) -> None:
-    browse(page, f"--print-to-pdf={tmp_path / 'report.pdf'}")
-    content = (tmp_path / "report.pdf").read_bytes()
-    assert content.startswith(b"%PDF")
-    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 8
-
-
 def test_the_page_needs_nothing_from_elsewhere(page: Path) -> None:
     text = page.read_text()
     references = re.findall(r'(?:src|href|xlink:href)="([^"]*)"|url\(([^)]*)\)', text)
@@ -145,7 +102,6 @@ def test_the_page_needs_nothing_from_elsewhere(page: Path) -> None:
 
 
 def test_text_from_the_recording_is_escaped(tmp_path: Path, session: Session) -> None:
-    from dataclasses import replace
 
     from fden_ros.report.page import page as render
 
@@ -202,15 +158,6 @@ def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path: Pa
     assert re.fullmatch(r"Liver-like, [\d.]+ ± [\d.]+ N/m at [\d.]+ mm\.", said(depth / 20.0))
 
 
-def test_many_places_are_one_sentence_too(session: Session) -> None:
-    first, second = session.replay.summaries
-    places = tuple(
-        replace(first if n % 3 else second, site_id=n, contact_id=n) for n in range(1, 13)
-    )
-    shown = replace(session, replay=replace(session.replay, summaries=places))
-    assert sentence(shown) == "12 places, 12 liver-like; 78.3 to 136 N/m."
-
-
 # Table and picture
 
 
@@ -232,93 +179,7 @@ def test_the_table_has_a_row_a_contact_and_the_picture_is_one(
     assert image.shape[0] > 500 and float(image[..., :3].std()) > 0.02
 
 
-def drawn(states: list[Any], summaries: list[Any], truth: dict[int, Any], path: Path) -> Figure:
-    """Return the figure that is saved."""
-    shown: list[Figure] = []
-    with mock.patch.object(Figure, "savefig", lambda figure, *_, **__: shown.append(figure)):
-        save_session_figure(figure.Session(states, summaries, truth), path, "session")
-    return shown[0]
-
-
-def test_the_picture_breaks_its_lines_in_the_air_and_has_no_empty_panel(session: Session) -> None:
-    states = [state for contact in session.contacts for state in contact.states.items]
-    summaries = session.replay.summaries
-    without = drawn(states, list(summaries), {}, Path("x.png"))
-    assert not any("Error" in axes.get_title(loc="left") for axes in without.axes)
-    assert len(without.axes) == 5
-    for axes in without.axes[:4]:
-        (time, value), *_ = (line.get_data() for line in axes.get_lines())
-        ends = summaries[0].end_ns, summaries[1].start_ns
-        first, second = ((ns - states[0].stamp_ns) * 1e-9 for ns in ends)
-        drawn_time = np.where(np.isfinite(value), time, np.nan)
-        gaps = np.flatnonzero(np.isnan(drawn_time))
-        assert any(time[i - 1] <= first + 0.1 and time[i + 1] >= second for i in gaps)
-    assert len(drawn(states, list(summaries), session.truth, Path("x.png")).axes) == 6
-
-
-def astray(session: Session, log_stiffness: float) -> Session:
-    """Return the session with the estimates of the first contact gone astray."""
-    from dataclasses import replace
-
-    def moved(item: Any) -> Any:
-        estimate = item.estimate
-        if estimate is None:
-            return item
-        wild = estimate._replace(
-            log_linear_stiffness=log_stiffness,
-            covariance=estimate.covariance + np.diag([900.0, 900.0, 0.0]),
-            known=ParameterSet.NONE,
-        )
-        return replace(item, estimate=wild)
-
-    first = replace(moved(session.replay.summaries[0]), converged=False)
-    contact = replace(
-        session.contacts[0],
-        summary=first,
-        states=Thinned(9999, [moved(item) for item in session.contacts[0].states.items]),
-    )
-    return replace(
-        session,
-        replay=replace(session.replay, summaries=(first, *session.replay.summaries[1:])),
-        contacts=[contact, *session.contacts[1:]],
-    )
-
-
-@pytest.mark.parametrize("log_stiffness", [417.0, 650.0, -700.0])
-def test_an_estimate_gone_astray_leaves_the_other_contacts_visible(
-    session: Session, log_stiffness: float, tmp_path: Path
-) -> None:
-    from fden_ros.report.page import page as render
-
-    wild = astray(session, log_stiffness)
-    states = [state for contact in wild.contacts for state in contact.states.items]
-    shown = drawn(states, list(wild.replay.summaries), session.truth, Path("x.png"))
-    stiffness = wild.replay.summaries[1].estimate
-    assert stiffness is not None
-    assert shown.axes[2].get_ylim()[1] < 3.0 * stiffness.linear_stiffness
-    assert shown.axes[4].get_ylim()[1] < 2.0 * wild.replay.summaries[1].max_stress
-    assert shown.axes[5].get_ylim()[1] < 50.0  # percent
-    assert "NaN" not in render(wild)
-
-
-def test_nothing_to_write_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit_:
-        main(["report", str(POSE)])
-    assert exit_.value.code == 2
-    assert main(["report", str(POSE), "-o", "/proc/no/report.html"]) == 1
-
-
 # What is gathered
-
-
-def test_innovations_of_simulated_tissue_pass_their_test(session: Session) -> None:
-    for contact in session.contacts:
-        test = contact.innovations.test
-        assert test is not None and test.count > 50
-        if contact.observes_stress:
-            # Those of a touch, while the posterior is not normal yet, are among them, and those of
-            # the ramp, where the filter goes on from a solution that has seen less of the bend.
-            assert 0.5 < test.mean_square < 4.0
 
 
 def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None:
@@ -339,19 +200,6 @@ def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None
         assert "smaller than" in verdict(0.5 * white)
         assert "not white" in verdict(np.convolve(white, np.ones(4) / 2.0, "valid"))
     assert passed >= 190  # 98 % expected of the two tests of 99 %
-
-
-def test_series_stay_bounded_and_keep_their_extremes() -> None:
-    envelope, thinned = Envelope(), Thinned(100)
-    values = np.sin(np.arange(200_000) * 1e-3)
-    values[123_456] = 7.0
-    for index, value in enumerate(values):
-        envelope.add(index * 1_000_000, float(value))
-        thinned.add(index)
-    time, low, high = envelope.arrays(0)
-    assert time.size <= 1500 and high.max() == 7.0 and low.min() == values.min()
-    assert 50 <= len(thinned.items) <= 100
-    assert len(set(np.diff(thinned.items))) == 1
 
 
 def test_the_fractional_derivative_of_a_ramp_is_exact() -> None:

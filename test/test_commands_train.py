@@ -90,20 +90,6 @@ def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys):
     assert found.mean[0] == pytest.approx(mean + 0.8, abs=0.05)
 
 
-def test_order_that_was_given_is_not_learned(tmp_path, capsys):
-    body = [("a", i, 500.0, 10.0, 8.0, 0.2, 0.45, 0.001, "given") for i in range(6)]
-    table = written(tmp_path / "t.csv", body, (*HEADER, "alpha_source"))
-    config = tmp_path / "probe.yaml"
-    config.write_text(
-        "/**: {ros__parameters: {alpha.learn: false, prior: {alpha: 0.45, alpha_sd: 0.001}}}\n",
-        encoding="utf-8",
-    )
-    assert train(capsys, table, "-o", tmp_path / "l.yaml", "--config", config)[0] == 0
-    spread = load_library(tmp_path / "l.yaml").tissues[0].covariance[2, 2] ** 0.5
-    # Nothing was seen of it: all orders are possible.
-    assert spread > 0.1
-
-
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     """Two bags of one site each, and parameters with a wide prior."""
@@ -151,20 +137,6 @@ def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsy
     assert 0.2 < contact["decision_time"] < 1.5
 
 
-def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, capsys):
-    folder, config = bags
-    newtons = tmp_path / "newtons.yaml"
-    newtons.write_text("/**: {ros__parameters: {geometry.area: 1.0}}\n", encoding="utf-8")
-    table, library = written(tmp_path / "t.csv", rows()), tmp_path / "library.yaml"
-    assert train(capsys, table, "--config", newtons, "-o", library)[0] == 0
-    assert load_library(library).units == "N"
-    chosen = changed(config, tmp_path / "chosen.yaml", classifier={"library": str(library)})
-    assert main(["replay", str(folder / "soft"), "--config", str(chosen)]) == 1
-    error = capsys.readouterr().err
-    assert "in N s^alpha, but the estimates are in Pa s^alpha" in error
-    assert error.count("\n") == 1
-
-
 @pytest.mark.parametrize(
     ("header", "body", "words"),
     [
@@ -176,10 +148,7 @@ def test_library_in_newtons_does_not_meet_estimates_in_pascals(bags, tmp_path, c
         ),
         (("tissue", "g", "g_n"), [("a", 1, 2)], "column g_sd is missing"),
         (HEADER, [("", *rows()[0][1:])], "row 1: tissue is empty"),
-        (HEADER, [("unknown", *rows()[0][1:])], "cannot be called `unknown`"),
         (HEADER, [("a", 1, 500, 0, 8, 0.2, 0.1, 0.01)], "must be positive"),
-        (HEADER, [("a", 1, "much", 1, 8, 0.2, 0.1, 0.01)], "g is 'much', must be a number"),
-        (HEADER, [("a", 1, "", "", "", "", "", "")], "no contact to learn from"),
     ],
 )
 def test_mistake_in_a_table_is_told_in_one_line(tmp_path, capsys, header, body, words):
@@ -187,24 +156,3 @@ def test_mistake_in_a_table_is_told_in_one_line(tmp_path, capsys, header, body, 
     code, _, error = train(capsys, table, "-o", tmp_path / "l.yaml")
     assert code == 1
     assert words in error and error.count("\n") == 1
-
-
-def test_wrong_sources_are_told_in_one_line(tmp_path, capsys):
-    for arguments, words in (
-        ([tmp_path / "nothing.csv"], "no such file or folder"),
-        ([tmp_path], "which tissue is it? Write TISSUE="),
-        ([written(tmp_path / "t.csv", rows()), "--prior", "heart=1"], "there is no such tissue"),
-    ):
-        code, _, error = train(capsys, *arguments, "-o", tmp_path / "l.yaml")
-        assert code == 1
-        assert words in error and error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("option", "words"), [("--prior=liver", "TISSUE=P"), ("--unknown=1", "below 1")]
-)
-def test_bad_probability_is_wrong_usage(tmp_path, capsys, option, words):
-    with pytest.raises(SystemExit) as ended:
-        main(["train", "t.csv", "-o", str(tmp_path / "l.yaml"), option])
-    assert ended.value.code == 2
-    assert words in capsys.readouterr().err

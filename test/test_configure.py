@@ -106,17 +106,6 @@ def test_what_is_stated_of_an_unknown_rig_is_right(
     assert all(error < 4.0 for error in worst.values()), worst
 
 
-@pytest.mark.statistics
-def test_the_dozen_rigs_are_of_every_kind() -> None:
-    truths = [simulate_rig(seed, **chosen).truth for seed, chosen in DOZEN]
-    for kind in ("turns", "rigid", "tissue", "leaves"):
-        assert {getattr(truth, kind) for truth in truths} == {True, False}, kind
-    assert {truth.displacement_axis.size for truth in truths} == {1, 3}
-    assert {truth.displacement_unit for truth in truths} == {1.0, 1e-3}
-    assert {truth.force_unit for truth in truths} == {1.0, 9.80665e-3}
-    assert {truth.sensor_sign for truth in truths} == {1.0, -1.0}
-
-
 def test_a_whole_recording_tells_everything() -> None:
     rig = whole_rig(presses=6)
     found = look(rig)
@@ -175,12 +164,6 @@ def test_grams_and_millimetres_are_named_and_the_rest_is_still_si(
     assert not judge(found, rig.truth).misses
 
 
-def test_a_surface_that_comes_to_a_resting_probe_shows_no_compliance() -> None:
-    rig = simulate_rig(150)
-    assert not rig.truth.rigid
-    assert not look(rig).finding("compliance").claim
-
-
 def test_rubber_without_softer_tissue_beside_it_is_no_rigid_plate_unless_it_is_said() -> None:
     rig = whole_rig(tissue=False)
     assert not look(rig).finding("compliance").claim
@@ -201,15 +184,6 @@ def test_noise_alone_is_no_contact() -> None:
     found = survey([streams])
     assert not any(found.finding(f"{what} axis").claim for what in ("force", "displacement"))
     assert not found.finding("lift-off").claim
-
-
-def test_two_recordings_of_a_rig_tell_together_what_neither_tells_alone() -> None:
-    plate = whole_rig(tissue=False, turns=False)
-    tissue = whole_rig(rigid=False, turns=False)
-    alone = [survey([rig.streams]) for rig in (plate, tissue)]
-    assert not any(found.finding("compliance").claim for found in alone)
-    both = survey([replace(plate.streams, name="plate"), tissue.streams])
-    assert both.finding("compliance").value == pytest.approx(3e-4, rel=0.1)
 
 
 # The command
@@ -309,28 +283,6 @@ def table(path: Path, *, force: float = 1.0, depth: float = 1.0, heading: str = 
     return path
 
 
-def test_what_was_said_of_a_table_stands_in_the_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording, output = table(tmp_path / "a table.csv"), tmp_path / "probe.yaml"
-    assert run("configure", recording, "--columns", "1,2,3", "-o", output) == 0
-    assert f"Next: fden replay '{recording}' --config {output}" in capsys.readouterr().out
-    run("replay", recording, "--config", output, "--json")
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["inputs"] == {"force": "column 2", "displacement": "column 3"}
-    assert len(answer["contacts"]) == 2
-
-
-def test_a_table_of_a_robot_by_name_is_read_with_its_headings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    heading = "timestamp;actual_TCP_force_2;actual_TCP_pose_2"
-    recording = table(tmp_path / "ur.csv", depth=-1.0, heading=heading)
-    assert run("configure", recording, "--robot", "ur", "--json") == 0
-    parameters = json.loads(capsys.readouterr().out)["parameters"]
-    assert parameters["force.inverted"] is parameters["displacement.inverted"] is False
-
-
 @pytest.mark.parametrize(
     ("force", "depth", "words"),
     [
@@ -346,24 +298,6 @@ def test_the_hint_names_the_stream_that_is_wrong(
     probe = PRESS.parent / "probe.yaml"
     run("replay", recording, "--columns", "1,2,3", "--config", probe, "--json")
     assert words in " ".join(json.loads(capsys.readouterr().out)["warnings"])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--flat-punch", "1e-4"], "needs --thickness"),
-        (["--sphere", "0.005", "--thickness", "0.01"], "exclude each other"),
-        (["--rigid", "other"], "none of the recordings"),
-        (["--sphere", "-1"], "geometry.radius"),
-    ],
-)
-def test_wrong_usage_is_told(
-    arguments: list[str], words: str, bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as error:
-        run("configure", bag, *arguments)
-    assert error.value.code == 2
-    assert words in capsys.readouterr().err
 
 
 # Measured
@@ -386,24 +320,3 @@ def test_the_robot_recording_tells_no_delay(capsys: pytest.CaptureFixture[str]) 
     assert not found["delay"]["claim"]
     assert not found["compliance"]["claim"]
     assert math.isclose(found["force rate"]["value"], 500.0)
-
-
-@pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
-@pytest.mark.parametrize("test", ["1", "30", "52"])
-def test_measured_presses_of_a_test_machine_claim_neither_delay_nor_compliance(
-    test: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert DATA is not None
-    path = Path(DATA, "beef_silicone_indentation_hold.csv")
-    with path.open(encoding="utf-8") as file:
-        names = list(dict.fromkeys(line.split(",")[0] for line in file))[1:]
-    name = names[int(test)]
-    columns = ["--columns", "3,4,5*1e-3", "--rows", f"1={name}"]
-    assert run("configure", path, *columns, "--json") == 0
-    answer = json.loads(capsys.readouterr().out)
-    found = {finding["subject"]: finding for finding in answer["findings"]}
-    assert not found["compliance"]["claim"]
-    assert not found["delay"]["claim"]
-    # Loading alone, and the law is not its own: the sign must not come from how it relaxes.
-    for what in ("force axis", "displacement axis"):
-        assert not found[what]["claim"] or found[what]["value"] == 1.0

@@ -126,19 +126,6 @@ def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(
     assert read_parameter_file(tmp_path / "probe.yaml").displacement.message == "transform"
 
 
-def test_a_bag_of_another_robot_is_refused_with_what_it_has(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = rig_of(1.0, True)
-    bag = RigBag(rig.streams, "/a/wrench", "/b/pose").write(tmp_path / "bag")
-    assert run("configure", bag, "--robot", "ur") == 1
-    error = capsys.readouterr().err
-    assert "/a/wrench" in error
-    assert "--force-topic" in error
-    assert run("configure", bag, "--robot", "robby") == 1
-    assert "no robot robby is known: crtk, franka" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_a_file_from_conventions_alone_can_be_read(name: str, tmp_path: Path) -> None:
     path = tmp_path / "probe.yaml"

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from fden_ros.control.force_control import ForceControlConfig, ForceController, 
 from fden_ros.control.live_tissue import Reading
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
-from fden_ros.errors import InputError
 
 ALL = ParameterSet.ALL
 #: Shorter than that of the benchmark, which runs all ten.
@@ -61,12 +59,6 @@ def test_on_tissue_stiffer_than_the_safe_one_a_loss_makes_nothing_faster() -> No
     assert controller.step(0.005, 0.30, 0.0, 0.35, None) == pytest.approx(before)
 
 
-def test_fixed_gains_know_nothing_of_the_estimate() -> None:
-    controller = ForceController(replace(CONFIG, scheduled=False))
-    assert controller.step(0.0, 0.3, 0.0, 0.35, reading(1.0)) == pytest.approx(0.5 / 100.0)
-    assert controller.gains is Gains.FIXED
-
-
 def test_the_rate_leaves_room_below_the_limit() -> None:
     controller = ForceController(CONFIG)
     velocity = controller.step(0.0, 0.9, 0.0, 5.0, reading(100.0))
@@ -88,30 +80,10 @@ def test_a_measured_stiffening_counts_at_once_and_noise_does_not() -> None:
     assert max(stiffness[41:]) > 120.0
 
 
-def test_in_the_air_the_probe_approaches_or_leaves() -> None:
-    controller = ForceController(CONFIG)
-    assert controller.step(0.0, 0.0, -0.01, 0.2, None) == CONFIG.approach_speed
-    assert controller.step(0.01, 0.0, -0.01, 0.0, None) == -CONFIG.approach_speed
-
-
-def test_a_configuration_without_sense_is_refused() -> None:
-    with pytest.raises(InputError, match="safe_stiffness"):
-        ForceControlConfig(safe_stiffness=0.0, force_limit=1.0)
-
-
 @functools.cache
 def closed(number: int, scheduled: bool) -> Run:
     """Close the loop over one of ten tissues."""
     return close_loop(tissues(10)[number], scheduled=scheduled, program=PROGRAM)
-
-
-def test_the_ten_tissues_span_table_two() -> None:
-    models = tissues(10)
-    assert (models[0].linear_stiffness, models[0].nonlinear_stiffness) == (341.8, 5.26)
-    assert models[-1].linear_stiffness == pytest.approx(1294.0)
-    assert models[-1].nonlinear_stiffness == pytest.approx(13.18)
-    values = [model.linear_stiffness for model in models]
-    assert values == sorted(values)
 
 
 @pytest.mark.parametrize("number", first(4, 9))

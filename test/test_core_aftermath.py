@@ -26,12 +26,6 @@ def recorded(**disturbances):
     return items_of(recording), parameters_of(recording) | EXACT
 
 
-def test_air_that_is_as_before_leaves_a_contact_alone():
-    items, parameters = recorded()
-    (summary,) = summaries_of(identified(items, parameters)[1])
-    assert not summary.flags & Flag.FORCE_DRIFTED
-
-
 def test_contact_in_which_the_force_crept_is_flagged_and_widened():
     items, parameters = recorded(creep_n=0.03)
     first, last = summaries_of(identified(items, parameters)[1])
@@ -43,12 +37,6 @@ def test_contact_in_which_the_force_crept_is_flagged_and_widened():
     assert np.all(last.estimate.deviations[:2] > 4.0 * first.estimate.deviations[:2])
     assert np.array_equal(last.estimate.mean, first.estimate.mean)
     assert not last.converged
-
-
-def test_drift_that_is_stated_contradicts_nothing():
-    items, parameters = recorded(creep_n=0.03)
-    (summary,) = summaries_of(identified(items, parameters | {"force.drift_sd": 0.03})[1])
-    assert not summary.flags & Flag.FORCE_DRIFTED
 
 
 def test_first_contact_whose_air_was_none_is_withdrawn():
@@ -66,14 +54,6 @@ def test_first_contact_whose_air_was_none_is_withdrawn():
     assert last.estimate is None
     assert not last.converged
     assert last.flags & Flag.ORIGIN_UNCERTAIN
-
-
-def test_air_that_ends_too_soon_says_nothing():
-    items, parameters = recorded(creep_n=0.03)
-    (touched, *_) = summaries_of(identified(items, parameters)[1])
-    short = [item for item in items if item.stamp_ns < touched.end_ns + 300_000_000]
-    (summary,) = summaries_of(identified(short, parameters)[1])
-    assert not summary.flags & Flag.FORCE_DRIFTED
 
 
 def test_tare_after_a_contact_is_no_drift():

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -26,7 +25,6 @@ from fden_ros.core.classification.classifier import (
     combined,
     likelihood_of,
     log_evidence,
-    posterior,
 )
 from fden_ros.core.classification.decision import Decider, DecisionConfig
 from fden_ros.core.estimation.estimator_config import Prior
@@ -66,16 +64,6 @@ def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
     assert probability(liver, "liver") > 0.95
     stiff = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
     assert stiff.label == UNKNOWN and probability(stiff, UNKNOWN) > 0.99
-
-
-def test_order_that_was_given_does_not_count():
-    far = liver_moved(0.0, 0.0, 0.3)
-    given_order = classify(LIBRARY, seen(far, order_counts=False))
-    assert probability(given_order, "liver") == pytest.approx(
-        probability(classify(LIBRARY, seen(LIVER.mean, order_counts=False)), "liver")
-    )
-    assert given_order.label == "liver"
-    assert classify(LIBRARY, seen(far)).label == UNKNOWN
 
 
 @steady
@@ -166,40 +154,6 @@ def test_classes_that_differ_in_the_order_wait_for_the_order():
     assert after.is_observable and after.label == "slow"
 
 
-def drawn(count, rng, covariances):
-    """Contacts of two near tissues and the unknown, with estimates and their priors."""
-    near = Tissue("near", liver_moved(0.5, 0.2, 0.0), LIVER.covariance, 0.6)
-    library = TissueLibrary("two", (LIVER, near), LIBRARY.unknown)
-    priors = np.array([c.prior for c in library.classes])
-    truth = rng.choice(len(priors), p=priors / priors.sum(), size=count)
-    tissue = np.empty((count, 3))
-    for index, one in enumerate(library.classes):
-        own = truth == index
-        tissue[own] = rng.multivariate_normal(one.mean, one.covariance, own.sum())
-    noise = rng.standard_normal((count, 3))
-    values = tissue + np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), noise)
-    return library, truth, likelihood_of(values, covariances)
-
-
-def test_probabilities_are_calibrated():
-    # Draw the class from its prior, the tissue from the class, the estimate from its covariance:
-    # of the answers given a probability p, the share p must be right.
-    rng = np.random.default_rng(0)
-    count = 20_000
-    covariances = np.zeros((count, 3, 3))
-    covariances[:, range(3), range(3)] = np.square(rng.uniform(0.02, 0.5, (count, 3)))
-    library, truth, likelihood = drawn(count, rng, covariances)
-    evidence, _ = log_evidence(library, likelihood)
-    probabilities = posterior(library, evidence)
-    said, right = probabilities.max(axis=1), probabilities.argmax(axis=1) == truth
-    edges = [0.0, 0.6, 0.7, 0.8, 0.9, 1.0]
-    for low, high in itertools.pairwise(edges):
-        inside = (said > low) & (said <= high)
-        scatter = math.sqrt(np.mean(said[inside] * (1 - said[inside])) / inside.sum())
-        # Four standard deviations of the share of right answers in the bin.
-        assert abs(np.mean(right[inside]) - np.mean(said[inside])) < 4.0 * scatter
-
-
 def test_far_from_all_is_unknown_even_where_its_prior_is_small():
     library = replace(LIBRARY, unknown=replace(LIBRARY.unknown, prior=1e-9))
     likelihood = seen(liver_moved(5.0 * math.sqrt(LIVER.covariance[0, 0]), 0.0, 0.0))
@@ -264,17 +218,3 @@ def test_label_of_a_sequence_of_answers(name):
     answers, expected = SEQUENCES[name]
     for found, label in zip(labels(*answers), expected, strict=True):
         assert label is None or found == label
-
-
-def test_label_does_not_flicker_where_the_probability_does():
-    rng = np.random.default_rng(5)
-    first, second = [], []
-    for p in np.clip(0.5 + 0.3 * rng.standard_normal(2000), 0.01, 0.99):
-        answer = said(p, 1.0 - p, 0.0)
-        first.append(answer.label)
-        second.append(answer)
-    raw = sum(a != b for a, b in itertools.pairwise(first))
-    steady_label = labels(*second)
-    changes = sum(a != b for a, b in itertools.pairwise(steady_label))
-    assert raw > 800
-    assert changes < raw / 10

@@ -28,7 +28,6 @@ from fden_ros.core import (
 )
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
-from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 
@@ -169,13 +168,6 @@ def test_deviations_hold_along_the_path(profile, is_rigid, seeds):
     # The places of one record have errors in common.
     low, high = (0.6, 1.4) if seeds == 12 else (0.3, 2.0)
     assert np.all(rms > low) and np.all(rms < high), rms
-
-
-@pytest.mark.statistics
-def test_intervals_of_95_percent_hold_in_90_to_99():
-    found = np.concatenate([errors(*condition, 12) for condition in CONDITIONS])
-    share = np.mean(np.abs(found) < 1.96, axis=0)
-    assert np.all(share > 0.9) and np.all(share < 0.99), share
 
 
 def test_neither_g_nor_gn_is_claimed_of_another_law_and_nothing_is_converged():
@@ -407,29 +399,3 @@ def test_the_default_mode_claims_nothing_of_a_probe_that_taps_as_it_slides(seed)
     assert all(one.flags and not one.converged for one in contacts)
     states = of(TissueState, outputs)
     assert not [one for one in states if one.status is Status.CONVERGED and not one.flags]
-
-
-def test_services_say_what_they_do_in_continuous_contact():
-    pipeline, _ = identify(palpated(9, duration=10.0))
-    assert "contact.mode is continuous" in str(pipeline.tare())
-    assert pipeline.reset() is None
-
-
-@pytest.mark.parametrize("frequency", [0.8, 1.5, 3.0])
-def test_the_frequency_of_a_palpation_is_found(frequency):
-    record = palpated(10, frequency=frequency, duration=15.0)
-    finder = PalpationFrequency()
-    for t, displacement in zip(record.time, record.displacement, strict=True):
-        finder.add(t, displacement)
-    truth = record.angular_frequency / (2.0 * math.pi)
-    assert finder.value == pytest.approx(truth, rel=0.04)
-
-
-@pytest.mark.parametrize("steps", [1, 0])
-def test_noise_and_a_wandering_probe_do_not_palpate(steps):
-    rng = np.random.default_rng(11)
-    noise = 1e-4 * rng.normal(size=6000)
-    finder = PalpationFrequency()
-    for n, displacement in enumerate(np.cumsum(noise) if steps else noise):
-        finder.add(0.01 * n, displacement)
-        assert finder.value is None

@@ -9,11 +9,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from pipeline_helpers import LIVER_PARAMETERS, feed, items_of, parameters_of, summaries_of
 
 from fden_ros.core.classification.classifier import TissueLibrary
-from fden_ros.core.outputs import Classification, Decision, Flag, Output, Status, TissueState
+from fden_ros.core.outputs import Classification, Decision, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.scenario import (
@@ -87,12 +86,6 @@ def test_no_label_before_the_estimate_has_converged():
     assert summary.decided == first.decided
 
 
-@pytest.mark.parametrize(("order", "name"), [(0.131, "liver"), (0.281, "slow")])
-def test_tissues_that_differ_in_alpha_are_told_apart_by_a_hold(order, name):
-    (summary,) = summaries_of(pressed(TWINS, HOLD, order=order))
-    assert summary.classes.label == name
-
-
 def test_label_waits_where_the_data_have_not_shown_what_decides():
     # So much noise that the ramp shows G and Gn, but hardly alpha; the priors favour liver.
     biased = replace(TWINS, tissues=(replace(LIVER, prior=1e3), SLOW))
@@ -117,26 +110,3 @@ def test_repeated_contact_of_a_site_decides_with_all_that_is_known():
     assert second.classes.label == "liver"
     # The estimate of the second holds the first: no need to press so far again.
     assert second.decided.strain < first.decided.strain
-
-
-def test_without_a_library_nothing_is_classified():
-    outputs = pressed(None, HOLD)
-    assert {a.decision for a in answers(outputs)} == {Decision.UNDETERMINED}
-    (summary,) = summaries_of(outputs)
-    assert summary.converged and summary.classes is None
-
-
-def test_classification_carries_the_mismatch_of_its_contact():
-    # The force is three times as noisy as it is said to be.
-    outputs = pressed(BUILT_IN, HOLD, noise=5.0, force__noise=1.67e-3 * math.pi * 0.1)
-    (summary,) = summaries_of(outputs)
-    assert summary.flags & Flag.MODEL_MISMATCH
-    assert answers(outputs)[-1].flags & Flag.MODEL_MISMATCH
-    assert not answers(pressed(BUILT_IN, HOLD, noise=5.0))[-1].flags & Flag.MODEL_MISMATCH
-
-
-def test_stiff_tissue_is_unknown_to_a_library_of_liver():
-    (summary,) = summaries_of(pressed(BUILT_IN, HOLD, g=3000.0))
-    assert summary.classes.label == "unknown"
-    assert summary.classes.typicality < 0.001
-    assert np.argmax(summary.classes.probabilities) == 1

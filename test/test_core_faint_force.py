@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from numpy.typing import NDArray
 from pipeline_helpers import summaries_of
 from property_helpers import first
 
-from benchmark import exact
-from benchmark.presses import CASES, trial_of
 from fden_ros.core import Pipeline
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Output
@@ -24,7 +21,6 @@ from fden_ros.parameters import check, pipeline_config
 Array = NDArray[np.float64]
 
 AREA, THICKNESS, RATE, AIR = 1e-4, 0.02, 30.0, 2.0
-TEN_SITES = CASES["ten_sites"]
 RIGID = {
     name: 0.0
     for name in (
@@ -150,16 +146,6 @@ def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness(seed: int) ->
     assert np.all(np.abs(off) < 4.0), (seed, off)
 
 
-@pytest.mark.parametrize("number", first(2056, 2143))
-def test_gn_is_within_its_deviation_where_the_tissue_began_far_before_the_force(
-    number: int,
-) -> None:
-    """By 0.19 and 0.07 of strain: ln Gn was 8 and 6 deviations off, and known."""
-    _, outcome = exact.run_trial(number, 6000)
-    contact = outcome.contacts[-1]
-    assert abs(contact.error[1]) < 3.0 * contact.deviation[1]
-
-
 @pytest.mark.parametrize("seed", first(0, 1, 2, 3))
 def test_a_touch_whose_linear_part_is_seen_tells_g(seed: int) -> None:
     """It ends at 276 Pa, above the same noise."""
@@ -168,11 +154,3 @@ def test_a_touch_whose_linear_part_is_seen_tells_g(seed: int) -> None:
     )
     assert summary.converged
     assert np.all(np.abs(off) < 4.0), (seed, off)
-
-
-@pytest.mark.statistics
-def test_noise_near_the_surface_neither_touches_nor_lets_go_of_the_tissue() -> None:
-    """Alpha was 3.6 and 4.6 standard deviations off."""
-    stated = {"surface.motion_sd": 2e-4, "displacement.compliance_sd": 1.5e-4}
-    for contact in trial_of(replace(TEN_SITES, sites=5), 4, stated).contacts:
-        assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)

@@ -31,7 +31,7 @@ from fden_ros.ros.messages import estimate_message, state_of, summary_message, s
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
 
-G, GN = ParameterSet.LINEAR_STIFFNESS, ParameterSet.NONLINEAR_STIFFNESS
+G = ParameterSet.LINEAR_STIFFNESS
 ALPHA = ParameterSet.FRACTIONAL_ORDER
 #: Of what the remarks are on.
 CONFIG = PipelineConfig(None, estimator=EstimatorConfig(prior=Prior(fractional_order=0.31)))
@@ -120,7 +120,10 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
     states = states_of(pressed(LINEAR, 20.0))
     summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
     estimate = estimate._replace(
-        law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), mismatch_probability=0.9
+        law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
+        mismatch_probability=0.9,
+        known=G,
+        at_edge=ALPHA,
     )
     assert set(estimate.numbers) == set(PUBLISHED)
     summary = replace(summary, estimate=estimate)
@@ -133,6 +136,8 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
     for key, name in KEYS.items():
         assert contact_object(summary)[key] == contact_row(summary, None)[key]
         assert contact_object(summary)[key] == estimate.numbers[name]
+    for heard in (state_of(sent[0]).estimate, summary_of(sent[1]).estimate):
+        assert (heard.valid, heard.known, heard.at_edge) == (G | ALPHA, G, ALPHA)
     assert summary_of(sent[1]).estimate.numbers == pytest.approx(estimate.numbers, rel=1e-12)
 
 
@@ -163,22 +168,6 @@ def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged() -> No
         assert state.estimate is not None
         assert bool(state.estimate.at_edge) == bool(state.flags & Flag.ESTIMATE_AT_EDGE)
         assert not (state.estimate.at_edge and state.estimate.known)
-
-
-def test_what_is_known_survives_the_message() -> None:
-    outputs = pressed(LINEAR, 20.0)
-    summary, _ = summary_and_estimate(outputs)
-    state = states_of(outputs)[-1]
-    assert state.estimate is not None
-    edge = replace(state, estimate=state.estimate._replace(at_edge=ALPHA, known=G))
-    for sent, heard in (
-        (summary, summary_of(summary_message(summary, "probe"))),
-        (state, state_of(estimate_message(state, "probe"))),
-        (edge, state_of(estimate_message(edge, "probe"))),
-    ):
-        one, other = sent.estimate, heard.estimate
-        assert one is not None and other is not None
-        assert (other.valid, other.known, other.at_edge) == (one.valid, one.known, one.at_edge)
 
 
 @pytest.mark.parametrize("toe", [0.0, 0.5])

@@ -6,10 +6,8 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import numpy as np
@@ -233,13 +231,6 @@ def test_the_compiled_response_is_that_of_numpy(case: Case, cut: int) -> None:
     assert_rows_agree(compiled[2].values, state.values, 1e-12)
 
 
-@by_case
-def test_a_response_in_two_calls_is_that_in_one(case: Case) -> None:
-    whole, parts = response(case, case.columns()), response(case, case.columns(), cut=40)
-    np.testing.assert_array_equal(parts[0], whole[0])
-    np.testing.assert_array_equal(parts[1], whole[1])
-
-
 def moved(case: Case, column: Column, change: float) -> Case:
     """The case with what a column is by moved by `change`."""
     law = case.law
@@ -320,18 +311,6 @@ def test_ramp_and_hold_are_those_of_the_closed_form(alpha: float, either: None) 
     np.testing.assert_allclose(stress, truth, atol=1e-5 * truth.max())
 
 
-def test_loading_and_unloading_in_both_directions_is_that_of_the_closed_form(
-    either: None,
-) -> None:
-    corners, levels = [0.0, 0.5, 1.0, 1.6, 2.0], [0.0, 0.25, -0.2, 0.1, 0.1]
-    times = np.linspace(0.0, 2.0, 801)
-    law = replace(BASE, is_one_sided=False)
-    motion = np.interp(times, corners, levels)
-    stress = stress_of(Case(law, np.diff(times, prepend=0.0), motion))
-    truth = stress_of_piecewise_linear_strain(corners, levels, times, FdenModel(1.0, 8.0, 0.15))
-    np.testing.assert_allclose(stress, truth, atol=1e-5 * truth.max())
-
-
 def walked_rows() -> tuple[Array, Array, Array, tuple[Array, Array], WalkState]:
     """Rows, variances of their noise, gains, variances of the walks, and their state before."""
     random = np.random.default_rng(7)
@@ -395,13 +374,6 @@ def test_systems_are_eliminated_by_cholesky(either: None) -> None:
         loops.eliminate(-systems)
 
 
-@needs_compiled
-def test_arrays_that_are_not_contiguous_are_refused() -> None:
-    rows, noise, gain, walks, state = walked_rows()
-    with pytest.raises(ValueError, match="contiguous"):
-        loops.whiten(rows[:, ::2], noise, gain, walks, state)
-
-
 def test_without_compiled_loops_a_line_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -426,15 +398,3 @@ def test_a_replay_without_compiled_loops_says_so_and_estimates_the_same(
     assert "compiled" in printed.err
     for name in ("g", "g_n", "alpha"):
         assert results[1][name] == pytest.approx(results[0][name], rel=1e-6)
-
-
-def test_loops_that_are_older_than_their_source_are_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = tmp_path / "_loops.c"
-    library = source.with_name("_loops" + EXTENSION_SUFFIXES[0])
-    source.touch()
-    library.touch()
-    os.utime(library, (1.0, 1.0))
-    monkeypatch.setattr(loops, "__file__", str(tmp_path / "loops.py"))
-    assert loops._library() is None

@@ -19,10 +19,8 @@ from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.synchronize import Synchronizer
-from fden_ros.offline import batch
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import write_recording
 
 
@@ -140,13 +138,6 @@ def test_detector_and_synchronizer_begin_anew_after_an_exception(
     assert outcome.summaries[-1].converged and outcome.summaries[-1].complete
 
 
-def test_failures_are_kept_in_constant_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    breaks(monkeypatch, ContactDetector, "add", lambda _: True)
-    s = shift()
-    pipeline = outcome_of(s.items, s.parameters).pipeline
-    assert pipeline.failure_count > 1000 and len(pipeline.failures) == 20
-
-
 @pytest.mark.parametrize("finishing", [False, True])
 def test_what_a_listener_raises_is_not_caught(finishing: bool) -> None:
     def listen(output: object) -> None:
@@ -198,15 +189,3 @@ def test_replay_goes_on_with_the_next_site_warns_and_logs_the_traceback_once(
     assert "contact 1 of site 1" in words and "\n" not in words
     contacts = result_object(result)["contacts"]
     assert contacts[0]["flags"] == ["estimation_failed"] and contacts[0]["g"] is None
-
-
-def test_batch_goes_on_and_says_so_in_the_bags_row(
-    bag: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
-    parameters = read_parameter_file(bag / "identifier.yaml")
-    rows = batch.identify(str(bag), batch.Work(parameters, Selection()))
-    assert rows[0]["error"] is None
-    assert "the estimation failed in contact 1 of site 1" in rows[0]["warnings"]
-    assert "estimation_failed" in rows[0]["flags"]
-    assert rows[-1]["converged"]

@@ -10,8 +10,6 @@ import math
 import pickle
 from collections.abc import Sequence
 
-import numpy as np
-import pytest
 from fault_helpers import assert_sound, outcome_of, shift
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -150,16 +148,3 @@ def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(
         new = [c for item in part for c in damaged(kind, item, part[0], value, step)]
         items[place : place + length] = new[::-1] if kind == "swap" else new
     checked(items, dict(s.parameters) | parameters)
-
-
-@pytest.mark.parametrize("alpha", [{}, {"alpha.learn": True, "prior.alpha_sd": 0.011}])
-def test_covariances_of_what_is_learned_are_positive_definite(alpha: dict[str, object]) -> None:
-    s = shift()
-    items = [i for i in s.items if s.second(i.stamp_ns) < 5.2]
-    size = 3 if alpha else 2
-    seen = 0
-    for state in outcome_of(items, s.parameters | alpha).states:
-        if state.estimate is not None:
-            np.linalg.cholesky(state.estimate.covariance[:size, :size])
-            seen += 1
-    assert seen > 100

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares, minimize
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.change import change_of
-from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
+from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
@@ -343,12 +343,6 @@ CLAIMED = Evidence(np.array([7.0, 2.0, 0.2]), np.array([0.05, 0.04, 0.02]), 1.0,
 )
 def test_claims_follow_from_the_reasons(evidence: Evidence, known: ParameterSet) -> None:
     assert claims_of(EstimatorConfig(), evidence).known == known
-
-
-def test_the_boundary_strain_is_passed_with_the_probability_of_a_logarithm() -> None:
-    assert probability_beyond(0.1, 0.0, math.log(10.0), 0.1) == pytest.approx(0.5)
-    assert probability_beyond(0.2, 0.0, math.log(10.0), 0.1) > 0.99
-    assert probability_beyond(0.0, 0.01, math.log(10.0), 0.1) == 0.0
 
 
 def test_an_arm_s_presses_are_identified_within_their_deviations() -> None:

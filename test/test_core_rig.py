@@ -17,7 +17,6 @@ from property_helpers import counts
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Phase, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
@@ -35,8 +34,6 @@ from fden_ros.simulation.trajectory import RampHold
 
 ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
 CONFIG = EstimatorConfig(uncertainty=ARM)
-GEOMETRY = FlatPunch(area=3.14e-4, thickness=0.02)
-NOISE_M, STEP, SIZE = 5e-6, 0.002, 5
 
 
 def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
@@ -76,16 +73,6 @@ def test_knowledge_narrows_to_half_of_what_is_stated_and_forgets_what_another_ri
     mean, covariance = known.scaled(ARM)
     other = known.taught(mean + np.array([0.0, 2.0]), covariance, CONFIG)
     assert other == RigKnowledge.stated(CONFIG)
-
-
-def test_what_is_said_to_be_exact_is_not_learned():
-    uncertainty = replace(ARM, delay_sd=0.0)
-    config = replace(CONFIG, uncertainty=uncertainty, friction=0.01)
-    known = RigKnowledge.stated(config)
-    mean, covariance = known.scaled(uncertainty)
-    taught = known.taught(mean, 0.5 * covariance, config)
-    assert taught.values["delay"] == (0.0, 0.0)
-    assert taught.values["friction"].mean == pytest.approx(0.01)
 
 
 @functools.cache
@@ -153,19 +140,6 @@ def test_a_contact_that_is_cut_short_or_not_to_be_learned_from_teaches_nothing()
         _, outputs = identified(some, {**parameters, **own})
         summaries = summaries_of(outputs)
         assert summaries and all(summary.rig.contacts == 0 for summary in summaries)
-
-
-def test_forgetting_the_rig_at_a_site_that_began_with_it_lets_that_site_teach_nothing():
-    items, parameters = touches()
-    outputs = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
-    for number, item in enumerate(items):
-        feed(pipeline, [item])
-        if number == len(items) // 4:
-            assert math.isfinite(pipeline.newest_ns)
-            pipeline.forget_rig()
-    pipeline.finish()
-    assert [summary.rig.contacts for summary in summaries_of(outputs)] == [0, 1]
 
 
 def test_forgetting_the_rig_before_the_air_was_judged_lets_that_contact_teach_nothing():

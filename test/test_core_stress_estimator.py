@@ -16,7 +16,6 @@ from scipy.signal import fftconvolve
 from scipy.special import gamma
 from scipy.stats import chi2
 
-from benchmark.accuracy import CASES, Case, trial_of
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
@@ -26,7 +25,6 @@ from fden_ros.core.outputs import Flag, TissueState
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Palpation
 
 RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
 ORDER, ORDER_SD = 0.2, 0.05
@@ -223,33 +221,6 @@ def test_ten_palpations_of_one_site_leave_no_bias(seeds):
         truth = (site["linear_stiffness"], site["nonlinear_stiffness"], last.fractional_order)
         errors.append(error_of(last, truth)[:2])
     assert np.all(np.abs(np.mean(errors, axis=0)) < 0.003), errors
-
-
-@pytest.mark.parametrize("contacts", counts(2, 10))
-@pytest.mark.parametrize("order", [0.131, 0.32])
-def test_tissue_that_leaves_the_probe_and_is_met_again_is_followed(order, contacts):
-    # Coarse samples and fast motion: the probe is in the air again within a few of them.
-    press = Palpation(0.5, 0.25, 0.3, presses=3, pause_s=0.3)
-    case = Case("met_again", press, order)
-    errors = []
-    for number in range(contacts):
-        contact = trial_of(case, number, {}).judged
-        error = contact.error[:2]
-        errors.append(error @ np.linalg.solve(contact.estimate.covariance[:2, :2], error))
-    assert sum(errors) < chi2.ppf(0.9999, 2 * len(errors)), errors
-
-
-@pytest.mark.parametrize("numbers", first((62, 143), (62, 86, 132, 143, 255, *range(8))))
-def test_noise_on_a_released_probe_and_a_corner_between_samples_do_no_harm(numbers):
-    # 100 samples a second: single ones are blocks, and some in the air are over the release
-    # threshold; numbers with an unlucky one, and some without.
-    case = CASES["slow_sensor"]
-    errors = []
-    for number in numbers:
-        trial = trial_of(case, number, {})
-        assert np.all(np.abs(trial.judged.error[:2]) < 5.0 * trial.bound[:2])
-        errors.append(trial.judged.error[:2] / trial.judged.deviation[:2])
-    assert np.sum(np.square(errors)) < chi2.ppf(0.9999, 2 * len(numbers)), errors
 
 
 @pytest.mark.parametrize("seeds", counts(1, 2))

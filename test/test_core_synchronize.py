@@ -152,55 +152,6 @@ def test_interpolation_of_a_linear_motion_is_exact(start, speed, force_ms, delay
         assert pair.position == pytest.approx((exact, -exact, 1.0), abs=1e-14)
 
 
-def test_displacement_with_the_force_s_own_stamp_is_taken_as_it_is():
-    run = Run().both(START, 1.0, 0.1).both(START + MS, 2.0, 0.3)
-    assert [(p.force, p.displacement) for p in run.pairs] == [(1.0, 0.1), (2.0, 0.3)]
-
-
-def test_force_waits_for_the_displacement_after_it():
-    run = Run().add(DISPLACEMENT, START, 0.0).add(FORCE, START + 4 * MS)
-    assert run.pairs == []
-    run.add(DISPLACEMENT, START + 10 * MS, 1.0)
-    assert run.pairs[0].displacement == pytest.approx(0.4)
-
-
-def test_position_that_is_not_finite_is_rejected():
-    run = Run().add(DISPLACEMENT, START, 0.0, (0.0, np.nan, 0.0))
-    assert run.rejected == {"displacement.non_finite": 1}
-
-
-@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
-@pytest.mark.parametrize("step_ns", [0, 9_999, -9_999])
-def test_stamps_closer_than_the_shortest_step_are_one_sample(name, step_ns):
-    run = Run().both(START).both(START + MS).add(name, START + MS + step_ns, 7.0)
-    run.both(START + 2 * MS)
-    assert run.rejected == {f"{name}.duplicate_stamp": 1}
-    assert run.stamps == [0, 1, 2]
-
-
-@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
-def test_single_stamp_far_back_is_late_and_rejected(name):
-    run = Run().both(START + 5000 * MS).add(name, START, 7.0).both(START + 5001 * MS)
-    assert run.rejected == {f"{name}.late_stamp": 1}
-    assert run.stamps == [5000, 5001]
-    assert {pair.epoch for pair in run.pairs} == {0}
-
-
-def test_stamps_far_ahead_that_go_on_there_are_a_pause():
-    run = Run().both(START)
-    for ms in (5000, 5001, 5002):
-        run.both(START + ms * MS)
-    assert run.rejected.total() == 0
-    assert run.stamps == [0, 5000, 5001, 5002]
-    assert {pair.epoch for pair in run.pairs} == {0}
-
-
-def test_forces_before_the_first_displacement_are_unpaired():
-    run = Run().add(FORCE, START).add(FORCE, START + MS).both(START + 2 * MS)
-    assert run.rejected == {"force.unpaired": 2}
-    assert run.stamps == [2]
-
-
 def test_no_interpolation_over_a_gap_longer_than_allowed():
     run = Run(max_gap=0.25)
     run.add(DISPLACEMENT, START, 0.0)
@@ -213,21 +164,6 @@ def test_no_interpolation_over_a_gap_longer_than_allowed():
     assert run.stamps == [0, 251, 400]
 
 
-@pytest.mark.parametrize("first", [FORCE, DISPLACEMENT])
-def test_clock_that_jumps_back_begins_a_new_epoch_whichever_stream_says_so_first(first):
-    second = DISPLACEMENT if first == FORCE else FORCE
-    run = Run()
-    for ms in range(5000, 5100):
-        run.both(START + ms * MS)
-    for ms in range(50):
-        run.add(first, START + ms * MS, 1.0)
-    for ms in range(50):
-        run.add(second, START + ms * MS, 1.0)
-    assert run.rejected.total() == 0
-    assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 50
-    assert run.stamps == [*range(5000, 5100), *range(50)]
-
-
 def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
     # A bag that loops after 0.4 s: each stamp is late by less than a jump.
     run = Run()
@@ -238,25 +174,6 @@ def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
     # The first 19 of a run of 20 are taken for late ones.
     assert run.rejected == {"force.late_stamp": 19, "displacement.late_stamp": 19}
     assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 81
-
-
-@pytest.mark.parametrize("jumping", [FORCE, DISPLACEMENT])
-def test_stream_that_jumps_alone_is_followed_after_a_window(jumping):
-    staying = DISPLACEMENT if jumping == FORCE else FORCE
-    run = Run()
-    for ms in range(20_000, 20_100):
-        run.both(START + ms * MS)
-    # From here on the stamps of one stream are 2 s younger than those of the other.
-    for ms in range(20_100, 36_100, 4):
-        run.add(jumping, START + (ms - 2000) * MS)
-        run.add(staying, START + ms * MS)
-    recovered = [stamp for stamp, pair in zip(run.stamps, run.pairs, strict=True) if pair.epoch]
-    # A window of 5 s until samples are given up, one more until the other stream follows, and 2 s
-    # until the stamps overlap again.
-    assert recovered[0] <= 20_100 + 12_000
-    assert np.diff(recovered) == pytest.approx(4.0)
-    assert recovered[-1] == 34_096
-    assert run.waiting < 1000
 
 
 def test_delay_of_the_displacement_is_taken_off_its_stamps():
@@ -321,27 +238,6 @@ def test_slow_and_log_spaced_samples_are_paired(times_ms):
     # Of 5 a decade each is 1.6 times as far as the one before: too far to interpolate between.
     if stamps[-1] - stamps[-2] < 1.3 * (stamps[-2] - stamps[-3]):
         assert len(apart.pairs) >= len(stamps) - 5 and apart.rejected.total() <= 3
-
-
-def test_stray_and_late_stamps_of_a_slow_stream_are_rejected():
-    run = Run()
-    for second in range(0, 200, 5):
-        run.both(START + second * 1000 * MS)
-    run.add(FORCE, START + 9_000_000 * MS).both(START + 200_000 * MS)
-    run.add(FORCE, START + 190_500 * MS).both(START + 205_000 * MS)
-    run.both(START + 210_000 * MS)
-    assert run.rejected == {"force.future_stamp": 1, "force.late_stamp": 1}
-    assert run.stamps == [1000 * s for s in range(0, 215, 5)]
-    assert {pair.epoch for pair in run.pairs} == {0}
-
-
-def test_pause_does_not_widen_the_gap_that_is_interpolated_over():
-    run = Run()
-    for ms in [*range(0, 1000, 5), *range(11_000, 12_000, 5)]:
-        run.both(START + ms * MS)
-    for ms in (0, 5):
-        run.add(FORCE, START + (12_200 + ms) * MS).add(DISPLACEMENT, START + (12_400 + ms) * MS)
-    assert run.rejected == {"force.displacement_gap": 2}
 
 
 def test_one_of_a_hundred_samples_lost_at_2_khz_is_no_gap_and_20_ms_of_them_are():

@@ -134,15 +134,6 @@ def test_intervals_cover_the_truth_under_five_percent_noise(fitted, name):
         assert 0.90 <= np.mean(one) <= 0.99
 
 
-def test_the_bias_of_a_noisy_logarithm_is_taken_off():
-    errors = []
-    for seed in range(300):
-        noise = 1.0 + 0.2 * np.random.default_rng(seed).standard_normal(TIMES.size)
-        errors.append(math.log(fit_creep(TIMES, creep_strain(20.0) * noise, 20.0)["g"].value / G))
-    # Left in, it is 0.02, ten times the deviation of this mean.
-    assert abs(np.mean(errors)) < 0.01
-
-
 def correlated_creep(seed):
     times = np.geomspace(1.0, 180.0, 400)
     white = np.random.default_rng(seed).standard_normal(500)
@@ -154,18 +145,6 @@ def test_residuals_that_follow_each_other_are_reported():
     fit = correlated_creep(0)
     assert any("follow each other" in warning for warning in fit.warnings)
     assert covered(fit) == [True, True]
-
-
-@pytest.mark.statistics
-def test_intervals_stay_honest_when_noise_is_correlated_or_uneven():
-    correlated = [hit for seed in range(200) for hit in covered(correlated_creep(seed))]
-    assert 0.88 <= np.mean(correlated) <= 0.99
-    uneven = []
-    for seed in range(200):
-        sizes = np.array([[0.02], [0.15]]) * np.random.default_rng(seed).standard_normal((2, 11))
-        moduli = (1.0 + sizes) * [MODULUS.real, MODULUS.imag]
-        uneven += covered(fit_complex_modulus(OMEGAS, *moduli))
-    assert 0.90 <= np.mean(uneven) <= 0.99
 
 
 def test_a_coefficient_for_each_curve_stands_beside(fitted):
@@ -182,29 +161,12 @@ def test_phase_that_contradicts_the_slope_is_reported():
     assert any("contradict" in warning for warning in fit.warnings)
 
 
-def test_slope_and_phase_of_a_dynamic_test_have_deviations_of_their_own():
-    slope, phase = 0.15, 0.4
-    noise = np.exp(0.03 * np.random.default_rng(0).standard_normal((2, OMEGAS.size)))
-    moduli = 500.0 * OMEGAS**slope * np.array([[math.cos(phase)], [math.sin(phase)]]) * noise
-    fit = fit_complex_modulus(OMEGAS, *moduli)
-    for name, truth in (("slope", slope), ("phase", 2.0 / math.pi * phase)):
-        value, sd, *_ = fit.beside[name]["alpha"]
-        assert abs(value - truth) < 3.0 * sd < 0.05
-
-
 def test_shallow_data_say_that_they_do_not_determine_gn():
     x = np.linspace(0.01, 0.08, 10)
     noise = 1.0 + 0.01 * np.random.default_rng(0).standard_normal(10)
     fit = fit_nonlinearity(MODEL.phi(x) * noise, x)
     assert any("do not determine Gn" in warning for warning in fit.warnings)
     assert math.isnan(fit["g_n"].sd)
-
-
-def test_two_points_are_enough_for_parameters_but_not_for_a_deviation():
-    two = np.array([10.0, 100.0])
-    fit = fit_creep(two, creep_strain(20.0, two), 20.0)
-    assert (fit["alpha"].value, fit["g"].value) == pytest.approx((ALPHA, G), rel=1e-9)
-    assert fit.as_object()["alpha_sd"] is None
 
 
 @pytest.mark.parametrize(

@@ -36,14 +36,13 @@ from fault_helpers import (
 )
 from frame_helpers import FRAMES, Place, arm, transforms
 from pipeline_helpers import Item, feed
-from property_helpers import counts, first
+from property_helpers import counts
 from scipy.spatial.transform import Rotation
 
 from fden_ros.core.outputs import Flag, Status
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.parameters import Parameters, check, pipeline_config
-from fden_ros.simulation.simulate import EXACT
+from fden_ros.parameters import check, pipeline_config
 
 TABLE = (Path(__file__).parent.parent / "docs" / "faults.md").read_text(encoding="utf-8")
 FORCE, DISPLACEMENT = 0, 1
@@ -435,14 +434,6 @@ def test_fault(row: Row, clean: Outcome) -> None:
         assert_third_site(s, outcome, clean)
 
 
-def test_a_stuck_displacement_gives_no_wrong_summary_with_the_deviations_of_an_arm() -> None:
-    s = shift()
-    (row,) = [row for row in ROWS if row.name == "displacement_stuck"]
-    defaults = Parameters().as_dict()
-    arm = {name: defaults[name] for name in EXACT}
-    assert not lies_of(outcome_of(row.samples(s), {**s.parameters, **arm}).outputs, s.sites[0])
-
-
 def assert_counted(row: Row, outcome: Outcome) -> None:
     rejected = {name for name, count in outcome.pipeline.rejected.items() if count}
     # A sample that is dropped may leave another without its partner.
@@ -481,15 +472,6 @@ def assert_third_site(s: Shift, outcome: Outcome, clean: Outcome) -> None:
     sd = math.sqrt(max(*variances, 4.0 * abs(variances[1] - variances[0])))
     difference = found.estimate.log_linear_stiffness - expected.estimate.log_linear_stiffness
     assert abs(difference) < sd
-
-
-@pytest.mark.parametrize("skipped", first(2, 4, 6))
-def test_a_clock_that_jumps_back_between_any_two_samples_is_followed(skipped: int) -> None:
-    # The force is looked at in chunks of a few samples: the jump may fall within one.
-    s = shift()
-    (row,) = (row for row in ROWS if row.name == "clock_back_contact")
-    outcome = outcome_of([*row.samples(s)][skipped:], s.parameters)
-    assert outcome.summaries[-1].complete and outcome.summaries[-1].converged
 
 
 @pytest.mark.parametrize("minutes", counts(6, 60))

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from fault_helpers import outcome_of, shift
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
@@ -32,7 +31,6 @@ from ros_helpers import LOSSLESS, RELIABLE, Bench, active, identifier, wait_for
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fden_ros.core.outputs import Flag
 from fden_ros.nodes.identifier import Identifier
 from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
@@ -154,15 +152,6 @@ def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> 
         bench.wait_for(lambda: bench.summaries, "the summary of the open contact")
         assert process.wait(LIMIT) == 0
     assert not bench.summaries[0].complete
-
-
-def test_samples_lost_here_and_there_without_a_gap_of_20_ms_are_no_gap() -> None:
-    data, generator = shift(), np.random.default_rng(1)
-    kept = [item for item in data.items if generator.random() > 0.01]
-    result = outcome_of(kept, data.parameters)
-    assert len(result.summaries) == 3
-    for summary in result.summaries:
-        assert summary.converged and not summary.flags & Flag.GAP
 
 
 @row("sim_time_without_clock")

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections import Counter
 from collections.abc import Iterable
@@ -17,58 +16,27 @@ import pytest
 from fault_helpers import Outcome, first_press, outcome_of, turn_of, undisturbed
 from frame_helpers import (
     FRAMES,
-    MOUNT,
     TIP,
     arm,
     forces,
-    place,
     statics,
-    tip_position,
     transforms,
     write_bag,
 )
-from pipeline_helpers import FORCE
 from ros_helpers import Bench, active, assert_live_equals_replay, replayed
-from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
-from fden_ros.core.streams.rotation import Transform, angle, slerp
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams.rotation import Transform
 from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
-from fden_ros.offline.session import gather
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.recording.table import Columns
 from fden_ros.simulation.simulate import START_NS
-
-
-def test_slerp_is_that_of_scipy() -> None:
-    generator = np.random.default_rng(1)
-    for _ in range(200):
-        a, b = Rotation.from_quat(generator.normal(size=(2, 4)))
-        share = generator.uniform()
-        expected = Slerp([0.0, 1.0], Rotation.concatenate([a, b]))(share)
-        found = slerp(tuple(a.as_quat()), tuple(b.as_quat()), share)
-        assert (Rotation.from_quat(found) * expected.inv()).magnitude() < 1e-9
-        assert angle(tuple(a.as_quat()), tuple(b.as_quat())) == pytest.approx(
-            (a.inv() * b).magnitude(), abs=1e-9
-        )
-
-
-def test_transforms_chain_as_scipys_rotations_do() -> None:
-    def transform(part: tuple[np.ndarray, Rotation]) -> Transform:
-        return Transform(tuple(part[0]), tuple(part[1].as_quat()))
-
-    both = transform(MOUNT).then(transform(TIP))
-    assert np.allclose(both.translation, MOUNT[0] + MOUNT[1].apply(TIP[0]))
-    assert (Rotation.from_quat(both.rotation) * (MOUNT[1] * TIP[1]).inv()).magnitude() < 1e-12
-    back = both.inverse().then(both)
-    assert np.allclose(back.translation, 0.0) and angle(back.rotation, (0, 0, 0, 1)) < 1e-9
 
 
 def run(samples: Iterable[Any], **parameters: Any) -> Outcome:
@@ -103,12 +71,6 @@ def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(
     # The forces before the first transform alone find none.
     assert set(turning.pipeline.rejected) <= {"force.no_transform"}
     assert turning.pipeline.rejected.total() <= 2
-
-
-def test_the_touch_is_where_the_tip_of_the_arm_is(turning: Outcome) -> None:
-    for summary in turning.summaries:
-        assert summary.position is not None
-        assert np.allclose(summary.position, tip_position(summary.start_ns), atol=1e-4)
 
 
 def test_a_displacement_topic_beside_the_frames_turns_the_force_alone(still: Outcome) -> None:
@@ -181,14 +143,6 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
     ]
 
 
-def test_static_transforms_outlive_a_reset() -> None:
-    s = first_press()
-    samples: list[Any] = arm(s)
-    middle = len(samples) // 3
-    outcome = run([*samples[:middle], lambda p: p.reset(), *samples[middle:]])
-    assert outcome.summaries[-1].converged
-
-
 def test_frames_that_no_transform_connects_are_named() -> None:
     s = first_press()
     samples = [one for one in arm(s) if getattr(one, "child", "") != "flange"]
@@ -198,23 +152,6 @@ def test_frames_that_no_transform_connects_are_named() -> None:
     assert "camera, flange, link" in outcome.pipeline.transform_problem
     assert outcome.pipeline.rejected["force.no_transform"] > 800
     assert outcome.pipeline._synchronizer.waiting < 10_000
-
-
-def test_a_frame_that_gets_another_parent_is_counted_and_stays_where_it_was(
-    turning: Outcome,
-) -> None:
-    s = first_press()
-    stray = place(s.items[500].stamp_ns, "elsewhere", "flange", *TIP)
-    outcome = run(sorted([*arm(s), stray], key=lambda one: one.stamp_ns))
-    assert outcome.pipeline.rejected["transform.other_parent"] == 1
-    for a, b in zip(outcome.summaries, turning.summaries, strict=True):
-        assert a.estimate is not None and b.estimate is not None
-        assert math.isclose(a.estimate.mean[0], b.estimate.mean[0])
-
-
-def test_a_displacement_by_transforms_needs_both_frames() -> None:
-    with pytest.raises(InputError, match=r"frames\.probe"):
-        pipeline_config(check({"displacement.message": "tf", "frames.base": "base"}))
 
 
 # Recordings and the node
@@ -261,24 +198,6 @@ def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: 
 
 def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
     assert_live_equals_replay(bag, KINDS, remap={"/ft/wrench": "/force"})
-
-
-def test_a_report_shows_force_and_displacement_along_their_axes(bag: Path) -> None:
-    session = gather(bag, read_parameter_file(bag / PARAMETER_FILE))
-    time, low, high = session.displacement.arrays(session.start_ns)
-    instants = session.start_ns + np.round(NANOSECONDS * time).astype(np.int64)
-    depth = np.array([tip_position(instant)[2] for instant in instants])
-    # A bucket holds 1 ms or more of a probe that goes at some mm/s.
-    assert time.size > 100 and np.abs(0.5 * (low + high) - depth).max() < 5e-4
-    assert high.max() - low.min() > 3e-3
-    _, least, largest = session.force.arrays(session.start_ns)
-    truth = [
-        item.value
-        for item in first_press().items
-        if item.stream == FORCE and item.stamp_ns <= session.end_ns
-    ]
-    assert largest.max() == pytest.approx(max(truth), rel=0.01)
-    assert least.min() == pytest.approx(min(truth), abs=0.01 * max(truth))
 
 
 def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:

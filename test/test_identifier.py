@@ -18,12 +18,10 @@ from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from ros_helpers import (
-    LOSSLESS,
     PATIENT,
     Bench,
     active,
     assert_live_equals_replay,
-    identifier,
     play,
 )
 from std_srvs.srv import Trigger
@@ -34,7 +32,6 @@ from fden_ros.core.outputs import (
     DynamicModulus,
     TissueState,
 )
-from fden_ros.offline.replay import replay
 from fden_ros.parameters import PARAMETERS, Parameters, read_parameter_file
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.synthetic import PARAMETER_FILE, read_truth, write_recording
@@ -96,7 +93,6 @@ def oscillating(bag: Path) -> Path:
     [
         ("golden_press", (TissueState, Classification, ContactSummary)),
         ("golden_pose", (TissueState, Classification, ContactSummary)),
-        ("golden_palpation", (TissueState, Classification, ContactSummary)),
         (oscillating, (TissueState, DynamicModulus)),
         (continuous, (TissueState, ContactSummary, DynamicModulus)),
     ],
@@ -128,31 +124,6 @@ def test_the_generator_still_makes_the_golden_bags(name: str, tmp_path: Path) ->
 def floats(data: bytes) -> np.ndarray:
     """The doubles at the end of a message whose last fields are doubles."""
     return np.frombuffer(data[-24:], dtype="<f8")
-
-
-@pytest.mark.statistics
-def test_estimates_hold_against_the_truth_over_several_seeds(tmp_path: Path) -> None:
-    """Sum of squared normalised errors: chi-squared, within its 0.1 to 99.9 % range times 1.3.
-
-    The factor allows for the origin that is found from the force: the measured NEES is 1.1 to 1.2.
-    """
-    squared, count = 0.0, 0
-    for seed in (21, 22, 23):
-        bag = tmp_path / f"seed{seed}"
-        write_recording(simulate(load_scenario("golden_press"), seed), bag)
-        truth = {site["site"]: site for site in truth_of(bag)["sites"]}
-        for summary in replay(bag, parameters_of(bag)).summaries:
-            assert summary.converged and summary.classes.label == "liver"
-            site = truth[summary.site_id]
-            error = summary.estimate.mean[:2] - np.log(
-                [site["linear_stiffness"], site["nonlinear_stiffness"]]
-            )
-            assert np.all(np.abs(error) < (0.05, 0.03))
-            squared += error @ np.linalg.solve(summary.estimate.covariance[:2, :2], error)
-            count += 2
-    low, high = 2.2 / 1.3, 32.9 * 1.3  # chi-squared of 12 degrees of freedom, 0.1 and 99.9 %
-    assert count == 12
-    assert low < squared < high
 
 
 def set_parameter(bench: Bench, name: str, value: ParameterValue) -> Any:
@@ -261,42 +232,3 @@ def test_classification_and_summaries_reach_those_who_come_late() -> None:
             )
         assert bench.classifications[-1].label == "liver"
         assert math.isclose(sum(bench.classifications[-1].probabilities), 1.0)
-
-
-def test_use_sim_time_follows_the_clock_of_the_player() -> None:
-    bag = GOLDEN / "golden_press"
-    with (
-        Bench() as bench,
-        active({"use_sim_time": True, **PATIENT}, file=bag / PARAMETER_FILE),
-    ):
-        bench.wait_for(
-            lambda: "nothing publishes /clock" in bench.diagnostic().get("message", ""),
-            "the words on the missing clock",
-        )
-        play_inputs(bag, clock_hz=100.0)
-        bench.wait_for(lambda: len(bench.summaries) == 2, "the summaries")
-        bench.wait_for(
-            lambda: any(
-                START_NS < stamp(message) < START_NS + 10_000_000_000
-                for message in bench.diagnostics
-            ),
-            "diagnostics stamped with the bag's time",
-        )
-
-
-def test_at_the_level_of_debug_the_log_says_what_the_node_decides() -> None:
-    bag = GOLDEN / "golden_press"
-    with Bench() as bench:
-        with identifier(
-            {"autostart": True, "hardware_id": "FT-0815", **LOSSLESS, **PATIENT},
-            file=bag / PARAMETER_FILE,
-            first="import sys\nsys.argv += ['--log-level', 'identifier:=debug']",
-        ) as node:
-            bench.wait_until_connected()
-            play_inputs(bag)
-            bench.wait_for(lambda: len(bench.summaries) >= 2, "every summary")
-            bench.wait_for(lambda: bench.diagnostics, "diagnostics")
-        assert bench.diagnostics[-1].status[0].hardware_id == "FT-0815"
-    log = [line for line in node.output.splitlines() if "DEBUG" in line]  # type: ignore[attr-defined]
-    for words in ("contact 1 begins, at site 1", "-> converged; G ", "contact 2 ends: converged"):
-        assert any(words in line for line in log), node.output  # type: ignore[attr-defined]

@@ -24,9 +24,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.weight import find_weight, weight_findings
-from fden_ros.nodes.tool_identification import ToolCollection
-from fden_ros.recording.cdr import serialize
-from fden_ros.recording.reader import Topic
 from fden_ros.ros.messages import to_stamp
 
 MASS, CENTRE, GRAVITY = 0.35, np.array([0.01, -0.02, 0.06]), np.array([0.0, 0.0, -9.80665])
@@ -238,34 +235,4 @@ def test_in_contact_it_is_refused_and_by_joints_it_cannot_be() -> None:
         assert "sensor_msgs/JointState: the tool's weight wants" in refused.message
 
 
-def test_it_can_begin_anew_or_be_given_up() -> None:
-    with Bench() as bench, active(SENSOR):
-        arm = Arm(bench)
-        bench.wait_until_heard()
-        assert arm.ask().collecting
-        arm.turn(turned(1, about("x", 0, 0)))
-        arm.ask_until(lambda answer: "did not turn" in answer.message)
-        assert arm.ask(IdentifyTool.Request.COMMAND_RESTART).collecting
-        assert "0 usable samples" in arm.ask().message
-        cancelled = arm.ask(IdentifyTool.Request.COMMAND_CANCEL)
-        assert not cancelled.collecting and not cancelled.success
-        assert not arm.ask(7).collecting
-
-
 # A push while it turns
-
-
-def test_a_push_while_it_turns_is_no_weight() -> None:
-    turns = turned(5)
-    kinds = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/PoseStamped")
-    force, displacement = (Topic(f"/{i}", kind, 1) for i, kind in enumerate(kinds))
-    collection = ToolCollection(force, displacement, needs_centre=False)
-    for at, value, twist in zip(turns.force_times, turns.force, turns.torque, strict=True):
-        push = np.array([0.0, 0.0, 2.0 if 2.0 < at < 2.6 else 0.0])
-        message = wrench(START_NS + round(1e9 * at), value + push, twist)
-        collection.add("force", serialize(message))
-    for at, turn in zip(turns.pose_times, turns.quaternions, strict=True):
-        collection.add("displacement", serialize(pose(START_NS + round(1e9 * at), turn)))
-    found = collection.answer()
-    assert not found.is_known and not found.found
-    assert "was it in contact?" in found.words

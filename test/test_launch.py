@@ -95,33 +95,3 @@ def test_ctrl_c_of_the_terminal_and_of_the_launch_file_ends_the_node_cleanly() -
         launch.send_signal(signal.SIGINT)
     assert CLEANLY in launch.output
     assert "process has died" not in launch.output and "Traceback" not in launch.output
-
-
-def test_a_node_that_was_killed_is_started_again_where_that_is_asked_for() -> None:
-    with Ears() as ears, launched("namespace:=/launched", "respawn:=true"):
-        ears.wait_for(is_up(ears, "/launched"), "the identifier")
-        (first,) = process_ids("/launched")
-        subprocess.run(["kill", "-KILL", str(first)], check=True)
-        ears.wait_for(lambda: process_ids("/launched") not in ([], [first]), "another process")
-        ears.wait_for(lambda: "/launched" in launched_namespaces(ears), "the identifier again")
-
-
-def launched_namespaces(ears: Ears) -> set[str]:
-    return {
-        namespace
-        for name, namespace in ears.node.get_node_names_and_namespaces()
-        if name == "identifier"
-    }
-
-
-def test_the_live_system_has_all_three_nodes() -> None:
-    program = shutil.which("ros2")
-    assert program is not None
-    done = subprocess.run(
-        [program, "launch", "fden_ros", "live.launch.py", "--print"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    for node in ("tissue_simulator", "identifier", "force_controller"):
-        assert node in done.stdout

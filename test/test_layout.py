@@ -100,23 +100,3 @@ def test_imports_run_one_way() -> None:
     places = {room: place for place, room in enumerate(ROOMS)} | {"": -1}
     upward = {arrow for arrow in arrows() if places[arrow[2]] >= places[arrow[1]]}
     assert upward == set()
-
-
-def test_arrows_are_found() -> None:
-    found = {(user, used) for _, user, used in arrows()}
-    assert {
-        ("core.contact_session", "core.site"),
-        ("recording", "ros"),
-        ("commands", "errors"),
-    } <= found
-
-
-def drawn() -> str:
-    """The rooms and the imports between them, for the program dot of GraphViz."""
-    pairs = sorted({(used, user) for _, user, used in arrows() if user and used})
-    lines = [f'  "{used}" -> "{user}";' for used, user in pairs]
-    return "\n".join([f"// {len(ROOMS)} rooms, {len(pairs)} arrows", "digraph {", *lines, "}"])
-
-
-if __name__ == "__main__":
-    print(drawn())

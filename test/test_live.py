@@ -20,7 +20,6 @@ from geometry_msgs.msg import WrenchStamped
 from live_helpers import LIMIT, PARAMETERS, ROOT, Ears, command_of, node_process, process_of
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console
-from ros_helpers import Bench, identifier, wait_for
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64, String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -36,10 +35,8 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
-from fden_ros.nodes.monitor import Monitor
 from fden_ros.report.monitor import MonitorView, monitor_view
-from fden_ros.ros.markers import StiffnessMap, colour_of
-from fden_ros.simulation.simulate import START_NS
+from fden_ros.ros.markers import StiffnessMap
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.
@@ -108,26 +105,6 @@ def test_a_site_is_one_marker_and_one_point_of_its_newest_contact() -> None:
     assert cloud["G"] == pytest.approx([320.0, 900.0])
     assert cloud["x"] == pytest.approx([0.01, 0.02])
     assert cloud["G_sd"] == pytest.approx([6.4, 18.0])
-
-
-def test_each_site_is_shown_in_the_frame_of_its_own_position() -> None:
-    """After a reset the displacement may come in another frame."""
-    stiffness_map = StiffnessMap()
-    for site, frame in ((1, "base"), (2, "tissue"), (3, "tissue")):
-        stiffness_map.add(summary(site, frame=frame))
-    balls = [m for m in stiffness_map.markers().markers if m.ns == "sites"]
-    assert [m.header.frame_id for m in balls] == ["base", "tissue", "tissue"]
-    cloud = stiffness_map.cloud()
-    assert cloud.header.frame_id == "tissue"
-    assert points(cloud)["x"] == pytest.approx([0.02, 0.03])
-
-
-def test_stiffness_is_the_colour_and_uncertainty_the_transparency() -> None:
-    soft, hard = colour_of(300.0, 0.01), colour_of(4000.0, 0.01)
-    assert hard.g > soft.g and hard.r > soft.r
-    opacities = [colour_of(500.0, sd).a for sd in (0.0, 0.05, 0.1, 1.0)]
-    assert opacities == sorted(opacities, reverse=True)
-    assert opacities[0] == 1.0 and opacities[2] == pytest.approx(0.5) and opacities[-1] >= 0.1
 
 
 def drawn(messages: list[MarkerArray]) -> set[int]:
@@ -205,33 +182,6 @@ def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
         assert words in text
     lost = MonitorView("/identifier", state=state, age=3.0, refusal=Refusal.LOST)
     assert "no estimate for 3.0 s" in shown(lost)
-
-
-def test_the_monitor_tells_a_bag_that_is_over_from_a_node_that_is_gone() -> None:
-    with Bench() as bench, Monitor("/identifier") as monitor:
-        with identifier({"autostart": True}) as node:
-            bench.wait_until_heard()
-            for k in range(200):
-                bench.publish(START_NS + k * 4_000_000, 0.0, 0.0)
-
-            def refusal() -> Refusal | None:
-                monitor.spin(0.02)
-                return monitor.view().refusal
-
-            def is_over() -> bool:
-                is_stale, state = refusal() is Refusal.STALE, monitor.view().state
-                return is_stale and state is not None and state.stamp_ns > START_NS
-
-            wait_for(is_over, "the end of the bag to be noticed")
-
-            def is_said_again() -> bool:
-                stale = [m for m in bench.estimates if m.status == TissueEstimate.STATUS_STALE]
-                said = sum(m.header.stamp.sec > 0 for m in stale)
-                return refusal() is Refusal.STALE and said >= 3
-
-            bench.wait_for(is_said_again, "the same, once a second")
-            node.kill()
-        wait_for(lambda: refusal() is Refusal.LOST, "the end of the node to be noticed")
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> None:
@@ -324,12 +274,3 @@ def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path: Path) -> No
         ears.wait_for(
             lambda: not ears.node.count_publishers("/fden_live/force"), "everybody's end"
         )
-
-
-def test_a_missing_parameter_file_is_said_in_one_line() -> None:
-    command = [sys.executable, "-m", "fden_ros.cli", "live", "--parameters", "nowhere.yaml"]
-    with process_of(command) as live:
-        assert live.wait(LIMIT) == 1
-    assert live.output.strip() == (
-        "fden live: nowhere.yaml: there is no such parameter file; give one by --parameters"
-    )

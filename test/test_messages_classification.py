@@ -67,14 +67,6 @@ def test_summary_comes_back_from_its_message():
     assert back.decided == sent.decided
 
 
-def test_probabilities_without_a_label_come_back_too():
-    open_ = CLASSES._replace(label="")
-    back = summary_of(summary_message(replace(SUMMARY, classes=open_), "probe"))
-    assert back.classes == open_ and back.decided is None
-    assert back.classes.words == "undetermined"
-    assert CLASSES.words == "liver 90%"
-
-
 def test_row_of_a_table_has_the_correlations():
     row = contact_row(SUMMARY, None)
     for name, (i, j) in CORRELATIONS.items():

@@ -5,16 +5,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
-import shutil
 import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -33,7 +29,6 @@ from std_srvs.srv import Trigger
 from fden_ros.nodes.doctor import Examination, examine
 from fden_ros.simulation.simulate import START_NS
 
-GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 STEP_NS = 4_000_000
 
 
@@ -44,9 +39,7 @@ def warnings_of(node: Any, words: str) -> list[str]:
 
 def looks_that_say(bench: Bench, *words: str) -> int:
     """How many looks of the node at its inputs, one a second, have found all these words."""
-    return sum(
-        all(one in array.status[0].message for one in words) for array in bench.diagnostics
-    )
+    return sum(all(one in array.status[0].message for one in words) for array in bench.diagnostics)
 
 
 def wait_for_words(bench: Bench, *words: str, looks: int = 3) -> None:
@@ -92,23 +85,6 @@ def test_another_type_another_qos_and_a_missing_clock_are_named_with_what_mends_
             wait_for_words(bench, *mended)
     for words in mended:
         assert len(warnings_of(node, words)) == 1, words
-
-
-def test_a_joint_that_is_not_in_the_messages_is_named_with_its_parameter() -> None:
-    with (
-        Bench() as bench,
-        active({"displacement.name": "tip"}) as node,
-    ):
-        bench.wait_until_heard()
-        now = iter(range(START_NS, 2 * START_NS, STEP_NS))
-        bench.wait_for(
-            lambda: (
-                bench.publish(next(now), 0.0, 0.0)
-                or looks_that_say(bench, "set displacement.name") >= 3
-            ),
-            "three looks that say so",
-        )
-    assert len(warnings_of(node, "set displacement.name")) == 1
 
 
 def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_said() -> None:
@@ -310,52 +286,9 @@ def signals_until_gone(process: subprocess.Popen[str], number: int) -> None:
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_that_is_interrupted_again_and_again_ends_cleanly(number: signal.Signals) -> None:
+def test_a_node_that_is_interrupted_again_and_again_ends_cleanly() -> None:
     with Bench() as bench, identifier({"autostart": True}) as node:
         bench.wait_until_connected()
-        signals_until_gone(node, number)
+        signals_until_gone(node, signal.SIGINT)
     assert node.returncode == 0
     assert "Traceback" not in node.output
-
-
-@contextlib.contextmanager
-def importing(module: str, *command: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a Python program; yield it when it has just imported a module."""
-    program = shutil.which(command[0])
-    assert program is not None
-    process = subprocess.Popen(
-        [program, *command[1:]],
-        env={**os.environ, "PYTHONPROFILEIMPORTTIME": "1"},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stderr is not None
-    try:
-        for line in process.stderr:
-            if line.endswith(f" {module}\n"):
-                break
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.mark.parametrize(
-    ("command", "module", "code"),
-    [
-        (("identifier",), "rclpy.utilities", 0),
-        (("force_controller",), "rclpy.utilities", 0),
-        (("fden", "replay", str(GOLDEN / "golden_press")), "numpy", 130),
-    ],
-)
-def test_a_program_that_is_interrupted_while_it_starts_ends_cleanly(
-    command: tuple[str, ...], module: str, code: int
-) -> None:
-    with importing(module, *command) as process:
-        process.send_signal(signal.SIGINT)
-        process.send_signal(signal.SIGINT)
-        assert process.stderr is not None
-        rest = process.stderr.read()
-        assert process.wait(LIMIT) == code
-    assert "Traceback" not in rest

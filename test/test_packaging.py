@@ -108,11 +108,6 @@ def test_package_xml_and_setup_py_ask_for_the_same_python_packages() -> None:
     assert python_keys <= {ROSDEP_KEYS[n] for n in requirements() | requirements("test")}
 
 
-def test_no_plain_requirement_brings_a_second_ros() -> None:
-    assert not [name for name in requirements() if name.startswith("ros-")]
-    assert "ros-jazzy-rclpy" in requirements("wheels")
-
-
 def test_every_import_is_declared() -> None:
     declared = requirements() | requirements("batch")
     python = {IMPORT_NAMES.get(name, name) for name in declared}
@@ -167,16 +162,6 @@ def test_a_command_in_the_environment_keeps_dds_on_this_host_unless_told_otherwi
     assert run(*show, env=fresh, cwd=tmp_path).stdout == "LOCALHOST\n"
     fresh["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
     assert run(*show, env=fresh, cwd=tmp_path).stdout == "SUBNET\n"
-
-
-def test_a_command_in_the_environment_finds_the_messages_in_its_own_children(
-    tmp_path: Path,
-) -> None:
-    code = (
-        "import subprocess, sys; "
-        "sys.exit(subprocess.call(['python', '-c', 'import rclpy, fden_msgs.msg, fden_ros']))"
-    )
-    run(ROOT / "scripts" / "ros_env", "python", "-c", code, cwd=tmp_path)
 
 
 def test_ros_finds_the_launch_files_and_every_program_in_this_environment() -> None:

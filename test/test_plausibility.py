@@ -5,25 +5,20 @@
 
 from __future__ import annotations
 
-import io
-import itertools
 import json
 from pathlib import Path
 
 import pytest
 from pipeline_helpers import LIVER_PARAMETERS
-from rich.console import Console
 
 from fden_ros.cli import main
 from fden_ros.control.live_tissue import LiveTissue, Refusal
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
-from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
-from fden_ros.report.monitor import MonitorView, monitor_view
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
@@ -39,7 +34,6 @@ RIGID = {
     "displacement.delay_sd": 0.0,
     "geometry.thickness_sd": 0.0,
 }
-SPHERE = {**RIGID, "geometry.kind": "sphere", "geometry.radius": 0.01}
 
 
 @pytest.fixture(scope="module")
@@ -67,22 +61,14 @@ def identified(
 WRONG = {
     "mm": ("time_s,force_N,depth_mm", RIGID, "mm (factor 0.001: 0.3)"),
     "mm/10": ("time_s,force_N,depth_mm*1e-1", RIGID, "cm (factor 0.01: 0.3)"),
-    "mm/10 under a sphere": ("time_s,force_N,depth_mm*1e-1", SPHERE, "(factor 0.01"),
-    "tenfold": ("time_s,force_N,depth_mm*1e-2", RIGID, "(factor 0.1: 0."),
     # A hundredfold G is soft tissue too: only a prior of this one tells that the unit is wrong.
     "g": (
         "time_s,force_N*102,depth_mm*1e-3",
         {**RIGID, **LIVER_PARAMETERS},
         "is the force in g (factor 0.00981)",
     ),
-    "mN": (
-        "time_s,force_N*1e3,depth_mm*1e-3",
-        {**RIGID, "plausible.force": 50.0},
-        "mN (factor 0.001: 0.097)",
-    ),
     "ms": ("time_s*1e3,force_N,depth_mm*1e-3", RIGID, "is the time in ms (factor 0.001: "),
     "thickness in inches": (RIGHT, {**RIGID, "geometry.thickness": 0.79}, "0.0079 m"),
-    "area in cm^2": (RIGHT, {**RIGID, "geometry.area": 0.5}, "5e-05 m^2"),
 }
 
 
@@ -131,38 +117,15 @@ def test_what_is_stated_to_be_so_is_plausible(once: Path) -> None:
         assert not any(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
 
 
-@pytest.mark.parametrize("factor", [10, 100])
-def test_slow_recording_is_identified(factor: int) -> None:
-    # 20 and 2 samples a second become one in 50 ms and in 0.5 s; G goes with time^alpha.
+def test_slow_recording_is_identified() -> None:
+    # 2 samples a second; G goes with time^alpha.
+    factor = 100
     result = identified(PRESS, f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
     assert not result.rejected and not result.warnings
     for summary, (g, g_n) in zip(result.summaries, ((450.0, 9.0), (700.0, 8.0)), strict=True):
         assert summary.converged and summary.estimate is not None
         assert summary.estimate.linear_stiffness == pytest.approx(g * factor**0.131, rel=0.02)
         assert summary.estimate.nonlinear_stiffness == pytest.approx(g_n, rel=0.01)
-
-
-def test_log_spaced_hold_is_identified(tmp_path: Path) -> None:
-    """Of the hold, ever fewer samples: what a laboratory's relaxation test looks like."""
-    heading, *lines = PRESS.read_text(encoding="utf-8").splitlines()
-    rows = [line.split(",") for line in lines]
-    kept, step = [rows[0]], 0.005
-    for row in rows[1:]:
-        is_hold = 2.6 <= float(row[0]) < 4.0
-        if not is_hold or float(row[0]) - float(kept[-1][0]) >= step:
-            kept.append(row)
-            step = 1.15 * step if is_hold else 0.005
-    times = [float(row[0]) for row in kept]
-    assert max(b - a for a, b in itertools.pairwise(times)) > 0.1
-    table = tmp_path / "log.csv"
-    table.write_text("\n".join([heading, *(",".join(row) for row in kept)]), encoding="utf-8")
-    result = replay(
-        table, check(RIGID), Selection(columns=Columns.parse("time_s*100,force_N,depth_mm*1e-3"))
-    )
-    assert not result.rejected
-    first = result.summaries[0]
-    assert first.converged and not first.flags and first.estimate is not None
-    assert first.estimate.nonlinear_stiffness == pytest.approx(9.0, rel=0.01)
 
 
 def test_nothing_identified_is_an_exit_code_of_its_own(
@@ -186,9 +149,7 @@ def test_nothing_identified_is_an_exit_code_of_its_own(
     ("parameters", "example"),
     [
         ({}, "kind: flat_punch, area: "),
-        ({"geometry.area": 3.14e-4}, "kind: flat_punch, area: "),
         ({"geometry.kind": "sphere"}, "kind: sphere, radius: "),
-        ({"geometry.kind": "torsional_rheometer", "geometry.radius": 0.01}, "radius: 0.01, thick"),
     ],
 )
 def test_without_a_stated_geometry_nothing_is_converged(
@@ -231,22 +192,3 @@ def test_every_output_says_that_the_geometry_is_not_stated(
     for message in messages:
         (status,) = message.status
         assert status.level == status.WARN and "the geometry is not stated" in status.message
-
-
-def test_monitor_says_that_the_geometry_is_not_stated(once: Path) -> None:
-    outputs: list[Output] = []
-    identified(once, RIGHT, {}, outputs)
-    state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
-    console = Console(width=120, file=io.StringIO(), record=True)
-    console.print(monitor_view(MonitorView("/identifier", state, age=0.0, refusal=None)))
-    assert "geometry_unstated" in console.export_text()
-
-
-def test_value_in_millimetres_is_refused_with_what_it_is_in_metres() -> None:
-    for name, value, words in (
-        ("geometry.thickness", 20, r"\[m\]: 20 mm are 0.02 m"),
-        ("geometry.area", 314.0, r"\[m\^2\]: 314 mm\^2 are 0.000314 m\^2"),
-        ("geometry.radius", 5.0, r"\[m\]: 5 mm are 0.005 m"),
-    ):
-        with pytest.raises(InputError, match=words):
-            check({name: value})

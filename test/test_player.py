@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -24,7 +23,7 @@ from fden_ros.cli import main
 from fden_ros.errors import InputError
 from fden_ros.nodes import player as player_module
 from fden_ros.nodes.player import Player
-from fden_ros.recording.qos import LATCHED, RELIABLE, SENSOR_DATA, Qos
+from fden_ros.recording.qos import LATCHED, RELIABLE, Qos
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.writer import BagWriter
 
@@ -107,19 +106,6 @@ def test_reliable_subscriber_receives_every_message_bit_for_bit_in_order(
         )
 
 
-def test_pace_names_and_repetition_are_as_they_are_asked_for(
-    tmp_path: Path, listener: Listener
-) -> None:
-    bag = make_bag(tmp_path / "bag", 20, step_ns=100_000_000)
-    heard = listener.listen("/ft/wrench", WrenchStamped)
-    listener.listen("/joints", JointState)
-    options = {"remap": {"/force": "/ft/wrench"}}
-    assert Player(bag, **options).input_topics == ("/ft/wrench", "/joints")
-    assert play(listener, bag, times=2, rate=2.0, **options) == [41, 41]
-    listener.wait_for(lambda: len(heard) == 40, "every message")
-    assert heard[:20] == heard[20:]
-
-
 def test_the_pace_is_that_of_the_bag_times_the_rate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,63 +132,12 @@ def test_latched_topic_reaches_a_late_subscriber(tmp_path: Path, listener: Liste
     assert heard[0] == String(data="{}")
 
 
-def lacks(listener: Listener, player: Player, words: str) -> str:
-    """Wait until the player, which lacks subscribers, knows why; return its line."""
-
-    def line() -> str:
-        with pytest.raises(InputError) as caught:
-            player.wait_for_subscribers(timeout_s=0.1)
-        return str(caught.value) if words in str(caught.value) else ""
-
-    return str(listener.wait_for(line, words))
-
-
-def test_best_effort_stays_best_effort(tmp_path: Path, listener: Listener) -> None:
-    bag = make_bag(tmp_path / "bag", 3, qos=SENSOR_DATA)
-    listener.listen("/force", WrenchStamped)
-    listener.listen("/joints", JointState)
-    with Player(bag) as player:
-        line = lacks(listener, player, "listener asks /force for reliable")
-    assert "\n" not in line
-
-
-def test_stop_ends_playing_at_once(tmp_path: Path) -> None:
-    bag = make_bag(tmp_path / "bag", 100, step_ns=1_000_000_000_000)
-    with Player(bag) as player:
-        threading.Timer(0.3, player.stop).start()
-        assert player.play() <= 3
-
-
 def test_waiting_in_vain_ends_with_one_line(
     tmp_path: Path,
 ) -> None:
     with Player(make_bag(tmp_path / "bag", 3)) as player, pytest.raises(InputError) as caught:
         player.wait_for_subscribers(timeout_s=0.2)
     assert str(caught.value).startswith("/force, /joints: no subscriber after 0.2 s")
-
-
-def test_who_waits_is_told_which_topic_still_lacks_a_subscriber(
-    tmp_path: Path, listener: Listener
-) -> None:
-    bag = make_bag(tmp_path / "bag", 3)
-    told: list[str] = []
-    listener.listen("/force", WrenchStamped)
-    with Player(bag) as player:
-
-        def is_told() -> bool:
-            with pytest.raises(InputError):
-                player.wait_for_subscribers(timeout_s=0.1, on_wait=told.append)
-            return told[-1] == "/joints"
-
-        listener.wait_for(is_told, "the topic that lacks one")
-
-
-def test_play_command_plays_without_waiting(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = make_bag(tmp_path / "bag", 3)
-    assert main(["play", str(bag), "--no-wait", "--rate", "inf"]) == 0
-    assert "sent 7 messages" in capsys.readouterr().err
 
 
 def test_play_command_refuses_what_it_cannot_use(tmp_path: Path) -> None:

@@ -9,13 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from fden_ros.cli import main
-from fden_ros.errors import InputError
 from fden_ros.recording.reader import BagReader, decode
-from fden_ros.recording.synthetic import TRUTH_TOPIC, read_truth, write_recording
-from fden_ros.recording.writer import BagWriter
+from fden_ros.recording.synthetic import read_truth, write_recording
 from fden_ros.simulation.simulate import Recording, Stream
 
 START = 1_700_000_000_000_000_000
@@ -57,20 +54,6 @@ def test_force_and_displacement_read_back_exactly(tmp_path: Path) -> None:
     assert [m.log_time_ns for m in bag.messages(["/force"])] == stamps
 
 
-def test_force_lies_along_its_axis(tmp_path: Path) -> None:
-    made = recording()
-    made = replace(made, force=replace(made.force, axis=(0.0, -1.0, 0.0)))
-    force = messages(write_recording(made, tmp_path / "bag"), "/force")
-    assert [-message.wrench.force.y for message in force] == made.force.value.tolist()
-    assert {message.wrench.force.z for message in force} == {0.0}
-
-
-def test_force_may_be_an_effort(tmp_path: Path) -> None:
-    made = recording(force="joint_state")
-    force = messages(write_recording(made, tmp_path / "bag"), "/force")
-    assert [message.effort[0] for message in force] == made.force.value.tolist()
-
-
 @pytest.mark.parametrize(
     ("kind", "path"),
     [
@@ -90,35 +73,6 @@ def test_positions_read_back_exactly(tmp_path: Path, kind: str, path: str) -> No
     assert read == position.tolist()
 
 
-def test_positions_that_are_missing_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has no positions"):
-        write_recording(recording(displacement="pose"), tmp_path / "bag")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_truth_comes_first_and_latched(tmp_path: Path) -> None:
-    made = recording()
-    bag = write_recording(made, tmp_path / "bag")
-    assert next(iter(bag.messages())).topic == TRUTH_TOPIC
-    assert bag.topic(TRUTH_TOPIC).offered_qos[0].latched
-    assert read_truth(bag) == made.truth
-
-
-def test_a_bag_without_truth_has_none(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/force", "geometry_msgs/msg/WrenchStamped")
-    assert read_truth(BagReader(tmp_path / "bag")) is None
-
-
-def test_parameters_lie_beside_the_bag(tmp_path: Path) -> None:
-    write_recording(recording(), tmp_path / "bag")
-    text = (tmp_path / "bag" / "identifier.yaml").read_text()
-    assert yaml.safe_load(text) == {
-        "/**": {"ros__parameters": {"geometry": {"kind": "flat_punch"}, "prior": {"alpha": 0.131}}}
-    }
-    assert "# Force topic: /force" in text
-
-
 def test_bag_command_makes_the_same_bag_twice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -134,18 +88,3 @@ def test_bag_command_makes_the_same_bag_twice(
     truth = read_truth(BagReader(folder))
     assert truth is not None
     assert truth["seed"] == 3
-
-
-def test_bag_command_lists_scenarios(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bag", "--list"]) == 0
-    assert "ramp" in capsys.readouterr().out
-
-
-def test_bag_command_says_what_is_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bag", "no_such_scenario", "-o", str(tmp_path / "x")]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
-    with pytest.raises(SystemExit) as caught:
-        main(["bag", "ramp"])
-    assert caught.value.code == 2

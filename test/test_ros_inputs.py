@@ -90,13 +90,6 @@ def test_another_frame_is_rejected_wherever_a_sample_comes_from(
     assert result.rejected[f"{stream}.wrong_frame"] == len(renamed)
 
 
-def test_number_without_an_orientation_is_no_displacement_of_a_heavy_tool() -> None:
-    selection = replace(FIELDS, displacement_field="pose.position.z")
-    result = replay(BAG, own_parameters(tool__mass=0.01), selection)
-    assert result.samples == 0
-    assert result.rejected["displacement.missing_field"] > 0
-
-
 def test_table_without_orientations_is_refused_for_a_heavy_tool(tmp_path: Path) -> None:
     table = tmp_path / "press.csv"
     table.write_text("time,force,depth\n0.0,0.0,0.0\n0.1,0.0,0.0\n")

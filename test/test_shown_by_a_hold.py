@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,7 +14,6 @@ from property_helpers import counts, first
 
 from benchmark.laws import (
     ARM,
-    CASES,
     MOMENTS,
     RIGID,
     Case,
@@ -24,7 +22,6 @@ from benchmark.laws import (
     run_trial,
 )
 from benchmark.other_laws import Law, springpot
-from fden_ros.control.left_out import Hold
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.law.geometry import FlatPunch
@@ -37,10 +34,6 @@ from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
 IN_THE_HOLD = MOMENTS[2:]
 STRAIN, RAMP = 0.25, 1.0
 MODEL = FdenModel(2000.0, 8.0, 0.2)
-
-
-def by_name(name: str) -> Case:
-    return CASES[name]
 
 
 @pytest.mark.parametrize("seeds", counts(2, 8))
@@ -111,15 +104,6 @@ def test_a_motion_shows_no_slope() -> None:
     memory, age = held(0.0, hold=3.0)
     memory.press(0.01, 1.1 * STRAIN, 5000.0)
     assert memory.slope(age) is None
-
-
-def test_a_long_hold_takes_no_more_memory() -> None:
-    hold = Hold()
-    for count in (1_000, 100_000):
-        for n in range(count):
-            if hold.is_due(0.01, STRAIN):
-                hold.keep(0.01 * n, 1.0)
-        assert sys.getsizeof(hold._points) < 2_000 and len(hold._points) <= 24
 
 
 # Alpha

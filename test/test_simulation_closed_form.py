@@ -17,8 +17,6 @@ from property_helpers import first
 from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import (
     FdenModel,
-    SineMove,
-    stress_of_moves,
     stress_of_piecewise_linear_strain,
 )
 
@@ -101,45 +99,6 @@ def test_stress_is_exact_under_random_piecewise_linear_strain(seed):
     assert error <= 1e-12 * peak
 
 
-@pytest.mark.parametrize("offset, amplitude", [(0.0, 0.08), (0.0, 0.3), (0.2, 0.1), (-0.1, 0.15)])
-@pytest.mark.parametrize("order", [0.05, 0.5])
-def test_stress_of_a_sine_is_exact(offset, amplitude, order):
-    model = FdenModel(520.0, 9.0, order)
-    frequency = 1.3
-    times = np.array([0.01, 0.19, 0.4, 0.95, 2.3])
-    sine = [SineMove(0.0, 3.0, offset, amplitude, frequency, 0.0)]
-    stress = stress_of_moves(sine, times, model)
-    peak = np.abs(stress_of_moves(sine, np.linspace(0.01, 2.0, 500), model)).max()
-
-    angular = 2 * mpmath.pi * mpmath.mpf(frequency)
-    c = 1 - mpmath.mpf(order)
-
-    def rate(s):
-        x = offset + amplitude * mpmath.sin(angular * s)
-        slope = 520 * mpmath.exp(max(9 * abs(x) - 1, 0))
-        return slope * amplitude * angular * mpmath.cos(angular * s)
-
-    levels = [(level - offset) / amplitude for level in (-1 / 9, 1 / 9)]
-    angles = [mpmath.asin(sine) for sine in levels if abs(sine) < 1]
-    corners = [
-        (phase + 2 * mpmath.pi * cycle) / angular
-        for angle in angles
-        for phase in (angle, mpmath.pi - angle)
-        for cycle in range(-1, 4)
-    ]
-    quarters = [mpmath.mpf(k) / (4 * mpmath.mpf(frequency)) for k in range(1, 13)]
-    with mpmath.workdps(20):
-        for time, value in zip(times, stress, strict=True):
-            t = mpmath.mpf(float(time))
-            edges = sorted([mpmath.mpf(0), t, *(e for e in corners + quarters if 0 < e < t)])
-            # With u = (t - s)^c the kernel's singularity is gone.
-            exact = mpmath.fsum(
-                mpmath.quad(lambda u, t=t: rate(t - u ** (1 / c)), [(t - b) ** c, (t - a) ** c])
-                for a, b in itertools.pairwise(edges)
-            ) / mpmath.gamma(c + 1)
-            assert abs(float(exact - mpmath.mpf(float(value)))) <= 1e-12 * peak
-
-
 @given(models, st.floats(-0.5, 0.5))
 def test_phi_is_odd_smooth_and_inverted(model, strain):
     np.testing.assert_array_equal(model.phi(-strain), -model.phi(strain))
@@ -162,11 +121,3 @@ def test_knots_that_make_no_motion_are_refused(knot_times, knot_strains, complai
         stress_of_piecewise_linear_strain(
             knot_times, knot_strains, [1.0], FdenModel(520.0, 8.5, 0.131)
         )
-
-
-@pytest.mark.parametrize(
-    "parameters", [(0.0, 8.5, 0.1), (520.0, -1.0, 0.1), (520.0, 8.5, 1.0), (520.0, 8.5, np.nan)]
-)
-def test_a_tissue_that_cannot_be_is_refused(parameters):
-    with pytest.raises(InputError, match="must"):
-        FdenModel(*parameters)

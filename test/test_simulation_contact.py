@@ -89,20 +89,6 @@ def test_contact_obeys_the_law_and_the_free_surface_lies_below_the_probe(order, 
         assert probe[-1] == pytest.approx(surface[-1], rel=1e-9)
 
 
-def test_the_surface_rises_to_meet_a_probe_that_waits_in_the_dent():
-    model = FdenModel(520.0, 8.5, 0.131)
-    path = Path(strain=0.0, length_m=0.02)
-    path.go(0.3, 1.0)
-    path.rest(2.0)
-    path.go(0.06, 2.0)
-    path.rest(5.0)
-    history = contacts_of_moves(path.moves, model)
-    assert len(history.contacts) == 2
-    assert history.contacts[1].start > path.moves[-1].start
-    late = history.stress(np.array([path.time - 0.1]))
-    assert 0.0 < late[0] < 0.1 * history.stress(np.array([1.0]))[0]
-
-
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
 def test_stress_in_a_stiffer_tissue_on_the_way_agrees_with_time_stepping(ratio):
     model = FdenModel(520.0, 8.5, 0.131)

@@ -15,7 +15,6 @@ from fden_ros.simulation.disturbance import (
     Disturbances,
     Phases,
     SurfaceMotion,
-    low_pass,
 )
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
@@ -27,7 +26,7 @@ from fden_ros.simulation.scenario import (
     Tissue,
 )
 from fden_ros.simulation.simulate import START_NS, simulate
-from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold
+from fden_ros.simulation.trajectory import Approach, Ramp, RampHold
 
 MODEL = FdenModel(4000.0, 8.0, 0.2)
 AREA = np.pi * 0.01**2
@@ -121,33 +120,6 @@ def test_disturbed_motion_changes_the_strain_and_not_the_reading(kind):
         assert np.ptp(lost) == pytest.approx(1e-3, rel=0.02)
 
 
-def test_play_keeps_the_tip_in_the_tissue_when_the_probe_turns():
-    play = 5e-4
-    ramp = Ramp(0.2, 0.25, 0.4)
-    clean, disturbed = recorded(ramp), recorded(ramp, disturbances=Disturbances(backlash_m=play))
-    times = seconds(clean.force)
-    turn = spans(clean)[0][0] + 1.25
-    after = (times > turn) & (times < turn + play / (0.4 * THICKNESS))
-    # The tip rests, so the force only relaxes while the clean probe lets go.
-    loss = -np.diff(disturbed.force.value[after])
-    assert np.all(loss > 0.0) and loss.sum() < 0.3 * -np.diff(clean.force.value[after]).sum()
-    before = times < turn - 0.01
-    np.testing.assert_allclose(
-        disturbed.force.value[before], clean.force.value[before], rtol=0, atol=2e-3
-    )
-
-
-def test_each_press_leaves_the_surface_lower():
-    palpation = Palpation(0.2, 0.25, 0.2, 0.4, presses=3, lift_m=0.003, pause_s=1.5)
-    # All but elastic: nothing else is left of a press.
-    sites = (Site(Tissue(4000.0, 8.0, 1e-3), (palpation,)),)
-    clean = recorded(sites=sites)
-    disturbed = recorded(sites=sites, disturbances=Disturbances(plastic_set_m=2e-4))
-    late = [b[0] - a[0] for a, b in zip(spans(clean), spans(disturbed), strict=True)]
-    # At 4 mm/s the second touch is 50 ms later, the third 100 ms.
-    np.testing.assert_allclose(late, [0.0, 0.05, 0.10], atol=4e-3)
-
-
 # The force
 
 
@@ -181,40 +153,6 @@ def test_force_has_the_error_of_the_stated_course(given, expected):
     np.testing.assert_allclose(error[away], expected(times, start, stop)[away], atol=1e-7)
 
 
-def test_filter_delays_a_ramp_by_its_time_constant_and_damps_a_sine():
-    times = np.sort(np.random.default_rng(0).uniform(0.0, 4.0, 3000))
-    constant = 1.0 / (2.0 * np.pi * 5.0)
-    start = times - times[0]
-    np.testing.assert_allclose(
-        low_pass(times, start, 5.0),
-        start - constant * (1.0 - np.exp(-start / constant)),
-        atol=1e-12,
-    )
-    even = np.arange(4000) * 1e-3
-    sine = low_pass(even, np.sin(2.0 * np.pi * 5.0 * even), 5.0)
-    assert np.abs(sine[2000:]).max() == pytest.approx(np.sqrt(0.5), rel=1e-3)
-    assert low_pass(times, start, 0.0) is start
-
-
-# The readings
-
-
-@pytest.mark.parametrize("message", ["joint_state", "point"])
-def test_readings_come_in_steps(message):
-    sensor = DisplacementSensor(rate_hz=500.0, message=message, noise_m=1e-5)
-    given = Disturbances(force_step_n=0.01, displacement_step_m=5e-5)
-    disturbed, clean = recorded(displacement=sensor, disturbances=given), recorded()
-    moved = disturbed.displacement
-    for values, step in (
-        (disturbed.force.value, 0.01),
-        (moved.value if moved.position is None else moved.position, 5e-5),
-    ):
-        np.testing.assert_allclose(values / step, np.round(values / step), atol=1e-6)
-    assert np.abs(disturbed.force.value - clean.force.value).max() <= 0.005 + 1e-12
-    if moved.position is not None:
-        np.testing.assert_allclose(moved.position @ np.array(moved.axis), moved.value)
-
-
 # Preload
 
 
@@ -237,17 +175,3 @@ def test_preloaded_recording_begins_in_the_relaxation_of_a_press_before(disturba
     )
     assert recording.force.value[-1] == 0.0
     assert recording.displacement.value[-1] == pytest.approx(-0.005)
-
-
-def test_preloaded_probe_leaves_only_after_its_last_press():
-    press = Ramp(0.2, 0.25, 0.4)
-    given = scenario(press, preload=Preload(0.002))
-    (site,) = given.sites
-    both = simulate(replace(given, sites=(replace(site, presses=(press, press)), site)))
-    reading = both.displacement.value
-    first_out = int(np.argmax(reading < 0.0019))
-    peaks = (reading[1:-1] > reading[:-2]) & (reading[1:-1] >= reading[2:])
-    turns = np.flatnonzero(peaks & (reading[1:-1] > 0.0045))
-    assert np.sum(turns < first_out) == 2
-    assert np.sum(turns > first_out) == 1
-    assert reading[:first_out].min() >= 0.0019

@@ -17,7 +17,6 @@ from fden_ros.parameters import check
 from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
 from fden_ros.simulation.scenario import (
     DisplacementSensor,
-    Dropout,
     ForceSensor,
     Tissue,
     load_scenario,
@@ -125,48 +124,3 @@ def test_noise_bias_and_drift_have_the_stated_size():
     assert noisy.truth["force_noise_n"] == pytest.approx(3.0 * AREA_M2)
     moved = noisy.displacement.value - clean.displacement.value
     assert np.std(moved) == pytest.approx(2e-6, rel=5.0 / np.sqrt(2.0 * count))
-
-
-@pytest.mark.parametrize("jitter_s", [2e-4, 1.0])
-def test_jitter_moves_the_samples_with_their_stamps_and_keeps_them_in_order(jitter_s):
-    sensors = ForceSensor(jitter_s=jitter_s), DisplacementSensor(jitter_s=jitter_s)
-    recording = simulate(quiet_ramp(force=sensors[0], displacement=sensors[1]))
-    clean = simulate(quiet_ramp())
-    assert np.diff(recording.force.stamp_ns).min() > 0
-    assert np.std(np.diff(recording.force.stamp_ns)) > 2e5
-    for stream, exact, tolerance in (
-        (recording.displacement, clean.displacement, 1e-5),
-        (recording.force, clean.force, 1e-4),
-    ):
-        on_clock = np.interp(seconds(stream), seconds(exact), exact.value)
-        early = seconds(stream) < contact_times(clean.truth)[0][0] + 3.0
-        off = np.abs(stream.value - on_clock)[early]
-        assert off.max() < tolerance
-
-
-def test_dropouts_are_where_they_are_said_to_be():
-    dropouts = (Dropout("displacement", 3.0, 0.1), Dropout("both", 4.0, 0.25))
-    recording = simulate(quiet_ramp(dropouts=dropouts))
-    whole = simulate(quiet_ramp())
-    force, moved = seconds(recording.force), seconds(recording.displacement)
-    assert not np.any((moved >= 3.0) & (moved < 3.1))
-    assert np.any((force >= 3.0) & (force < 3.1))
-    for times in (force, moved):
-        assert not np.any((times >= 4.0) & (times < 4.25))
-    assert whole.force.stamp_ns.size - force.size == 250
-    assert whole.displacement.stamp_ns.size - moved.size == 350
-    kept = np.isin(whole.force.stamp_ns, recording.force.stamp_ns)
-    np.testing.assert_array_equal(whole.force.value[kept], recording.force.value)
-
-
-def test_poses_move_sideways_between_sites_only_while_in_the_air():
-    scenario = load_scenario("pose_100hz")
-    recording = simulate(scenario)
-    stream = recording.displacement
-    np.testing.assert_allclose(stream.position @ np.array(stream.axis), stream.value, atol=1e-15)
-    times = seconds(stream)
-    for site, (start, stop) in zip(scenario.sites, contact_times(recording.truth), strict=True):
-        during = (times >= start - 0.5) & (times <= stop)
-        across = stream.position[during, :2]
-        np.testing.assert_allclose(across - site.position_m, 0.0, atol=2e-5)
-    assert np.ptp(stream.position[:, 0]) > 0.01

@@ -19,9 +19,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from property_helpers import counts, examples
-from ros_helpers import Bench, active, assert_live_equals_replay, replayed
+from ros_helpers import assert_live_equals_replay, replayed
 
-from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.samples import Pair
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
@@ -243,15 +242,6 @@ def test_live_equals_replay_with_a_surface_bit_for_bit(bag: Path) -> None:
     assert result.inputs["surface"] == "/surface" and len(result.summaries) == 1
 
 
-def test_a_surface_that_nothing_publishes_is_named_with_its_remap_after_2_s() -> None:
-    words = "nothing publishes /surface, where geometry_msgs/msg/PointStamped is expected"
-    with Bench() as bench, active({"surface.message": "point"}) as node:
-        bench.wait_for(lambda: words in bench.diagnostic().get("message", ""), words)
-        looks = len(bench.diagnostics) + 2
-        bench.wait_for(lambda: len(bench.diagnostics) >= looks, "two more looks")
-    assert any("[WARN]" in line and words in line for line in node.output.splitlines())
-
-
 def test_a_table_with_the_surface_in_its_fourth_column_gives_what_the_bag_gives(
     recording: Recording, tmp_path: Path
 ) -> None:
@@ -285,11 +275,3 @@ def test_a_table_with_the_surface_in_its_fourth_column_gives_what_the_bag_gives(
         replay(table, parameters, Selection(columns=Columns.parse("time,force,depth")))
     with pytest.raises(InputError, match=r"set surface\.message"):
         replay(table, parameters.changed({"surface.message": "none"}), chosen)
-
-
-def test_a_bag_of_results_with_its_inputs_holds_the_surface(bag: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    config = str(bag / PARAMETER_FILE)
-    assert main(["replay", str(bag), "--config", config, "-o", str(out), "--with-inputs"]) == 0
-    (tmp_path / "out" / PARAMETER_FILE).write_text((bag / PARAMETER_FILE).read_text())
-    assert replayed(out, KINDS)[1] == replayed(bag, KINDS)[1]

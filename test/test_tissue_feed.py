@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,12 +18,10 @@ from ros_helpers import wait_for
 from sensor_msgs.msg import JointState
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
-from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import Flag, Status, TissueState, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.closed_form import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
@@ -115,16 +111,6 @@ def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds: i
     assert np.median(errors) < 0.02
 
 
-def test_apparent_stiffness_scales_to_the_controllers_time(press: Press) -> None:
-    live, now = press.heard_until(3.0)
-    reading = live.reading(now)
-    assert reading is not None
-    order = reading.estimate.fractional_order
-    short, long = reading.stiffness(0.01)[0], reading.stiffness(1.0)[0]
-    assert short / long == pytest.approx(100.0**order)
-    assert reading.linear_stiffness == pytest.approx(LIVER.linear_stiffness, rel=0.03)
-
-
 def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press: Press) -> None:
     live, now = press.heard_until(3.0)
     reading = live.reading(now + 0.9 * DEADLINE)
@@ -198,66 +184,6 @@ def test_a_converged_estimate_that_is_contradicted_is_refused(press: Press) -> N
     assert live.refusal(now) is Refusal.CONTRADICTED
 
 
-def test_nothing_is_predicted_of_a_contact_that_was_joined_late(press: Press) -> None:
-    live = LiveTissue(GEOMETRY)
-    contact = [s for s in press.states if s.contact_id == 1 and s.status is Status.CONVERGED]
-    for state in contact:
-        now = state.stamp_ns / NANOSECONDS
-        live.add(state, now)
-    assert live.reading(now) is not None
-    assert live.predictor(now) is None
-
-
-def test_a_restart_is_noticed_and_its_predecessors_memory_dropped(press: Press) -> None:
-    live, now = press.heard_until(3.0)
-    live.add(replace(press.states[0], stamp_ns=press.states[-1].stamp_ns), now + 0.05)
-    assert live.restarts == 1
-    assert live.refusal(now + 0.05) is Refusal.NO_CONTACT
-
-
-def test_changes_are_told_when_they_matter(press: Press) -> None:
-    changes: list[Reading] = []
-    press.heard_until(3.0, on_change=changes.append, change=0.2)
-    values = [reading.stiffness(0.1)[0] for reading in changes]
-    assert len(values) >= 2
-    assert all(abs(b - a) > 0.2 * a for a, b in pairwise(values))
-    assert len(values) < 0.2 * len(press.states)
-
-
-def test_a_plan_must_have_as_many_times_as_values(press: Press) -> None:
-    live, now = press.heard_until(3.0)
-    predictor = live.predictor(now)
-    assert predictor is not None
-    with pytest.raises(InputError, match="as many of each"):
-        predictor.force([0.1, 0.2], [0.0])
-    with pytest.raises(InputError, match="increase"):
-        predictor.force([0.2, 0.1], [0.0, 0.0])
-
-
-def test_pressed_tissue_does_not_seem_free_where_the_law_is_off(press: Press) -> None:
-    def memory_with(factor: float) -> TissueMemory:
-        live, now = LiveTissue(GEOMETRY), 0.0
-        for state in press.states:
-            if state.stamp_ns > 4.0 * NANOSECONDS:
-                break
-            if state.estimate is not None:
-                log_g = state.estimate.log_linear_stiffness + math.log(factor)
-                state = replace(
-                    state, estimate=state.estimate._replace(log_linear_stiffness=log_g)
-                )
-            now = state.stamp_ns / NANOSECONDS
-            live.add(state, now)
-        predictor = live.predictor(now)
-        assert predictor is not None
-        return predictor.memory
-
-    held = [
-        memory_with(factor).held(np.array([0.1, 1.0]), np.log([500.0, 8.0]), 0.13)
-        for factor in (1.0, 0.5)
-    ]
-    assert held[1] == pytest.approx(held[0], rel=1e-3)
-
-
 def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(press: Press) -> None:
     every_100_ms = press.states[::10]
     touched = next(n for n, state in enumerate(every_100_ms) if state.contact_id)
@@ -269,16 +195,6 @@ def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(pre
                 live.add(state, now)
         assert live.refusal(now) is None
         assert (live.predictor(now) is not None) == is_known
-
-
-def test_a_feed_says_what_it_lacks() -> None:
-    with (
-        TissueFeed.standalone("/nobody") as feed,
-        pytest.raises(InputError, match="geometry"),
-    ):
-        feed.predict_force([0.1], [0.0])
-    with pytest.raises(InputError, match="at least"):
-        TissueFeed(None, deadline=0.01)  # type: ignore[arg-type]
 
 
 # Over DDS

@@ -5,16 +5,14 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from live_helpers import LIMIT, Ears, node_process
+from live_helpers import Ears, node_process
 from sensor_msgs.msg import JointState
 
-from fden_ros.errors import InputError
 from fden_ros.ros.messages import stamp_ns
 from fden_ros.simulation.closed_form import FdenModel, moves_of_knots
 from fden_ros.simulation.contact import contacts_of_moves
@@ -55,18 +53,6 @@ def test_stepping_follows_the_closed_form(
     assert np.abs(stepped - exact).max() <= TOLERANCE * exact.max()
 
 
-def test_a_column_that_is_not_pressed_relaxes_and_remembers() -> None:
-    alone, pair = Tissue([Column(LIVER)], STEP), Tissue([Column(LIVER), Column(LIVER)], STEP)
-    for _ in range(300):
-        assert pair.press(0.2, 0) == pytest.approx(alone.press(0.2), rel=1e-12)
-    for _ in range(500):
-        assert pair.press(0.1, 1) > 0.0
-        alone.press(-1.0)
-    assert pair.surface(0) == pytest.approx(alone.surface(), rel=1e-12)
-    for strain in np.linspace(0.0, 0.2, 100):
-        assert pair.press(strain, 0) == pytest.approx(alone.press(strain), rel=1e-9)
-
-
 def test_an_inclusion_adds_its_own_law_from_where_it_is_met() -> None:
     plain = Tissue([Column(LIVER)], STEP)
     hard = Tissue([Column(LIVER, (Inclusion(0.1, 5000.0),))], STEP)
@@ -74,20 +60,6 @@ def test_an_inclusion_adds_its_own_law_from_where_it_is_met() -> None:
     for strain in np.linspace(0.0, 0.25, 400):
         expected = plain.press(strain) + body.press(max(strain - 0.1, 0.0))
         assert hard.press(strain) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-def test_contact_pushes_and_never_pulls() -> None:
-    tissue = Tissue([Column(LIVER)], STEP)
-    stresses = [tissue.press(0.2 * math.sin(6.0 * n * STEP)) for n in range(3000)]
-    assert min(stresses) == 0.0 and max(stresses) > 100.0
-
-
-@pytest.mark.parametrize("step", [0.0, -1.0, math.nan])
-def test_a_step_must_be_positive(step: float) -> None:
-    with pytest.raises(InputError, match="must be positive"):
-        Tissue([Column(LIVER)], step)
-    with pytest.raises(InputError, match="at least one"):
-        Tissue([], STEP)
 
 
 def settled(kind: Command, value: float, seconds: float = 3.0) -> Rig:
@@ -103,26 +75,6 @@ def test_position_velocity_and_force_commands_are_followed() -> None:
     assert settled(Command.POSITION, 0.004).depth == pytest.approx(0.004, abs=1e-5)
     assert settled(Command.VELOCITY, 0.002).velocity == pytest.approx(0.002, rel=1e-6)
     assert settled(Command.FORCE, 0.1, 20.0).force == pytest.approx(0.1, rel=0.03)
-
-
-def test_a_command_takes_its_delay_and_a_velocity_ends_by_itself() -> None:
-    config = RigConfig((Column(LIVER),), delay=0.05, servo_lag=0.0, command_timeout=0.2)
-    rig = Rig(config)
-    rig.command(Command.VELOCITY, 0.01)
-    moving = []
-    for _ in range(400):
-        rig.step()
-        moving.append(rig.velocity > 0.0)
-    assert moving.index(True) == pytest.approx(0.05 / STEP, abs=1)
-    assert sum(moving) == pytest.approx(0.2 / STEP, abs=2) and not moving[-1]
-
-
-def test_the_seed_makes_the_noise() -> None:
-    def samples(seed: int) -> list[float]:
-        rig = Rig(RigConfig((Column(LIVER),), seed=seed))
-        return [rig.measured_force() for _ in range(5)]
-
-    assert samples(3) == samples(3) != samples(4)
 
 
 def test_the_node_publishes_as_a_driver_does_and_takes_commands() -> None:
@@ -150,11 +102,3 @@ def test_the_node_publishes_as_a_driver_does_and_takes_commands() -> None:
             )
         assert simulator.returncode == 0
         assert "fill exactly one" in simulator.output
-
-
-def test_a_wrong_parameter_ends_the_node_in_one_line() -> None:
-    with node_process("tissue_simulator", {"force.rate": 5000.0}) as simulator:
-        assert simulator.wait(LIMIT) == 1
-    assert (
-        simulator.output.strip().splitlines()[-1].endswith("it must be above 0 and at most 1000")
-    )

@@ -12,14 +12,11 @@ import pytest
 import yaml
 
 from fden_ros.core.classification.classifier import UNKNOWN, Likelihood, log_evidence, posterior
-from fden_ros.errors import InputError
 from fden_ros.tissues.library import parse_library
 from fden_ros.tissues.training import (
     Contacts,
     check,
-    check_object,
     contacts_of,
-    joined,
     learn,
     library_of,
     library_text,
@@ -58,17 +55,6 @@ def test_estimation_error_is_taken_out():
     # Uncorrected the whole would be 2.3 times too large.
     np.testing.assert_allclose(between + within, np.diag(BETWEEN + WITHIN), rtol=0.3)
     np.testing.assert_allclose(between, np.diag(BETWEEN), rtol=0.4)
-
-
-@pytest.mark.statistics
-def test_mean_is_found_with_its_error():
-    rng = np.random.default_rng(1)
-    off = []
-    for _ in range(40):
-        one = learn(drawn(rng, classes=1, specimens=40))["a"]
-        off.append((one.mean - MEAN) @ np.linalg.solve(one.mean_covariance, one.mean - MEAN))
-    # Hotelling's, all but chi-squared with three degrees of freedom; four deviations of the mean.
-    assert abs(np.mean(off) - 3.0) < 4.0 * math.sqrt(6.0 / 40.0)
 
 
 def test_order_that_no_contact_showed_is_learned_from_those_that_did():
@@ -134,19 +120,6 @@ def test_check_leaves_out_specimens_not_contacts():
     assert low < 0.5 < high
 
 
-def test_check_says_what_it_could_not_do():
-    rng = np.random.default_rng(7)
-    many, one = drawn(rng, classes=1, specimens=6), drawn(rng, classes=1, specimens=1, each=2)
-    both = joined([many, Contacts(("z",) * 2, one.specimens, one.likelihood)])
-    result = check(both, learn(both))
-    assert result.unchecked == ("z",)
-    assert len(result.truth) == len(many)
-    unnamed = drawn(rng, specimens=5, named=False)
-    said = check_object(check(unnamed, learn(unnamed)))
-    assert said["without_named_specimens"] == ["a", "b"]
-    assert said["left_out"] == "one contact at a time: no specimen is named"
-
-
 # The file
 
 
@@ -173,11 +146,3 @@ def test_library_that_was_written_is_read_again():
     content = yaml.safe_load(text)
     assert content["tissues"][0]["trained_on"] == {"contacts": 60, "specimens": 20}
     assert content["check"]["contacts"] == 120
-
-
-def test_nothing_to_learn_from_is_told():
-    empty = contacts_of(
-        [], [], np.empty((0, 3)), np.empty((0, 3, 3)), skipped={"not converged": 3}
-    )
-    with pytest.raises(InputError, match="no contact to learn from \\(3 not converged\\)"):
-        joined([empty])

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -16,32 +15,23 @@ from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
-from fden_ros.cli import main
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
-from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag, OrderSource
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.offline.remarks import remarks
+from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag
 from fden_ros.offline.replay import replay
 from fden_ros.offline.results import replay_to_bag
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.recording.reader import BagReader, decode
+from fden_ros.parameters import read_parameter_file
+from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
-from fden_ros.report.numbers import plus_minus, result
+from fden_ros.report.numbers import result
 from fden_ros.report.table import contact_table
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
 from fden_ros.simulation.simulate import simulate
 
 ROOT = Path(__file__).parent.parent
-PRESS = ROOT / "bags" / "golden" / "golden_press"
 TABLE = ROOT / "examples" / "press.csv"
 PROBE = ROOT / "examples" / "probe.yaml"
-COLUMNS = "time_s,force_N,depth_mm*1e-3"
-#: Of what the remarks are on.
-CONFIG = PipelineConfig(None, estimator=EstimatorConfig(prior=Prior(fractional_order=0.131)))
 #: Of the simulated probe.
 AREA, THICKNESS = math.pi * 0.01**2, 0.02
 
@@ -79,58 +69,7 @@ def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest
     assert found.sd < 0.02 * true
 
 
-def test_the_apparent_stiffness_is_in_the_json_the_bag_of_results_and_the_table_of_the_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = str(PRESS / "identifier.yaml")
-    out, table, page = (str(tmp_path / name) for name in ("out", "contacts.csv", "page.html"))
-    assert main(["replay", str(PRESS), "--config", config, "--json", "-o", out]) == 0
-    contacts = json.loads(capsys.readouterr().out)["contacts"]
-    palpation = "/identifier/palpation"
-    messages = [decode(message) for message in BagReader(out).messages([palpation])]
-    assert main(["report", str(PRESS), "--config", config, "--csv", table, "-o", page]) == 0
-    rows = Path(table).read_text().splitlines()
-    columns = rows[0].split(",")
-    for contact, message, row in zip(contacts, messages, rows[1:], strict=True):
-        cells = dict(zip(columns, row.split(","), strict=True))
-        assert contact["apparent_stiffness"] > 0.0 < contact["apparent_stiffness_sd"]
-        assert contact["apparent_stiffness_time_scale"] == 0.1
-        for key in (
-            *("apparent_stiffness", "apparent_stiffness_sd"),
-            "apparent_stiffness_time_scale",
-        ):
-            assert getattr(message, key) == contact[key] == float(cells[key])
-        shown = plus_minus(contact["apparent_stiffness"], contact["apparent_stiffness_sd"])
-        assert shown in Path(page).read_text()
-        known = ["linear_stiffness", "nonlinear_stiffness"]
-        assert contact["converged_parameters"][:2] == known
-        assert cells["converged_parameters"].split()[:2] == known
-        assert message.converged_parameters & ParameterSet.NONLINEAR_STIFFNESS
-
-
 # What the data determine
-
-
-def test_of_material_that_is_linear_so_far_g_is_known_and_gn_is_not() -> None:
-    contact = pressed(1.0, 0.08, 0)
-    assert not contact.converged
-    estimate = contact.estimate
-    assert estimate is not None
-    known = estimate.known & ParameterSet.STIFFNESS
-    assert known is ParameterSet.LINEAR_STIFFNESS
-    assert abs(estimate[0] - math.log(577.0)) < 4.0 * estimate.deviations[0]
-    (text,) = (text for text in remarks(contact, CONFIG) if "Gn" in text)
-    assert "Gn is not observable" in text and "G is known" in text
-    assert "press deeper" not in text
-
-
-def test_an_alpha_that_is_not_the_prior_s_is_not_called_prior_knowledge() -> None:
-    unlearned = ParameterSet.STIFFNESS
-    estimate = ESTIMATE._replace(fractional_order=0.01, valid=unlearned, known=unlearned)
-    contact = summary(estimate=estimate, order_source=OrderSource.PRIOR)
-    (text,) = remarks(contact, CONFIG)
-    assert "0.010 ± 0.010" in text and "prior 0.131" in text
-    assert "is prior knowledge" not in text
 
 
 # The table
@@ -166,38 +105,7 @@ def test_the_table_with_the_truth_and_flags_is_whole_in_80_columns() -> None:
         assert words in text, text
 
 
-def test_numbers_of_any_size_stay_short() -> None:
-    for value, deviation in ((1e181, 1e180), (8e20, 1.8e23), (4.4e-4, 2e-4), (10.0064, 0.0076)):
-        text = plus_minus(value, deviation, 4)
-        assert len(text) <= 20, text
-    assert plus_minus(460.05, 52.66, 4) == "460 ± 53"
-    assert plus_minus(10.0064, 0.0004, 4) == "10.01 ± 0.0004"
-
-
 # Rejections that are usual
-
-
-def test_the_first_samples_without_a_partner_are_no_reason_to_warn() -> None:
-    pipeline = Pipeline(pipeline_config(check({})), lambda output: None)
-    pipeline.reject("force", "unpaired")
-    pipeline.reject("force", "unpaired")
-    assert pipeline.unusual_rejections == 0
-    pipeline.reject("force", "unpaired")
-    pipeline.reject("force", "spike")
-    assert pipeline.unusual_rejections == 2
-    assert pipeline.rejected.total() == 4
-
-
-def test_a_replay_does_not_warn_of_what_is_usual(tmp_path: Path) -> None:
-    lines = TABLE.read_text().splitlines()
-    parameters = read_parameter_file(PROBE)
-    # Displacement that comes 8 ms late leaves the first forces without a partner.
-    late = parameters.changed({"displacement.delay": -0.008})
-    table = tmp_path / "air.csv"
-    table.write_text("\n".join(lines[:200]))
-    result = replay(table, late, Selection(columns=Columns.parse(COLUMNS)))
-    assert 0 < result.rejected["force.unpaired"] <= 2
-    assert not any("rejected" in text for text in result.warnings)
 
 
 # Results of a table
@@ -222,23 +130,6 @@ def test_the_rows_of_a_table_go_into_the_bag_of_results_and_replay_alike(tmp_pat
         assert replace(one, estimate=None, classes=None, stamp_ns=0) == replace(
             other, estimate=None, classes=None, stamp_ns=0
         )
-
-
-def test_the_words_on_what_cannot_be_are_whole_beside_numbers_of_any_size() -> None:
-    impossible = summary(
-        converged=False,
-        flags=Flag.IMPLAUSIBLE | Flag.ESTIMATE_AT_EDGE,
-        estimate=ESTIMATE._replace(
-            log_linear_stiffness=math.log(0.022),
-            covariance=np.diag([1.2, 0.0005, 0.0001]),
-            known=ParameterSet.NONE,
-            valid=ParameterSet.STIFFNESS,
-        ),
-        apparent_stiffness=ApparentStiffness(1.46e7, 1.5e7, 0.1),
-    )
-    text = printed(impossible)
-    assert "…" not in text and "e+07" not in text
-    assert "implausible" in text and "undetermined" in text
 
 
 # What is no result is not printed as one

@@ -17,8 +17,8 @@ from fden_ros.errors import InputError
 
 DESCRIPTION = """\
 Measure how good the package is, and hold the figures against their goals. Each benchmark prints
-tables and leaves its figures and a picture in the output folder: NAME.json and NAME.png. They are
-not installed: this works from a checkout.
+tables and leaves its figures in the output folder: NAME.json. They are not installed: this works
+from a checkout.
 """
 
 EPILOG = """\
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         words = "less than a minute or two; goals may stay undecided"
         one.add_argument("--quick", action="store_true", help=words)
         add_json(one)
-        words = f"folder of {name}.json and {name}.png (default: results)"
+        words = f"folder of {name}.json (default: results)"
         one.add_argument(
             "-o", "--output", type=Path, default=Path("results"), metavar="DIR", help=words
         )
