@@ -18,7 +18,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.change import change_of
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
-from fden_ros.core.estimation.error_model import ErrorModel, Noise
+from fden_ros.core.estimation.error_model import ErrorModel, Errors, Loading, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
@@ -237,7 +237,9 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
             Sample(*sample)
             for sample in zip(*(a[first : first + 5].tolist() for a in press[:3]), strict=True)
         ]
+        before = kalman.covariance.diagonal().copy()
         update = kalman.step(block_points(block, last))
+        assert np.all(kalman.covariance.diagonal() <= before)
         last = block[-1].time
         assert abs(update.innovation) < 5.0 * math.sqrt(update.variance)
     anew = solved(press)
@@ -245,14 +247,28 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
     assert np.max(np.abs(off)) < 0.5
     ratio = kalman.covariance.diagonal()[:3] / anew.covariance.diagonal()[:3]
     assert np.all(np.abs(np.log(ratio)) < 0.3)
+    with pytest.raises(FloatingPointError, match="not finite"):
+        kalman.step(block_points([Sample(last + 0.01, 0.2, math.nan)], last))
 
 
-def look_at(press: Press, jerk: float = 0.0) -> Unknown | None:
-    """What is found beyond 0.6 of the largest strain, where one block has a jerk [Pa]."""
-    deepest = int(np.argmax(press.strains >= 0.6 * press.strains.max()))
+def test_the_walks_gain_variance_by_the_square_of_their_scales() -> None:
+    one = np.ones(3)
+    errors = Errors(one, one, one, 2.0 * one, one, Loading(0.0, 1.0, 1.0))
+    stress, surface = errors.walks(0.5, 3.0)
+    assert np.all(stress == 0.25 + 2.0) and np.all(surface == 9.0)
+
+
+def met_at(press: Press) -> int:
+    """The sample at which a change is met."""
+    return int(np.argmax(press.strains >= 0.6 * press.strains.max()))
+
+
+def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -> Unknown | None:
+    """What is found so many samples beyond, where a block has a jerk [Pa]."""
+    deepest = met_at(press)
     before = Press(*(a[:deepest] for a in press[:3]), *press[3:])
-    after = Press(*(a[: deepest + 60].copy() for a in press[:3]), *press[3:])
-    middle, duration = (a[-3] for a in (points_of(after).middles, points_of(after).durations))
+    after = Press(*(a[: deepest + count].copy() for a in press[:3]), *press[3:])
+    middle, duration = (a[block] for a in (points_of(after).middles, points_of(after).durations))
     after.stresses[np.abs(after.times - middle) < 0.5 * duration] += jerk
     whole = posterior_of(press, LAW_OFF)
     state = whole.belief.mean.copy()
@@ -275,9 +291,16 @@ def test_a_change_of_the_stiffness_is_said_where_it_is_one(factor: float, is_sai
     assert (found is not None and found.since is not None) == is_said
 
 
-@pytest.mark.parametrize("jerk", [-600.0, 600.0])
-def test_a_jerk_of_one_block_is_no_change_of_the_tissue(jerk: float) -> None:
-    found = look_at(pressed(11, 0.005), jerk)
+def test_a_change_is_placed_between_the_times_that_are_looked_at() -> None:
+    press = pressed(11, 0.005, 1.5)
+    found = look_at(press, count=40)
+    assert found is not None
+    assert found.since == pytest.approx(press.times[met_at(press)], abs=0.005)
+
+
+@pytest.mark.parametrize(("jerk", "block"), [(-600.0, -3), (600.0, -4)])
+def test_a_jerk_of_one_block_is_no_change_of_the_tissue(jerk: float, block: int) -> None:
+    found = look_at(pressed(11, 0.005), jerk, block)
     assert found is None or found.since is None
 
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from pipeline_helpers import LIVER, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts, first
-from scipy.signal import fftconvolve
+from scipy.signal import fftconvolve, lfilter
 from scipy.special import gamma
 from scipy.stats import chi2
 
 from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.geometry import PassThrough
@@ -207,6 +207,23 @@ def test_wrong_model_is_told_and_does_not_converge_on_a_narrow_lie(kind):
     assert not estimate.converged
     # The parameters of a wrong model are known no better than before the touch.
     assert np.all(np.sqrt(estimate.covariance.diagonal()) >= [0.3, 0.2, ORDER_SD])
+
+
+def test_a_relaxation_that_ends_is_told_of_a_law_that_may_be_off():
+    """A spring beside a Maxwell element of 0.5 s, each half of the stress."""
+    time, motion, *_ = ramp_and_hold(hold=2.0)
+    decay = math.exp(-1.0 / RATE / 0.5)
+    relaxing = lfilter([1.0], [1.0, -decay], np.diff(motion, prepend=0.0))
+    stress = 1000.0 * (motion + relaxing)
+    stress += NOISE * np.random.default_rng(0).standard_normal(time.size)
+    uncertainty = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
+    estimator = PosteriorEstimator(
+        EstimatorConfig(LIVER, uncertainty=uncertainty), PassThrough(), NOISE, 0.0
+    )
+    estimator.begin_contact(0.0, 0.0)
+    fed(estimator, motion, stress)
+    estimator.finish()
+    assert estimator.is_mismatch
 
 
 @pytest.mark.parametrize("seeds", counts(1, 2))

@@ -8,8 +8,6 @@ from __future__ import annotations
 import ast
 import enum
 import functools
-import importlib.machinery
-import importlib.util
 import io
 import json
 import os
@@ -20,7 +18,6 @@ import sys
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -86,15 +83,6 @@ def code_blocks(text: str) -> list[str]:
     return [re.sub(r"(?m)^    ", "", block).strip("\n") + "\n" for block in blocks]
 
 
-def script(name: str) -> ModuleType:
-    loader = importlib.machinery.SourceFileLoader(name, str(ROOT / "scripts" / name))
-    spec = importlib.util.spec_from_loader(name, loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    loader.exec_module(module)
-    return module
-
-
 # Generated from the code
 
 
@@ -104,13 +92,6 @@ def test_the_parameter_file_holds_every_parameter_at_its_default() -> None:
         "make it anew: scripts/ros_env scripts/tables"
     )
     assert read_parameter_file(path) == Parameters()
-
-
-def test_the_table_of_parameters_follows_the_code() -> None:
-    for page, wanted in script("tables").pages().items():
-        assert page.read_text(encoding="utf-8") == wanted, (
-            f"{page.name}: make it anew: scripts/ros_env scripts/tables"
-        )
 
 
 # README
