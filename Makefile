@@ -9,7 +9,7 @@ SEARCH_TIME ?= 3600
 .PHONY: help setup demo live test statistics search lint clean
 
 help:
-	@echo "make demo    two recorded presses, then five live over DDS; picture and JSON in demo/"
+	@echo "make demo    two recorded presses: their numbers, and their page in demo/"
 	@echo "make live    simulator, node, controller and monitor together, until Ctrl-C"
 	@echo "make test    lint, then every test but statistics, on the same examples each time"
 	@echo "make statistics  statistical claims at their full counts"
@@ -24,8 +24,9 @@ setup:
 demo: setup
 	@echo "two recorded presses on simulated liver, replayed (true: G 450 and 700, Gn 9 and 8):"
 	@$(ENV) fden replay examples/press.csv --config examples/probe.yaml
-	@echo "five presses live over DDS, some 45 s:"
-	@$(ENV) fden demo -o demo
+	@mkdir -p demo
+	@$(ENV) fden report examples/press.csv --config examples/probe.yaml -o demo/report.html
+	@echo "make live runs simulator, node, controller and monitor together, over DDS"
 
 live:
 	@$(ENV) fden live

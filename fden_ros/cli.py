@@ -27,7 +27,6 @@ COMMANDS = (
     "report",
     "batch",
     "play",
-    "demo",
     "train",
     "fit",
     "configure",
@@ -56,7 +55,6 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden plan --config probe.yaml --target G=0.1,Gn=0.1
                                       which press to make next, and what to expect of it
   fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
-  fden demo -o demo                   all of it, live, with a picture at the end
   fden live                           simulator, identifier, controller and monitor together
   fden monitor                        a running identifier in the terminal
   fden doctor                         what a running identifier lacks, and the next step

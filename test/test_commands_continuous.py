@@ -64,8 +64,8 @@ def test_a_path_is_identified_and_its_places_are_a_map(
 
 
 def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
-    page, picture, table = (tmp_path / name for name in ("page.html", "picture.png", "table.csv"))
-    assert command(bag, "report", "-o", page, "--png", picture, "--csv", table) == 0
+    page, table = tmp_path / "page.html", tmp_path / "table.csv"
+    assert command(bag, "report", "-o", page, "--csv", table) == 0
     text = page.read_text(encoding="utf-8")
     assert " places on the path whose stiffness is known: " in text
     assert "dF/dd for a motion of 0.1 s" in text
@@ -75,7 +75,6 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
         words in text
         for words in ("max strain", "undetermined", "origin uncertain", "normal not", "rejected:")
     )
-    assert picture.stat().st_size > 10_000
     with table.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["apparent_stiffness"]]
     assert len(rows) > 20

@@ -32,7 +32,7 @@ data do not allow to conclude is said in words. One file, no network; light, dar
 EPILOG = """\
 examples:
   fden report palpation.mcap --config probe.yaml -o report.html
-  fden report palpation.mcap --config probe.yaml --png figure.png --csv contacts.csv
+  fden report palpation.mcap --config probe.yaml --csv contacts.csv
 
 Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
@@ -42,15 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
     add_recording(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page, HTML")
-    parser.add_argument("--png", type=Path, metavar="FILE", help="one picture of the session")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row a contact")
     add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write what was asked for; return the exit code."""
-    if args.output is None and args.png is None and args.csv is None:
-        args.parser.error("nothing to write: give -o FILE.html, --png FILE or --csv FILE")
+    if args.output is None and args.csv is None:
+        args.parser.error("nothing to write: give -o FILE.html or --csv FILE")
     from fden_ros.offline.session import gather
     from fden_ros.report.sentence import sentence
 
@@ -64,23 +63,12 @@ def run(args: argparse.Namespace) -> int:
         text = page(session)
         write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
         print(f"wrote {args.output}")
-    if args.png is not None:
-        write(args.png, lambda path: _save_picture(session, path))
-        print(f"wrote {args.png}")
     if args.csv is not None:
         write(args.csv, lambda path: _save_table(session, path))
         print(f"wrote {args.csv}")
     for warning in session.replay.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return 0
-
-
-def _save_picture(session: Session, path: Path) -> None:
-    from fden_ros.report import figure
-
-    states = [state for contact in session.contacts for state in contact.states.items]
-    shown = figure.Session(states, session.replay.summaries, session.truth)
-    figure.save_session_figure(shown, path, session.path.name)
 
 
 def _save_table(session: Session, path: Path) -> None:

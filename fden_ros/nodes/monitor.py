@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fden_msgs.msg import PalpationSummary, TissueClassification
 from std_msgs.msg import String
 
-from fden_ros.core.outputs import ContactSummary, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.report.monitor import MonitorView
 from fden_ros.ros.messages import summary_of
 from fden_ros.ros.plain_node import plain_node, spin_for
@@ -33,24 +33,17 @@ class Monitor:
     ----------
     identifier : str
         Fully qualified name of the node.
-    keeps_states : bool
-        Keep every estimate, but those that say there is none.
 
     Attributes
     ----------
-    states : list of TissueState
-        Empty where they are not kept.
     summaries : list of ContactSummary
         The newest of each contact.
     """
 
-    def __init__(self, identifier: str, *, keeps_states: bool = False) -> None:
+    def __init__(self, identifier: str) -> None:
         self._identifier = identifier
         self._opened = ExitStack()
-        self._keeps_states = keeps_states
-        self.states: list[TissueState] = []
         self.summaries: list[ContactSummary] = []
-        self._last_news = time.monotonic()
         self._arrivals: deque[float] = deque()
         self._state: TissueState | None = None
         self._heard: float | None = None
@@ -86,11 +79,6 @@ class Monitor:
         """Receive for `seconds`."""
         spin_for(self._executor, seconds)
 
-    @property
-    def quiet_for(self) -> float:
-        """Seconds since the last estimate that is kept, or summary."""
-        return time.monotonic() - self._last_news
-
     def view(self) -> MonitorView:
         """Return what is known now."""
         now = time.monotonic()
@@ -117,9 +105,6 @@ class Monitor:
     def _on_state(self, state: TissueState) -> None:
         self._state, self._heard = state, time.monotonic()
         self._arrivals.append(self._heard)
-        if self._keeps_states and state.status is not Status.STALE:
-            self.states.append(state)
-            self._last_news = self._heard
 
     def _on_classification(self, message: TissueClassification) -> None:
         self._classification = message
@@ -129,7 +114,6 @@ class Monitor:
         # The air after it may contradict a contact.
         self.summaries = [s for s in self.summaries if s.contact_id != summary.contact_id]
         self.summaries.append(summary)
-        self._last_news = time.monotonic()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

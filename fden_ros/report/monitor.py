@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from rich import box
 from rich.console import Group
@@ -49,14 +48,14 @@ class MonitorView:
     gains: str = ""  #: of a force controller beside it
 
 
-def monitor_view(view: MonitorView, truth: Mapping[int, Mapping[str, Any]] | None = None) -> Group:
-    """Return the view as something that rich prints; `truth` as for :func:`contact_table`."""
+def monitor_view(view: MonitorView) -> Group:
+    """Return the view as something that rich prints."""
     parts: list[Panel | Table | Text] = [
         Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False),
         *_warnings(view),
     ]
     if view.summaries:
-        parts.append(contact_table(view.summaries[-_LAST_CONTACTS:], truth))
+        parts.append(contact_table(view.summaries[-_LAST_CONTACTS:]))
     return Group(*parts)
 
 

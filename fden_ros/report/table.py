@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from rich import box
 from rich.table import Table
@@ -49,24 +48,14 @@ def table_of(
     return table
 
 
-def contact_table(
-    summaries: Iterable[ContactSummary], truth: Mapping[int, Mapping[str, Any]] | None = None
-) -> Table:
-    """Return one row a contact, of at most 80 columns.
-
-    Parameters
-    ----------
-    summaries : iterable of ContactSummary
-    truth : mapping, optional
-        Site number to its true ``linear_stiffness`` and ``nonlinear_stiffness``, shown below the
-        estimates.
-    """
+def contact_table(summaries: Iterable[ContactSummary]) -> Table:
+    """Return one row a contact, of at most 80 columns."""
     shown = list(summaries)
     on_path = any(summary.is_of_path for summary in shown)
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m")
     table = table_of(
         {**dict.fromkeys(numbers, 0), "status": 10, "tissue": 12},
-        (_cells(summary, truth or {}, on_path=on_path) for summary in shown),
+        (_cells(summary, on_path=on_path) for summary in shown),
         "Places" if on_path else "Contacts",
         between=0,
     )
@@ -105,9 +94,7 @@ def label_words(summary: ContactSummary) -> str:
     return summary.classes.words if summary.classes is not None else "undetermined"
 
 
-def _cells(
-    summary: ContactSummary, truth: Mapping[int, Mapping[str, Any]], *, on_path: bool
-) -> list[str]:
+def _cells(summary: ContactSummary, *, on_path: bool) -> list[str]:
     estimate = summary.estimate
     g = g_n = alpha = DASH
     if estimate is not None:
@@ -116,10 +103,6 @@ def _cells(
     if summary.is_of_path:
         g = DASH
         g_n = g_n if estimate is not None and estimate.determines(1) else DASH
-    site = truth.get(summary.site_id)
-    if site is not None and not summary.is_of_path:
-        g += f"\n[dim]true {site['linear_stiffness']:.0f}[/dim]"
-        g_n += f"\n[dim]true {site['nonlinear_stiffness']:.2f}[/dim]"
     is_plausible = Flag.IMPLAUSIBLE not in summary.flags
     return [
         str(summary.contact_id),
