@@ -26,8 +26,6 @@ from fden_ros.planning.remedies import (
 _NAMED = 4
 #: Gn shows where the strain passes 1/Gn; at this many times of it, it surely has.
 _BEYOND_BOUNDARY = 1.5
-#: Where the surface was not seen, ln G has this part of the prior's variance at least.
-_HIDDEN = 0.9
 _NAMES = ("G", "Gn")
 
 
@@ -45,7 +43,7 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
     estimate, budget = summary.estimate, summary.budget
     if estimate is None or not _is_open(summary):
         return ""
-    if budget is not None and _is_hidden(estimate, budget, config.estimator):
+    if budget is not None and any(estimate.hidden):
         linear = estimate.linear_stiffness / estimate.nonlinear_stiffness
         return uncover(budget, config.geometry, linear)
     if not estimate.determines(1):
@@ -94,17 +92,11 @@ def _poor(estimate: Estimate, config: EstimatorConfig) -> list[int]:
     return [k for k, most in enumerate(_limits(config)) if estimate.deviations[k] > most]
 
 
-def _is_hidden(estimate: Estimate, budget: Budget, config: EstimatorConfig) -> bool:
-    """Whether G is open because no surface was seen, though the force is known."""
-    added = float(estimate.covariance[0, 0]) - budget.variances[0]
-    return added > _HIDDEN * config.prior.linear_stiffness_log_sd**2
-
-
 def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
     estimate, budget = summary.estimate, summary.budget
     if estimate is None or not _is_open(summary):
         return ""
-    if budget is not None and _is_hidden(estimate, budget, config.estimator):
+    if budget is not None and any(estimate.hidden):
         noise = quantity(budget.stress_noise / config.geometry.stress_per_force, "N")
         return f"{noise} of noise hide the linear part, so that G is not seen"
     if not estimate.determines(1):
