@@ -238,9 +238,27 @@ class PressModel:
 
     def touch_gradient(self, points: Points, state: Array) -> Array:
         """Return how each unknown moves the touch, as a unit vector (n,)."""
-        first = int(np.argmax(self.compressions(points, state) > 0.0))
-        result = np.zeros(self.size)
-        result[: len(self.unknowns)] = self._design(points).motions[:, first]
+        result, motions = np.zeros(self.size), self._design(points).motions
+        surface, by_order, by_knots = self._surface(points, state, None)
+        if surface is None or by_order is None:
+            first = int(np.argmax(self.compressions(points, state) > 0.0))
+            result[: len(self.unknowns)] = motions[:, first]
+        else:
+            # Tissue that has not recovered is met where the elastic response passes its surface.
+            elastic, slope = self.elastic(points, state)
+            first = int(np.argmax(elastic > surface))
+            result[: len(self.unknowns)] = slope[first] * motions[:, first]
+            result[LOG_G] += elastic[first]
+            step = np.zeros(self.size)
+            step[LOG_GN] = _LOG_STEP
+            higher, lower = (self.elastic(points, state + s)[0][first] for s in (step, -step))
+            result[LOG_GN] += (higher - lower) / (2.0 * _LOG_STEP)
+            result[ORDER] -= by_order[first]
+            if by_knots is not None:
+                strain = self._strains(points, state)[0][first : first + 1]
+                splines = characteristic_splines(strain, self.last_knot)[0]
+                result[self.kernel] = -by_knots[:, first]
+                result[self.characteristic] = elastic[first] * splines
         size = float(np.linalg.norm(result))
         return result / size if size else result
 

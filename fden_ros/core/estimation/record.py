@@ -270,11 +270,12 @@ def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
     lines = np.array([cell.line()[::2] for cell in near])
     times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
     speed, first = np.polyfit(times, compressions, 1).tolist()
-    missing = first + reach
+    # Tissue that has not recovered from an earlier press is met where the record begins.
+    missing = min(first, 0.0) + reach
     if speed <= 0.0 or not 0.0 < missing < _LONGEST_APPROACH * speed:
         return []
     before = _Cell(float(lines[0, 0]) - missing / speed, False)
-    before.add(before.start, -reach, 0.0)
+    before.add(before.start, first - missing, 0.0)
     return [before]
 
 
