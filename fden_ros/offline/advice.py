@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.geometry import Geometry
