@@ -19,16 +19,21 @@ import numpy as np
 
 from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
 #: thousand, at some 250 looks.
 _THRESHOLD = 10.6
+#: Minus the log evidence where a record is beyond numbers without a change [1].
+_BEYOND = 1e6
 #: Least relative change of the stiffness that is said [1].
 _LEAST_STEP = 0.08
-#: Times before now at which the change may have been [s].
-_AGO = (0.03, 0.06, 0.12, 0.24)
+#: A change is looked for between so many of the last blocks [1]: where a block is known to a
+#: hundredth of a jump, no other time explains it. What only the newest shows may be a jerk.
+_RECENT = 4
+#: It may also have been this time ago [s].
+_AGO = (0.06, 0.12, 0.24)
 #: A jerk is one of so many blocks before the last [1].
 _JERKS = 3
 #: Distances from the best of these, over the time since, at which it is looked for more closely
@@ -53,7 +58,7 @@ def change_of(
     points: Points,
     solution: Solution,
     without: Posterior,
-    with_change: Callable[[Unknown], Posterior],
+    with_event: Callable[[Unknown], Posterior],
     strain: float,
 ) -> Look:
     """Look for a change that the record shows.
@@ -66,7 +71,7 @@ def change_of(
         The last one.
     without : Posterior
         Of which that is a solution.
-    with_change : callable
+    with_event : callable
         Returns the posterior with one more unknown, behind those that are not of the law's errors.
     strain : float
         Largest of the record [1].
@@ -75,21 +80,29 @@ def change_of(
     if state.size != without.model.size or not solution.is_solved:
         return Look(None, -math.inf)
     count, now = len(without.model.unknowns), float(points.times[-1])
-    alone = follow_modes(without, points, [(state, solution)], strain).best.log_evidence
+    try:
+        alone = follow_modes(without, points, [(state, solution)], strain).best.log_evidence
+    except UNSOLVABLE:
+        alone = -_BEYOND
     start = np.insert(state, count, 0.0)
 
     def look(unknown: Unknown) -> tuple[float, float]:
-        """Return the log evidence with a change, and its size."""
-        assert unknown.since is not None
-        if not points.times[0] < unknown.since < now:
+        """Return the log evidence with an event, and its size."""
+        if unknown.since is not None and not points.times[0] < unknown.since < now:
             return -math.inf, 0.0
-        found = with_change(unknown).tracked(points, start, solution)
+        try:
+            found = with_event(unknown).tracked(points, start, solution)
+        except UNSOLVABLE:
+            return -math.inf, 0.0
         return found.log_evidence, abs(float(found.mean[count]))
 
-    looked = [change_since(now - ago) for ago in _AGO]
+    between = 0.5 * (points.times[points.last[:-1]] + points.times[points.first[1:]])
+    times = [*between[-_RECENT:].tolist(), *(now - ago for ago in _AGO)]
+    looked = [change_since(time) for time in times]
     evidence, sizes = np.array([look(unknown) for unknown in looked]).T
     gain = float(evidence.max()) - alone
     evidence[sizes < _LEAST_STEP] = -math.inf
+    evidence[np.array(times) > between[-2]] = -math.inf
     best = looked[int(np.argmax(evidence))]
     if evidence.max() - alone < _THRESHOLD or best.since is None:
         return Look(None, gain)
@@ -98,7 +111,7 @@ def change_of(
     largest = float(np.abs(points.stresses).max())
     for time in points.middles[-1 - _JERKS : -1].tolist():
         jerk = jerk_at(time, largest)
-        if with_change(jerk).tracked(points, start, solution).log_evidence > highest:
+        if look(jerk)[0] > highest:
             return Look(jerk, gain)
     return Look(change, gain)
 

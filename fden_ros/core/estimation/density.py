@@ -102,10 +102,8 @@ class Density:
         """
         base = self.belief.precision
         if self._of_rig.any():
-            off = (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
-            factor = np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)
             root = np.ones(base.shape[0])
-            root[: self._of_rig.size][self._of_rig] = np.sqrt(factor)
+            root[: self._of_rig.size][self._of_rig] = np.sqrt(_weights(self._off(state)))
             base = base * np.outer(root, root)
         if not self._has_field_prior:
             return Priors(self.model, base, None, None)
@@ -113,6 +111,23 @@ class Density:
         gn = math.exp(state[LOG_GN])
         characteristic = characteristic_prior(gn, self.model.last_knot)
         return Priors(self.model, base, kernel, characteristic)
+
+    def tails(self, state: Array) -> float:
+        """Return by how much Student's tails are above the quadratic of `priors` [1].
+
+        Of minus twice the log prior: the quadratic alone never exceeds 3.
+        """
+        off = self._off(state)
+        beyond = 1.0 + (1.0 + _TAIL_DEGREES) * np.log(
+            (off**2 + _TAIL_DEGREES) / (1.0 + _TAIL_DEGREES)
+        )
+        exact = np.where(np.abs(off) > 1.0, beyond, off**2)
+        return float(np.sum(exact - _weights(off) * off**2))
+
+    def _off(self, state: Array) -> Array:
+        """Return how far what is stated of the rig is off, in standard deviations."""
+        off: Array = (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
+        return off
 
     def precision(self, state: Array, scales: Scales) -> Array:
         """Return the prior's precision at a state."""
@@ -129,3 +144,9 @@ class Density:
         found = self.model.evaluate(points, state)
         found.jacobian[:, self.known] = 0.0
         return found
+
+
+def _weights(off: Array) -> Array:
+    """Return the weights with which a Gaussian prior pulls as Student's does."""
+    weights: Array = np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)
+    return weights

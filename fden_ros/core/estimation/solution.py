@@ -280,7 +280,7 @@ class Posterior(Density):
         precision = self.precision(maximum.state, scales)
         off = maximum.state - self.belief.mean
         normal = white[:, 1:].T @ white[:, 1:] + precision
-        misfit = white[:, 0] @ white[:, 0] + off @ precision @ off
+        misfit = white[:, 0] @ white[:, 0] + off @ precision @ off + self.tails(maximum.state)
         return -0.5 * float(misfit + log_det + np.linalg.slogdet(normal)[1])
 
     def _averaged(
@@ -296,6 +296,7 @@ class Posterior(Density):
         groups: dict[tuple[float, float], list[WeighedScales]] = {}
         for weighed in grid or self.grid:
             groups.setdefault(weighed.scales[2:], []).append(weighed)
+        tails = self.tails(maximum.state)
         members: list[_Member] = []
         best_walk, best, residuals = None, -math.inf, rows[:, 0]
         for (roughness, motion), group in groups.items():
@@ -314,7 +315,7 @@ class Posterior(Density):
             loops.eliminate(factors)
             volumes = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
             log_priors = [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in group]
-            square = float(white[:, 0] @ white[:, 0]) + log_det
+            square = float(white[:, 0] @ white[:, 0]) + log_det + tails
             evidence = log_priors - volumes
             evidence += 0.5 * (np.sum(factors[:, :, -1] ** 2, axis=1) - square - pulls @ off)
             members += map(_Member, evidence, [w.scales for w in group], equations)

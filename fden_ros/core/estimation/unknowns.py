@@ -61,6 +61,8 @@ class Unknown:
         Points to the change of their compressions by one standard deviation, (n,).
     stress : callable or None
         Points to the stress at their blocks by one standard deviation, (m,) [Pa].
+    half_at : float
+        Stress of the tissue at which half of `stress` acts [Pa]; 0: all of it always does.
     since : float or None
         It is a change of the stiffness at this time [s], relative to the first stiffness.
     """
@@ -72,6 +74,7 @@ class Unknown:
     kind: int = 0
     motion: Callable[[Points], Array] | None = None
     stress: Callable[[Points], Array] | None = None
+    half_at: float = 0.0
     since: float | None = None
 
     @property
@@ -278,6 +281,8 @@ def unknowns_of(
             unsure.friction_sd,
             rig,
             stress=partial(_friction, per_force * unsure.friction_sd, length),
+            # That of the air is in the zero.
+            half_at=per_force * unsure.friction_sd,
         ),
         Unknown(
             "drift",
