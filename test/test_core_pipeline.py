@@ -96,16 +96,20 @@ def undisturbed() -> Outcome:
     return outcome(presses())
 
 
-@pytest.mark.parametrize(("sites", "expected"), [(1, [1, 1]), (2, [1, 2])])
-def test_without_positions_the_surface_tells_a_second_press_of_one_place(sites, expected):
+@pytest.mark.parametrize("sites", [1, 2])
+def test_without_positions_a_late_touch_is_followed_as_the_same_place_and_as_another(sites):
     press = Palpation(0.3, 0.26, 2.0, presses=3 - sites, lift_m=0.002, pause_s=2.2)
     data = presses((press,), sites)
     summaries = outcome(data).summaries
     air_s = 1e-9 * (data.contacts[1]["start_ns"] - data.contacts[0]["end_ns"])
     assert air_s > 2.0  # `site.timeout`
-    assert [summary.site_id for summary in summaries] == expected
-    error = summaries[-1].estimate.log_linear_stiffness - math.log(data.site["linear_stiffness"])
-    assert abs(error) < 3.0 * math.sqrt(summaries[-1].estimate.covariance[0, 0])
+    # Nothing says that it is not another site, but what is known of the tissue is used.
+    assert [summary.site_id for summary in summaries] == [1, 2]
+    first, last = (summary.estimate for summary in summaries)
+    assert last.converged
+    error = last.log_linear_stiffness - math.log(data.site["linear_stiffness"])
+    assert abs(error) < 3.0 * math.sqrt(last.covariance[0, 0])
+    assert (last.covariance[0, 0] < 0.7 * first.covariance[0, 0]) == (sites == 1)
 
 
 def with_call(data: Presses, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:

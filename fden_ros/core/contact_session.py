@@ -162,10 +162,12 @@ class ContactSession:
     def _site_of(self, onset: Onset) -> Site:
         """Return the site that is touched: the last one, or another."""
         before, first = self._site, onset.samples[0]
-        if before is not None and not before.is_elsewhere(onset):
+        is_elsewhere = before.is_elsewhere(onset) if before is not None else True
+        if before is not None and is_elsewhere is False:
             return before
         self.site_count += 1
-        site = Site(self.site_count, onset, self._config, self.rig, self._flags)
+        maybe = before if is_elsewhere is None else None
+        site = Site(self.site_count, onset, self._config, self.rig, self._flags, maybe)
         left_ns = self._detector.left_unseen_ns
         is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
         if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):

@@ -16,6 +16,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
+from fden_ros.core.estimation.either_place import EitherPlace, Placed
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
@@ -45,10 +46,6 @@ _DIP_TIME = 0.5
 ORIGIN_WIDENING = 3.0
 #: The force where a touch is found is the mean of this number of samples.
 _DETECTED = 3
-#: Without positions a touch after the timeout is at the same place where the surface, more than 5
-#: of its standard deviations below where it was met first, lies as deep as 0.6 to 1.6 of what the
-#: tissue has not recovered of the last contact; after 5 timeouts that is too little to tell.
-_CLEARLY_BELOW, _RECOVERED, _MOST_TIMEOUTS = 5.0, (0.6, 1.6), 5.0
 #: A probe is dragged beyond this multiple of the distance of two sites [1], so that noise of the
 #: position drags none.
 _DRAGGED = 2.0
@@ -183,6 +180,8 @@ class Site:
         What is known of the rig before the first touch.
     flags : Flag
         What stands against every estimate.
+    maybe : Site or None
+        The site before, where nothing says that this is another.
 
     Attributes
     ----------
@@ -205,6 +204,7 @@ class Site:
         config: PipelineConfig,
         rig: RigKnowledge,
         flags: Flag = Flag.NONE,
+        maybe: Site | None = None,
     ) -> None:
         first = onset.samples[0]
         self.site_id = site_id
@@ -213,7 +213,7 @@ class Site:
         self.is_usable = True
         self.flags = flags
         self.known_rig = rig
-        self._config = config
+        self._config, self._maybe = config, maybe
         self._whereabouts = _Whereabouts(first, config.contact)
         self._lessons = _Lessons(config, rig)
         self._finding = _Finding(onset, config)
@@ -268,33 +268,17 @@ class Site:
 
     # Touch
 
-    def is_elsewhere(self, onset: Onset) -> bool:
-        """Whether a touch is at another site than this.
+    def is_elsewhere(self, onset: Onset) -> bool | None:
+        """Whether a touch is at another site than this; None: it may be.
 
-        Without positions that is after the timeout, unless the tissue pressed here would be just
-        where the surface was met: nothing else says that it has not moved.
+        Nothing says so without positions after the timeout.
         """
         first = onset.samples[0]
         is_apart = self._whereabouts.is_apart(first.position)
         if is_apart is not None:
             return is_apart
-        timeouts = self._seconds_to(first.stamp_ns) / self._config.contact.site_timeout
-        if timeouts <= 1.0:
-            return False
-        return timeouts > _MOST_TIMEOUTS or not self._has_recovered_to(onset)
-
-    def _has_recovered_to(self, onset: Onset) -> bool:
-        """Whether the tissue has come back from the last contact as far as a touch met it."""
-        known = self._known
-        if known is None:
-            return False
-        length, origin = self._config.geometry.length, known.estimate.strain_origin
-        depth = (onset.displacement - self.origin) / length - origin
-        if depth * length <= _CLEARLY_BELOW * onset.displacement_sd:
-            return False
-        step = self._seconds_to(onset.samples[0].stamp_ns)
-        deepest, highest = (depth / part + origin for part in _RECOVERED)
-        return known.is_above_surface(step, highest) and not known.is_above_surface(step, deepest)
+        is_late = self._seconds_to(first.stamp_ns) > self._config.contact.site_timeout
+        return None if is_late else False
 
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
@@ -325,13 +309,39 @@ class Site:
         is_first = first.stamp_ns == self.start_ns
         self._lift_off = LiftOff(release_force, scale, is_first=is_first)
         if self.is_usable and self._estimator is None:
-            self._estimator = _new_estimator(
+            new = _new_estimator(
                 config, onset.noise_sd * scale, self.origin_sd, noise, self.known_rig
             )
+            maybe, self._maybe = self._maybe, None
+            self._estimator = maybe.or_else(new, first, self.origin) if maybe is not None else new
         self._rest_until(first.stamp_ns)
         self._memory.begin_block()
         if self._estimator is not None:
             self._estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
+
+    def or_else(self, new: Estimator, first: Pair, origin: float) -> Estimator:
+        """Return an estimator of either this tissue, pressed again from a sample on, or another.
+
+        Parameters
+        ----------
+        new : Estimator
+            Of tissue at rest.
+        first : Pair
+        origin : float
+            Nominal displacement at zero strain from which compressions count from now on [m].
+        """
+        own = self._estimator
+        if isinstance(own, PosteriorEstimator):
+            own = EitherPlace(self._config.estimator, Placed(own))
+        if not (isinstance(own, EitherPlace) and isinstance(new, PosteriorEstimator)):
+            return new
+        if not self.is_usable:
+            return new
+        placed = own.likeliest
+        placed.estimator.go_on_beside(new)
+        self._rest_until(first.stamp_ns)
+        shift = placed.shift + (origin - self.origin) / self._config.geometry.length
+        return EitherPlace(self._config.estimator, placed._replace(shift=shift), Placed(new))
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""

@@ -453,8 +453,8 @@ class SiteParameters:
     timeout: float = number(
         2.0,
         "s",
-        "Without positions, a touch after a longer time in the air is a new site, unless it "
-        "meets what the last contact left.",
+        "Without positions, a touch after a longer time in the air is a new site, and is followed "
+        "as the place of the last one too, until the data say which.",
         0.0,
         100000.0,
     )

@@ -367,7 +367,8 @@ CLONED int fden_response(int points, const double *moments, const double *durati
             return 1;
         response[n] = force;
         elastics[n] = at.value;
-        slopes_of[n] = at.by_compression;
+        /* What is off the probe does not feel its motion. */
+        slopes_of[n] = is_on ? at.by_compression : 0.0;
         /* The state of the law itself. */
         if (first) {
             for (int i = 0; i < RATES; i++)

@@ -24,7 +24,7 @@ from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
 #: thousand, at some 250 looks.
-_THRESHOLD = 10.6
+THRESHOLD = 10.6
 #: Minus the log evidence where a record is beyond numbers without a change [1].
 _BEYOND = 1e6
 #: Least relative change of the stiffness that is said [1].
@@ -104,7 +104,7 @@ def change_of(
     evidence[sizes < _LEAST_STEP] = -math.inf
     evidence[np.array(times) > between[-2]] = -math.inf
     best = looked[int(np.argmax(evidence))]
-    if evidence.max() - alone < _THRESHOLD or best.since is None:
+    if evidence.max() - alone < THRESHOLD or best.since is None:
         return Look(None, gain)
     width, highest = now - best.since, float(evidence.max())
     change, highest = placed(best, highest, width, lambda unknown: look(unknown)[0])

@@ -44,6 +44,16 @@ class Belief:
     mean: Array
     precision: Array
 
+    def variances(self) -> Array:
+        """Return the variances, (n,); infinite where the scales decide.
+
+        What an earlier press of the site has told is told of several unknowns together.
+        """
+        open_ = np.flatnonzero(self.precision.diagonal())
+        result = np.full(self.mean.size, math.inf)
+        result[open_] = np.linalg.inv(self.precision[np.ix_(open_, open_)]).diagonal()
+        return result
+
 
 class Priors(NamedTuple):
     """The prior of all unknowns, at any scales."""

@@ -115,7 +115,7 @@ def respond(
         if not np.isfinite([stress[n], at]).all():
             raise FloatingPointError("the response of the law is not finite")
         now = _elastic(law, np.array([at]))
-        elastic[n], slope[n] = now.value[0], now.by_compression[0]
+        elastic[n], slope[n] = now.value[0], now.by_compression[0] * step.is_active
         jacobian[n] = _advance(memory, step, given, n, float(stress[n]))
         memory.last[:] = at, free[n], step.is_active, stress[n]
         state.is_begun = True

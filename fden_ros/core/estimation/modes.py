@@ -55,11 +55,14 @@ class Modes:
         Of the first.
     others : tuple of Member
         All modes but the first.
+    log_gain : float
+        Logarithm of the evidence of all over that of the first.
     """
 
     solutions: tuple[Solution, ...]
     weight: float = 1.0
     others: tuple[Member, ...] = ()
+    log_gain: float = 0.0
 
     @property
     def best(self) -> Solution:
@@ -152,7 +155,8 @@ def _weighed(
             has_linear |= is_linear
     total = sum(weight for weight, _ in kept)
     others = tuple(Member(w / total, s.mean, s.covariance) for w, s in kept[1:])
-    modes = Modes(tuple(s for _, s in kept), kept[0][0] / total, others)
+    solutions = tuple(s for _, s in kept)
+    modes = Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
     return _with_linear(posterior, points, modes, strain)
 
 
@@ -187,8 +191,10 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     there = posterior.evidence(points, best.maximum, [scales])[0]
     gain = linear.log_evidence - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
+    log_gain = float(np.logaddexp(modes.log_gain, gain))
     if beyond < 0.0 and best.maximum.state[LOG_GN] < boundary:
-        gain = math.inf
+        # The maximum is that of the linear law itself.
+        gain, log_gain = math.inf, modes.log_gain
     weight = float(expit(gain + math.log(modes.weight)))
     # Moments of the prior cut off at the boundary.
     ratio = math.exp(-0.5 * place**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(place)))
@@ -198,6 +204,5 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     covariance[LOG_GN, LOG_GN] = width**2 * max(1.0 - ratio * (place + ratio), 1e-6)
     rest = 1.0 - weight
     others = tuple(m._replace(weight=rest * m.weight) for m in modes.others)
-    return Modes(
-        modes.solutions, rest * modes.weight, (*others, Member(weight, moments, covariance))
-    )
+    others = (*others, Member(weight, moments, covariance))
+    return Modes(modes.solutions, rest * modes.weight, others, log_gain)

@@ -121,13 +121,22 @@ class PosteriorEstimator:
         return self._earlier_changes + (self._press.change_count if self._press else 0)
 
     @property
+    def solution_count(self) -> int:
+        """Solutions of the newest press."""
+        return self._press.solution_count if self._press is not None else 0
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the newest press, for what was known of the tissue before it."""
+        return self._press.log_evidence if self._press is not None else -math.inf
+
+    @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
         if self._solved is None:
             return 0.0
         belief, best, off = self._solved.posterior.belief, self._solved.best, 0.0
-        # What an earlier press of the site has told is told of several unknowns together.
-        before = np.linalg.pinv(belief.precision, hermitian=True).diagonal()
+        before = belief.variances()
         for k, unknown in enumerate(self._solved.model.unknowns):
             if unknown.lifetime is Lifetime.RIG:
                 told = max(before[k] - best.covariance[k, k], _LEAST_TOLD * before[k])
@@ -165,6 +174,14 @@ class PosteriorEstimator:
         return self._press.solved if self._press is not None else None
 
     # Samples
+
+    def go_on_beside(self, new: PosteriorEstimator) -> None:
+        """Take over what a new one knows of noise and rig: one record is to weigh both."""
+        self._carry()
+        own, other = self._setting, new._setting
+        self._setting = replace(own, config=other.config, rig=other.rig, stress_sd=other.stress_sd)
+        self._path_variance = new._path_variance
+        new._compression_sd = self._compression_sd
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
@@ -219,6 +236,11 @@ class PosteriorEstimator:
     def budget(self) -> Budget | None:
         """Return what makes the estimate of the newest press uncertain; None: not known."""
         return budget_of(self._press) if self._press is not None else None
+
+    def solve(self) -> None:
+        """Solve anew now."""
+        if self._press is not None:
+            self._press.solve()
 
     def finish(self) -> None:
         """Solve anew at the end of a contact, from all starts."""

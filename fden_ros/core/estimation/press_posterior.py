@@ -20,6 +20,7 @@ from fden_ros.core.estimation.change import (
     PROMISING,
     SUSPECTED,
     SUSPICIOUS,
+    THRESHOLD,
     Look,
     change_of,
     placed,
@@ -33,7 +34,7 @@ from fden_ros.core.estimation.record import Points, Record, Sample, block_points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.characteristic import elastic_response
 
@@ -46,6 +47,8 @@ _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 _FIRST_SOLUTION, _LAST_STARTS = 4, 32
 #: Starts of ln Gn, about the prior's mean in its standard deviations [1].
 _STARTS = (-0.8, 0.8)
+#: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
+_ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
 #: Scales to begin with [1]: of a moderate error.
 _MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 #: A change is placed anew once it was seen for this time [s], within this time [s].
@@ -114,6 +117,8 @@ class PressPosterior:
         Changes of the tissue under the probe, and jerks.
     is_lost : bool
         The newest solution was not found.
+    solution_count : int
+        Solutions that were sought.
     """
 
     def __init__(
@@ -131,6 +136,7 @@ class PressPosterior:
         self.filter: PressFilter | None = None
         self.events: tuple[Unknown, ...] = ()
         self.is_lost = self._is_surprised = False
+        self.solution_count = 0
         self._samples: list[Sample] = []
         self._now = self._last = start
         self._is_pressed = False
@@ -144,6 +150,18 @@ class PressPosterior:
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
         return sum(event.since is not None for event in self.events)
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the record for what was known before it, at the newest solution.
+
+        A change counts as what makes one in a thousand contacts.
+        """
+        if self.solved is None or self.is_lost:
+            return -math.inf
+        modes = self.solved.modes
+        found = modes.best.log_evidence + modes.log_gain
+        return found + self.solved.posterior.log_prior_density - THRESHOLD * self.change_count
 
     @property
     def is_doubtful(self) -> bool:
@@ -250,6 +268,7 @@ class PressPosterior:
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
+        self.solution_count += 1
         posterior = self._posterior(self.events)
         is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
         try:
@@ -283,7 +302,7 @@ class PressPosterior:
 
     def _starts(self, posterior: Posterior, points: Points) -> list[Array]:
         if self.setting.carried is not None:
-            return [posterior.belief.mean.copy()]
+            return [self._touching(posterior, points)]
         found = []
         sd = posterior.model.unknowns[LOG_GN].sd
         for place in _STARTS if sd > 0.0 else (0.0,):
@@ -294,6 +313,20 @@ class PressPosterior:
                 start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
             found.append(start)
         return found
+
+    def _touching(self, posterior: Posterior, points: Points) -> Array:
+        """Return the belief's mean with the origin that the stresses are nearest to.
+
+        Where the tissue is too low to be touched, no derivative leads to it.
+        """
+        belief, found = posterior.belief, []
+        sd = math.sqrt(float(belief.variances()[ORIGIN]))
+        for place in _ORIGINS if posterior.model.unknowns[ORIGIN].sd > 0.0 else (0.0,):
+            start = belief.mean.copy()
+            start[ORIGIN] += place * sd
+            off = points.stresses - posterior.model.response(points, start).stress
+            found.append((float(off @ off), start))
+        return min(found, key=lambda tried: tried[0])[1]
 
     def _grown(self, solution: Solution, posterior: Posterior) -> Array:
         """Return the state of a solution for a posterior that may have more unknowns."""

@@ -165,12 +165,9 @@ def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Bel
     places = [[u.name for u in model.unknowns].index(name) for name in names]
     sources = [[u.name for u in before.unknowns].index(name) for name in names]
     has_fields = model.is_bent and before.last_knot == model.last_knot
-    if model.is_bent:
-        places += range(model.kernel.start, model.kernel.stop)
-        sources += range(before.kernel.start, before.kernel.stop)
     if has_fields:
-        places += range(model.characteristic.start, model.characteristic.stop)
-        sources += range(before.characteristic.start, before.characteristic.stop)
+        places += range(model.kernel.start, model.size)
+        sources += range(before.kernel.start, before.size)
     mean, precision = first.mean.copy(), first.precision.copy()
     mean[places] = carried.mean[sources]
     covariance = carried.covariance[np.ix_(sources, sources)]

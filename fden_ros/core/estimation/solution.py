@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
@@ -173,6 +174,18 @@ class Posterior(Density):
     def is_known(self, place: int) -> bool:
         """Whether the unknown at a place is none."""
         return bool(np.any(self.known == place))
+
+    @property
+    def log_prior_density(self) -> float:
+        """The log density of the prior at its mean, which no evidence counts.
+
+        Without what is the same for all priors, and without that of errors with scales.
+        """
+        stop = len(self.model.unknowns) if self._has_field_prior else self.model.size
+        open_ = np.setdiff1d(np.arange(stop), self.known)
+        precision = self.belief.precision[np.ix_(open_, open_)]
+        of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
+        return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
 
     def _all_refined(self, points: Points, maxima: Sequence[Maximum]) -> list[Solution]:
         found: list[Solution] = []

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""A touch of which nothing says whether it is where the last one was.
+
+Both are followed, each by an estimator: the tissue pressed before, which still recovers, and
+tissue at rest. With the log evidence :math:`l_k` of each its probability is
+
+.. math:: P_k = e^{l_k} / \sum_j e^{l_j},
+
+the estimate has the moments of the mixture, and what is claimed is what both claim. One that the
+data have ruled out is no longer followed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import softmax
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.budget import Budget
+from fden_ros.core.estimation.claims import converged
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+
+#: A place less likely than the other by this logarithm is ruled out [1]: by one in ten thousand.
+_RULED_OUT = 9.0
+#: Probability of a place below which its claims are not asked for [1].
+_LEAST_WEIGHT = 0.01
+
+
+class Placed(NamedTuple):
+    """An estimator, and by how much its compressions are larger than those it is given [1]."""
+
+    estimator: PosteriorEstimator
+    shift: float = 0.0
+
+    def estimate(self) -> Estimate:
+        """Return its estimate, the origin in the compressions that it is given."""
+        found = self.estimator.estimate()
+        return found._replace(strain_origin=found.strain_origin - self.shift)
+
+
+class EitherPlace:
+    """Follows a touch of the same place or of another.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    places : sequence of Placed
+        Estimators that have not been touched since.
+    """
+
+    def __init__(self, config: EstimatorConfig, *places: Placed) -> None:
+        self._config, self._places = config, list(places)
+        self._weights: Array = np.full(len(places), 1.0 / len(places))
+
+    @property
+    def likeliest(self) -> Placed:
+        """The likeliest place."""
+        return self._places[int(np.argmax(self._weights))]
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the data contradict the law."""
+        return self.likeliest.estimator.is_mismatch
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether either does not explain the newest data."""
+        return any(place.estimator.is_doubtful for place in self._places)
+
+    @property
+    def change_count(self) -> int:
+        """Changes of the tissue under the probe that were found."""
+        return self.likeliest.estimator.change_count
+
+    @property
+    def rig_misfit(self) -> float:
+        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
+        return self.likeliest.estimator.rig_misfit
+
+    def motion_evidence(self) -> list[float] | None:
+        """Return the log evidence of the press for scales of the surface's stated motion."""
+        return self.likeliest.estimator.motion_evidence()
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a contact; None where it tells nothing."""
+        return self.likeliest.estimator.rig()
+
+    def budget(self) -> Budget | None:
+        """Return what makes the estimate uncertain; None: not known."""
+        return self.likeliest.estimator.budget()
+
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
+        for place in self._places:
+            place.estimator.begin_contact(bias_sd, drift_sd)
+
+    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
+        """Take a sample of a contact, `step` seconds after the last."""
+        for estimator, shift in self._places:
+            estimator.take(step, compression + shift, stress, is_free=is_free)
+
+    def rest(self, duration: float) -> None:
+        """Let time [s] pass between two contacts."""
+        for place in self._places:
+            place.estimator.rest(duration)
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by."""
+        for place in self._places:
+            place.estimator.skip()
+
+    def update(self, block: Block) -> Innovation:
+        """Take one block; return how it compared with the likeliest prediction.
+
+        Raises
+        ------
+        FloatingPointError
+            If the block's response is beyond floating-point numbers.
+        """
+        likeliest, found = self.likeliest, {}
+        before = [place.estimator.solution_count for place in self._places]
+        for place in self._places:
+            shifted = block._replace(compression=block.compression + place.shift)
+            found[place] = place.estimator.update(shifted)
+        after = [place.estimator.solution_count for place in self._places]
+        if after != before:
+            # They are weighed by the same record.
+            for place, count in zip(self._places, before, strict=True):
+                if place.estimator.solution_count == count:
+                    place.estimator.solve()
+            self._weigh()
+        return found[likeliest]
+
+    def finish(self) -> None:
+        """Solve anew at the end of a contact, from all starts."""
+        for place in self._places:
+            place.estimator.finish()
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Weigh the places by their evidence, and drop what is ruled out."""
+        if len(self._places) == 1:
+            return
+        evidence = np.array([place.estimator.log_evidence for place in self._places])
+        if not np.isfinite(evidence).any():
+            return
+        kept = np.flatnonzero(evidence > evidence.max() - _RULED_OUT)
+        self._places = [self._places[k] for k in kept]
+        self._weights = softmax(evidence[kept])
+
+    def estimate(self) -> Estimate:
+        """Return the present estimate: the mixture's moments, and what all claim."""
+        estimates = [place.estimate() for place in self._places]
+        if len(estimates) == 1:
+            return estimates[0]
+
+        def mixed(of: Callable[[Estimate], float | Array]) -> Array:
+            return np.tensordot(self._weights, np.array([of(e) for e in estimates]), axes=1)
+
+        best = estimates[int(np.argmax(self._weights))]
+        mean = mixed(lambda e: e.mean)
+        covariance = mixed(lambda e: e.covariance + np.outer(e.mean - mean, e.mean - mean))
+        origin = float(mixed(lambda e: e.strain_origin))
+        spread = mixed(lambda e: e.strain_origin_sd**2 + (e.strain_origin - origin) ** 2)
+        valid, known = best.valid, best.known
+        for weight, estimate in zip(self._weights, estimates, strict=True):
+            if weight < _LEAST_WEIGHT:
+                continue
+            valid, known = valid & estimate.valid, known & estimate.known
+        deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        return best._replace(
+            log_linear_stiffness=float(mean[0]),
+            log_nonlinear_stiffness=float(mean[1]),
+            fractional_order=float(mean[2]),
+            covariance=covariance,
+            strain_origin=origin,
+            strain_origin_sd=math.sqrt(spread),
+            probability_beyond_boundary=float(mixed(lambda e: e.probability_beyond_boundary)),
+            valid=valid,
+            known=known & converged(self._config, deviations, valid),
+        )
