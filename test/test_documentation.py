@@ -217,7 +217,7 @@ def test_a_geometry_that_is_not_stated_shows_as_the_readme_says() -> None:
     heard = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
     assert not any(heard.converged)
     assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in heard.summaries)
-    assert heard.stiffness[:, 0] == pytest.approx([1481.0, 2238.0], rel=0.01)
+    assert heard.stiffness[:, 0] == pytest.approx([1485.0, 2195.0], rel=0.01)
     # Where nothing is left open, the prior counts nothing beside the data.
     wrong = identified({"geometry.area": 1e-4, **EXACT}).stiffness[:, 0]
     assert wrong / identified(EXACT).stiffness[:, 0] == pytest.approx(3.14, rel=0.01)
@@ -229,21 +229,21 @@ def test_a_shallow_press_shows_as_the_readme_says(tmp_path: Path) -> None:
     assert heard.converged == [False]
     assert estimate.valid == estimate.known == ParameterSet.LINEAR_STIFFNESS
     g_n = estimate.nonlinear_stiffness
-    assert g_n == pytest.approx(4.82, abs=0.01)
-    assert g_n * estimate.deviations[1] == pytest.approx(3.51, abs=0.02)
+    assert g_n == pytest.approx(4.83, abs=0.01)
+    assert g_n * estimate.deviations[1] == pytest.approx(3.53, abs=0.02)
 
 
-#: Four deviations either way hold Gn from 13.5 to 67.
+#: Three standard deviations either way hold Gn from 16.5 to 54.7.
 NARROW = {"prior.nonlinear_stiffness": 30.0, "prior.nonlinear_stiffness_log_sd": 0.2}
 
 
 def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
     heard = identified(NARROW)
     for summary, estimate in zip(heard.summaries, heard.estimates, strict=True):
-        assert not summary.converged and summary.flags == Flag.ESTIMATE_AT_EDGE
+        assert not summary.converged and summary.flags & Flag.ESTIMATE_AT_EDGE
         assert summary.classes is None
         assert ParameterSet.NONLINEAR_STIFFNESS in estimate.at_edge
-    assert heard.stiffness[:, 1] == pytest.approx([10.2, 8.6], abs=0.1)
+    assert heard.stiffness[:, 1] == pytest.approx([10.3, 8.9], abs=0.1)
     states = [output for output in heard.outputs if isinstance(output, TissueState)]
     assert states and all(state.status is not Status.CONVERGED for state in states)
     wide = identified({**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT})
@@ -254,12 +254,9 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says() -> None:
 @pytest.mark.parametrize("delay", [-0.01, 0.01])
 def test_a_delay_of_10_ms_shows_as_the_readme_says(delay: float) -> None:
     heard = identified({"displacement.delay": delay})
-    assert heard.converged[1]
-    assert np.all(heard.errors < 2.5)
-    assert np.all(np.abs(heard.stiffness / np.exp(TRUTH) - 1.0) < [0.28, 0.20])
-    orders = [estimate.fractional_order for estimate in heard.estimates]
-    late = delay < 0.0  # later than is stated
-    assert orders == pytest.approx([0.130, 0.113] if late else [0.104, 0.097], abs=0.012)
+    assert not any(heard.converged)
+    assert heard.summaries[0].flags == Flag.HYSTERESIS
+    assert np.all(heard.errors < 1.0)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary, estimate in zip(exact.summaries, exact.estimates, strict=True):
         assert not summary.converged

@@ -56,7 +56,7 @@ _LEARNED = 0.5
 #: 0.52.
 _HIDDEN = 0.25
 #: Standard deviations of the prior beyond which an estimate contradicts it [1].
-_EDGE = 4.0
+_EDGE = 3.0
 #: An order below this is that of a spring, not of the law [1].
 _LEAST_ORDER = 0.015
 #: The origin hides G where it is less certain than this part of the boundary strain [1].
