@@ -20,7 +20,7 @@ BENCHMARKS: dict[str, str] = {
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
     "robots": "what a real rig adds: breathing, compliance, hum; silent errors, contacts missed",
     "changes": "inclusions and slides under the probe: how soon they are told; false ones",
-    "classification": "probabilities that mean what they say, the unknown, lesions, real tissue",
+    "classification": "probabilities that mean what they say, the unknown, real tissue",
     "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "closed_loop": "force control with gains from the live stiffness, and with fixed ones",
     "replay": "a sample beside a filter's step; speed of replay beside decoding",

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which tissue it is: calibration, error over Bayes', the unknown, lesions, and measured tissue.
+"""Which tissue it is: calibration, error over Bayes', the unknown, and measured tissue.
 
 Some hundred contacts of four simulated tissues (the paper's liver and three invented ones) go
 through simulator and pipeline; what their data say is the precision of 100,000 contacts and more
@@ -28,14 +28,6 @@ from benchmark.harness import (
     at_most,
     measured,
     undecided,
-)
-from benchmark.lesions import (
-    Grid,
-    comparisons,
-    drawn_estimates,
-    make_grid,
-    rows_of,
-    stiffness_of,
 )
 from benchmark.measured import PRIOR_STIFFNESS, Test, identify, read_tests
 from benchmark.populations import (
@@ -89,12 +81,10 @@ class Size:
     drawn: int  #: contacts drawn, for each library
     libraries: int  #: learned from different specimens
     foreign: int  #: classes that were left out
-    grids: int  #: grids of lesions drawn
-    sites: int  #: of one more grid, through the pipeline
 
 
-FULL = Size(360, 40_000, 5, 200, 20, 400)
-QUICK = Size(48, 20_000, 1, 8, 2, 0)
+FULL = Size(360, 40_000, 5, 200)
+QUICK = Size(48, 20_000, 1, 8)
 
 
 def run(args: argparse.Namespace) -> Report:
@@ -121,18 +111,9 @@ def run(args: argparse.Namespace) -> Report:
         "Bayes' error": bound,
         "its own error": float(doubts.std() / math.sqrt(doubts.size)),
     } | through_pipeline(pressed)
-    grids = [make_grid(generator) for _ in range(size.grids)]
-    drawn = [
-        (grid, comparisons(grid, drawn_estimates(grid, precision, generator))) for grid in grids
-    ]
     tables = {
         "figures": Table("Simulated tissues", {name: {"": v} for name, v in figures.items()}),
-        "lesions": Table("Sites against their surroundings", rows_of(drawn)),
     }
-    if size.sites:
-        tables["lesions pressed"] = Table(
-            "One grid through the pipeline", rows_of([pressed_grid()])
-        )
     goals = _goals(figures)
     if args.data is not None and not args.quick:
         tables["measured"] = Table(
@@ -265,15 +246,7 @@ def through_pipeline(pressed: Sequence[Pressed]) -> dict[str, Any]:
     }
 
 
-# Lesions and measured tissue
-
-
-def pressed_grid() -> tuple[Grid, list[Any]]:
-    """Return a grid of lesions whose sites went through simulator and pipeline."""
-    grid = make_grid(np.random.default_rng(7))
-    tasks = [(value, 0, number, 1) for number, value in enumerate(grid.values)]
-    found = measured(press, tasks, what="sites")
-    return grid, comparisons(grid, [stiffness_of(one.likelihood) for one in found])
+# Measured tissue
 
 
 def _identified(test: Test) -> tuple[Array, Array]:

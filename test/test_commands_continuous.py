@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from fden_ros.cli import main
-from fden_ros.errors import InputError
 from fden_ros.recording.synthetic import write_recording
-from fden_ros.simulation.scenario import Slide, load_scenario
+from fden_ros.simulation.scenario import load_scenario
 from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Ramp
 
 
 @pytest.fixture(scope="module")
@@ -78,21 +75,3 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
     with table.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["apparent_stiffness"]]
     assert len(rows) > 20
-
-
-def test_a_slide_meets_tissue_as_much_stiffer_as_it_says() -> None:
-    scenario = load_scenario("continuous")
-    site = scenario.sites[0]
-    assert site.slide is not None
-    soft = replace(scenario, sites=(replace(site, slide=replace(site.slide, ratio=1.0)),))
-    quiet = replace(scenario.force, noise_n=0.0, bias_n=0.0, drift_n_per_s=0.0)
-    one, other = (simulate(replace(made, force=quiet)).force.value for made in (scenario, soft))
-    ratio = one[other > 0.0] / other[other > 0.0]
-    assert ratio.min() == pytest.approx(1.0) and ratio.max() == pytest.approx(2.0)
-    assert np.mean(ratio > 1.5) == pytest.approx(1.0 / 3.0, abs=0.05)
-    with pytest.raises(InputError, match="one sinusoid"):
-        replace(site, presses=(Ramp(0.1, 0.2),))
-    with pytest.raises(InputError, match="ratio is 0"):
-        Slide((0.06, 0.0), ratio=0.0)
-    with pytest.raises(InputError, match="the last site"):
-        replace(scenario, sites=(site, site))

@@ -13,7 +13,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -23,17 +22,16 @@ import pytest
 import yaml
 from live_helpers import LIMIT
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from unknown_rig_bags import RigBag
 
 from fden_ros.cli import main
+from fden_ros.configure.streams import Streams
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.synthetic import write_recording
 from fden_ros.recording.table import Column, Columns, TableReader
 from fden_ros.recording.writer import BagWriter
 from fden_ros.simulation.scenario import load_scenario, ramp_scenario
-from fden_ros.simulation.simulate import Recording, Stream, simulate
+from fden_ros.simulation.simulate import START_NS, Recording, simulate
 
 ROOT = Path(__file__).parent.parent
 GOLDEN = ROOT / "bags" / "golden"
@@ -65,16 +63,6 @@ displacement:
   jitter_s: 1.0e-3
   surface_m: -0.11
 """
-LOADS = """\
-builtin_interfaces/Time stamp
-string device
-float32[] channels
-uint8 state
-"""
-DEPTH = """\
-std_msgs/Header header
-geometry_msgs/Vector3 tip
-"""
 
 
 @pytest.fixture(scope="module")
@@ -93,98 +81,27 @@ def config(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return path
 
 
-class Foreign:
-    """Writes a recording with the package rosbags alone: its types, its CDR, its MCAP."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.recording = recording
-        self.store = get_typestore(Stores.ROS2_HUMBLE)
-        definitions: dict[str, Any] = {}
-        for text, name in ((LOADS, "plc_msgs/msg/Loads"), (DEPTH, "plc_msgs/msg/Depth")):
-            definitions.update(get_types_from_msg(text, name))
-        self.store.register(definitions)
-
-    def write(
-        self,
-        folder: Path,
-        force: Callable[[Stream, int], Any] | None = None,
-        displacement: Callable[[Stream, int], Any] | None = None,
-    ) -> Path:
-        writer = RosbagsWriter(folder, version=8, storage_plugin=StoragePlugin.MCAP)
-        streams = (
-            (self.recording.force, force or self.wrench),
-            (self.recording.displacement, displacement or self.pose),
-        )
-        with writer:
-            rows = []
-            for stream, make in streams:
-                sample = make(stream, 0)
-                connection = writer.add_connection(
-                    stream.topic, sample.__msgtype__, typestore=self.store
-                )
-                rows += [
-                    (int(stamp), connection, make, stream, index)
-                    for index, stamp in enumerate(stream.stamp_ns)
-                ]
-            for stamp, connection, make, stream, index in sorted(rows, key=lambda row: row[0]):
-                message = make(stream, index)
-                data = self.store.serialize_cdr(message, message.__msgtype__)
-                # Recorded a little after it was measured.
-                writer.write(connection, stamp + 500_000, data)
-        return folder
-
-    def wrench(self, stream: Stream, index: int) -> Any:
-        t = self.store.types
-        vector = t["geometry_msgs/msg/Vector3"]
-        force = vector(*(float(stream.value[index]) * np.asarray(stream.axis)))
-        return t["geometry_msgs/msg/WrenchStamped"](
-            self.header(stream, index),
-            t["geometry_msgs/msg/Wrench"](force=force, torque=vector(0.0, 0.0, 0.0)),
-        )
-
-    def pose(self, stream: Stream, index: int) -> Any:
-        t = self.store.types
-        assert stream.position is not None
-        point = t["geometry_msgs/msg/Point"](*map(float, stream.position[index]))
-        return t["geometry_msgs/msg/PoseStamped"](
-            self.header(stream, index),
-            t["geometry_msgs/msg/Pose"](
-                position=point, orientation=t["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-            ),
-        )
-
-    def loads(self, stream: Stream, index: int) -> Any:
-        value = float(stream.value[index])
-        return self.store.types["plc_msgs/msg/Loads"](
-            self.stamp(stream, index),
-            device="plc",
-            channels=np.array([7.0, -value, 9.0], dtype=np.float32),
-            state=3,
-        )
-
-    def depth(self, stream: Stream, index: int) -> Any:
-        assert stream.position is not None
-        vector = self.store.types["geometry_msgs/msg/Vector3"]
-        return self.store.types["plc_msgs/msg/Depth"](
-            self.header(stream, index), vector(*map(float, stream.position[index]))
-        )
-
-    def header(self, stream: Stream, index: int) -> Any:
-        return self.store.types["std_msgs/msg/Header"](self.stamp(stream, index), stream.frame_id)
-
-    def stamp(self, stream: Stream, index: int) -> Any:
-        seconds, rest = divmod(int(stream.stamp_ns[index]), 10**9)
-        return self.store.types["builtin_interfaces/msg/Time"](seconds, rest)
+def foreign(recording: Recording, kind: str = "pose") -> RigBag:
+    """Return the recording as another maker writes it."""
+    force, moved = recording.force, recording.displacement
+    assert moved.position is not None
+    return RigBag(
+        Streams(
+            "foreign",
+            1.0 + 1e-9 * (force.stamp_ns - START_NS),
+            np.outer(force.value, force.axis),
+            1.0 + 1e-9 * (moved.stamp_ns - START_NS),
+            moved.position,
+        ),
+        force.topic,
+        moved.topic,
+        kind,
+    )
 
 
 @pytest.fixture(scope="module")
-def foreign(recording: Recording) -> Foreign:
-    return Foreign(recording)
-
-
-@pytest.fixture(scope="module")
-def foreign_bag(foreign: Foreign, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return foreign.write(tmp_path_factory.mktemp("foreign") / "bag")
+def foreign_bag(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return foreign(recording).write(tmp_path_factory.mktemp("foreign") / "bag")
 
 
 def fden(*arguments: str | Path) -> int:
@@ -263,11 +180,10 @@ def read_contacts(capsys: pytest.CaptureFixture[str], bag: Path) -> list[Any]:
 def test_fields_of_types_that_only_the_bag_knows_give_the_truth(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
-    foreign: Foreign,
     config: Path,
     recording: Recording,
 ) -> None:
-    bag = foreign.write(tmp_path / "bag", foreign.loads, foreign.depth)
+    bag = foreign(recording, "plc").write(tmp_path / "bag")
     inverted = tmp_path / "inverted.yaml"
     inverted.write_text(config.read_text() + "    force.inverted: true\n")
     options = (
@@ -547,19 +463,3 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, long: Path) -> None
     assert process.returncode == 128 + signal.SIGINT
     assert errors == b""
     assert list(out.parent.iterdir()) == []
-
-
-def test_headings_with_units_need_no_columns(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    press, file = (
-        Path(__file__).parent.parent / "examples" / n for n in ("press.csv", "probe.yaml")
-    )
-    columns = "time_s,force_N,depth_mm*1e-3"
-    stated = replayed(capsys, press, "--config", file, "--columns", columns)
-    assert replayed(capsys, press, "--config", file) == stated
-    assert replayed(capsys, press, "--config", file, "-o", tmp_path / "results") == stated
-    plain = tmp_path / "plain.csv"
-    plain.write_text(press.read_text().replace("time_s,force_N,depth_mm", "t,f,d"))
-    line = error_line(capsys, 1, "replay", plain, "--config", file)
-    assert "headings do not say what is what" in line and "it has t, f, d" in line

@@ -23,7 +23,6 @@ from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
-from fden_ros.configure.writer import parameter_file
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import read_sections
 from fden_ros.recording.table import guessed_columns
@@ -134,13 +133,6 @@ def test_what_was_not_done_is_not_stated_but_asked_for(
         assert not finding.parameters
 
 
-def test_a_driver_that_takes_the_weight_off_is_seen() -> None:
-    finding = look(whole_rig(mass=0.0)).finding("tool mass")
-    assert finding.claim
-    assert finding.value == 0.0
-    assert "driver has taken it off" in finding.evidence
-
-
 def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> None:
     rig = whole_rig()
     quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -162,13 +154,6 @@ def test_grams_and_millimetres_are_named_and_the_rest_is_still_si(
     assert found.finding("force unit").value == ("N" if force == 1.0 else "g")
     assert found.finding("displacement unit").value == ("m" if displacement == 1.0 else "mm")
     assert not judge(found, rig.truth).misses
-
-
-def test_rubber_without_softer_tissue_beside_it_is_no_rigid_plate_unless_it_is_said() -> None:
-    rig = whole_rig(tissue=False)
-    assert not look(rig).finding("compliance").claim
-    finding = look(rig, rigid=[rig.streams.name]).finding("compliance")
-    assert finding.value == pytest.approx(rig.truth.compliance, rel=0.1)
 
 
 def test_noise_alone_is_no_contact() -> None:
@@ -232,17 +217,6 @@ def test_presses_of_one_place_are_one_site_without_positions(
         run("replay", PRESS, "--config", output, "--json")
         contacts = json.loads(capsys.readouterr().out)["contacts"]
         assert [contact["site"] for contact in contacts] == sites
-
-
-def test_of_several_joints_that_is_taken_which_moves_with_the_force(tmp_path: Path) -> None:
-    rig = whole_rig(turns=False, mass=0.0)
-    way = (rig.streams.position @ rig.truth.displacement_axis)[:, None]
-    streams = replace(rig.streams, position=-way, orientation=None)
-    reading = read(RigBag(streams, displacement_topic="/joint_states").write(tmp_path / "bag"))
-    assert reading.joints == {"displacement": "probe"}
-    found = survey([reading.streams])
-    assert found.finding("displacement axis").parameters == {"displacement.inverted": True}
-    assert "name: probe" in parameter_file(found, [reading])
 
 
 def test_a_table_in_millimetres_is_told_and_its_headings_are_read(

@@ -18,11 +18,9 @@ from scipy.stats import multivariate_normal, multivariate_t
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
     ClassProbabilities,
-    Likelihood,
     Tissue,
     TissueLibrary,
     classify,
-    combined,
     likelihood_of,
     log_evidence,
 )
@@ -152,32 +150,6 @@ def test_classes_that_differ_in_the_order_wait_for_the_order():
     hold = np.diag(np.square([0.01, 0.01, 0.002]))
     after = classify(library, likelihood_of(slow.mean, hold, PRIOR))
     assert after.is_observable and after.label == "slow"
-
-
-def test_far_from_all_is_unknown_even_where_its_prior_is_small():
-    library = replace(LIBRARY, unknown=replace(LIBRARY.unknown, prior=1e-9))
-    likelihood = seen(liver_moved(5.0 * math.sqrt(LIVER.covariance[0, 0]), 0.0, 0.0))
-    assert classify(library, likelihood).label == "liver"
-    assert classify(library, likelihood, significance=0.02).label == UNKNOWN
-
-
-def test_contacts_of_one_place_add_up():
-    rng = np.random.default_rng(4)
-    errors = [random_covariance(rng, (0.1, 0.2, 0.02)) for _ in range(3)]
-    values = [rng.normal(LIVER.mean, 0.05) for _ in errors]
-    together = combined(
-        [likelihood_of(value, error) for value, error in zip(values, errors, strict=True)]
-    )
-    information = sum(np.linalg.inv(error) for error in errors)
-    mean = np.linalg.solve(
-        information,
-        sum(np.linalg.solve(error, value) for value, error in zip(values, errors, strict=True)),
-    )
-    whole = likelihood_of(mean, np.linalg.inv(information))
-    assert classify(LIBRARY, together).probabilities == pytest.approx(
-        classify(LIBRARY, whole).probabilities, rel=1e-9
-    )
-    assert isinstance(together, Likelihood)
 
 
 # The label

@@ -75,14 +75,6 @@ def test_distortion_tells_a_dither_that_crosses_the_boundary_strain():
     assert found[0.06] < 0.01 < 0.03 < found[0.117]
 
 
-def test_without_dither_or_with_too_few_samples_there_is_no_modulus():
-    times = np.arange(0.0, 10.0, 0.01)
-    hold = moduli(ComplexModulusMeter([1.0]), times, 0.1 + 0.0 * times, 50.0 - times)
-    sparse = times[::25]
-    few = moduli(ComplexModulusMeter([1.0]), sparse, np.sin(2 * np.pi * sparse), sparse)
-    assert hold == [] and few == []
-
-
 def test_slope_and_phase_are_told_apart_with_deviations():
     omegas = 2.0 * math.pi * np.array([1.0, 2.0, 4.0])
     slopes, phases = [], []

@@ -14,7 +14,6 @@ from pipeline_helpers import items_of
 from property_helpers import counts
 
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
-from fden_ros.core.contact.surface import find_surface
 from fden_ros.core.streams.samples import Pair
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.simulation.scenario import Tissue, load_scenario, ramp_scenario
@@ -150,20 +149,6 @@ def test_brief_dip_of_the_force_does_not_end_a_contact(begin):
     assert events[1][0] > START_NS + 2900 * MS
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_one_sample_in_contact_leaves_the_surface_open_up_to_the_sample_before(share):
-    """It was said to 2.6 um, 124 um off, where the probe went 130 um from sample to sample."""
-    time = np.arange(90) / 32.0
-    step = 1.3e-4
-    displacement = step * (np.arange(90.0) - 88.0 - share)
-    for seed in range(6):
-        force = np.random.default_rng(seed).normal(0.0, 1e-3, time.size)
-        force[-1] += 200.0 * displacement[-1]
-        found = find_surface(time, force, displacement, 0.1)
-        assert found.displacement_sd > 0.2 * step
-        assert abs(found.displacement) < 3.0 * found.displacement_sd
-
-
 def test_probe_behind_the_surface_is_off_the_tissue_in_spite_of_the_sensor_s_drift():
     rng = np.random.default_rng(5)
     force, displacement = press(rng)
@@ -287,11 +272,3 @@ def test_force_that_rises_while_the_probe_rests_is_air_that_drifts():
     force += 1e-5 * np.arange(3000) + 0.01 * rng.standard_normal(3000)
     (onset,) = onsets(events_of(made(force, depth))[1])
     assert onset.seen and onset.drift > 0.0
-
-
-def test_force_that_rises_on_the_way_before_the_first_release_is_no_air():
-    rng = np.random.default_rng(15)
-    depth = np.linspace(0.0, 0.004, 1500)
-    force = 0.3 + 5.0 * (np.exp(depth / 0.0016) - 1.0) * 0.05 + 0.01 * rng.standard_normal(1500)
-    (onset,) = onsets(events_of(made(force, depth))[1])
-    assert not onset.seen

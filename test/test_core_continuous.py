@@ -333,17 +333,6 @@ def test_a_force_out_of_step_is_told_and_its_alpha_not_known():
     assert any("displacement.delay" in words for words in pipeline.warnings)
 
 
-def test_places_are_as_far_apart_as_sites_and_one_without_positions():
-    record = palpated(7)
-    places = known_places(identify(record, **{"site.distance": 0.01})[1])
-    apart = np.diff([one.position[0] for one in places])
-    assert np.all(apart[:-1] > 0.009) and len(places) >= 8
-    assert [one.site_id for one in places] == list(
-        range(places[0].site_id, places[-1].site_id + 1)
-    )
-    assert len(known_places(identify(record, located=False)[1])) == 1
-
-
 def test_a_long_gap_ends_the_place_and_forgets_it():
     record = palpated(8, duration=20.0)
     outputs: list = []

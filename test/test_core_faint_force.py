@@ -144,13 +144,3 @@ def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness(seed: int) ->
     assert ParameterSet.NONLINEAR_STIFFNESS in estimate.valid
     assert not estimate.known & ParameterSet.STIFFNESS
     assert np.all(np.abs(off) < 4.0), (seed, off)
-
-
-@pytest.mark.parametrize("seed", first(0, 1, 2, 3))
-def test_a_touch_whose_linear_part_is_seen_tells_g(seed: int) -> None:
-    """It ends at 276 Pa, above the same noise."""
-    off, summary = press(
-        (8000.0, 29.0, 0.15), None, speed=0.1, depth=0.19, hold=2.0, noise=6.0, seed=seed
-    )
-    assert summary.converged
-    assert np.all(np.abs(off) < 4.0), (seed, off)

@@ -303,38 +303,7 @@ def test_after_a_reset_everything_is_as_in_a_new_pipeline_but_ids_and_counts() -
     assert result.pipeline.rejected.total() == 1 and not fresh.pipeline.rejected
 
 
-def test_a_tare_takes_the_force_of_the_air_off_what_comes_after_it() -> None:
-    data = presses()
-    items = with_call(data, in_the_air(data), Pipeline.tare)
-    moved = [
-        item._replace(value=item.value + 0.01) if getattr(item, "stream", 1) == 0 else item
-        for item in items
-    ]
-    # Without a bias of its own, only the tare can make zero of the air.
-    untared = {"force__measure_bias": False, "force__threshold": 0.03}
-    first, *_, last = outcome(data, moved, **untared).summaries
-    true = [summary.max_force for summary in outcome(data, **untared).summaries]
-    assert first.max_force == pytest.approx(true[0] + 0.01, abs=1e-3)
-    assert last.max_force == pytest.approx(true[-1], abs=1e-3)
-
-
 # The end
-
-
-def test_an_open_contact_is_reported_once_at_the_end_with_all_that_was_learned() -> None:
-    data = presses()
-    items = data.between(0, data.at(1, 0.6))
-    result = outcome(data, items)
-    done, cut = result.summaries
-    assert done.complete and not cut.complete
-    assert ids([done, cut]) == [(1, 1), (1, 2)]
-    assert cut.end_ns == cut.stamp_ns == result.pipeline.newest_ns
-    assert result.outputs[-1] is cut
-    assert cut.converged and not is_wrong(cut, data.site)
-    last = states_in(result, 2)[-1]
-    assert sd_of(cut) == pytest.approx(sd_of(last), rel=1e-2)
-    repeated = outcome(data, [*items, Pipeline.finish, Pipeline.finish, Pipeline.reset])
-    assert pickle.dumps(repeated.outputs) == pickle.dumps(result.outputs)
 
 
 # Order of outputs, and counts

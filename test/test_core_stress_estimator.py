@@ -142,25 +142,6 @@ def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges(
     assert held >= least
 
 
-@pytest.mark.parametrize(("seeds", "least"), [(4, 7), pytest.param(30, 54, marks=STATISTICS)])
-def test_given_order_that_is_one_deviation_wrong_stays_within_the_interval(seeds, least):
-    held = 0
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        g, gn, _ = drawn(rng)
-        truth = (g, gn, 0.131)
-        time, motion, rate, top = ramp_and_hold(hold=0.0)
-        stress = exact_stress(time, rate, top, FdenModel(*truth))
-        estimator = estimator_of(fractional_order_given=True, order=0.142, order_sd=0.011)
-        fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
-        estimator.finish()
-        estimate = estimator.estimate()
-        assert estimate.fractional_order == 0.142
-        error = np.abs(error_of(estimate, truth))[:2]
-        held += np.count_nonzero(error < 2.0 * np.sqrt(estimate.covariance.diagonal()[:2]))
-    assert held >= least
-
-
 def fractional_derivative(signal, order):
     """L1 scheme on the full history, by convolution."""
     index = np.arange(signal.size)
@@ -224,20 +205,6 @@ def test_a_relaxation_that_ends_is_told_of_a_law_that_may_be_off():
     fed(estimator, motion, stress)
     estimator.finish()
     assert estimator.is_mismatch
-
-
-@pytest.mark.parametrize("seeds", counts(1, 2))
-def test_ten_palpations_of_one_site_leave_no_bias(seeds):
-    errors = []
-    for seed in range(seeds):
-        recording = simulate(load_scenario("palpation"), seed)
-        _, outputs = identified(items_of(recording), parameters_of(recording, given_origin=True))
-        found = summaries_of(outputs)
-        assert len(found) == 10 and {s.site_id for s in found} == {1}
-        site, last = recording.truth["sites"][0], found[-1].estimate
-        truth = (site["linear_stiffness"], site["nonlinear_stiffness"], last.fractional_order)
-        errors.append(error_of(last, truth)[:2])
-    assert np.all(np.abs(np.mean(errors, axis=0)) < 0.003), errors
 
 
 @pytest.mark.parametrize("seeds", counts(1, 2))

@@ -73,13 +73,6 @@ def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(
     assert turning.pipeline.rejected.total() <= 2
 
 
-def test_a_displacement_topic_beside_the_frames_turns_the_force_alone(still: Outcome) -> None:
-    s = first_press()
-    moved = [item for item in s.items if item.stream != 0]
-    samples = sorted([*arm(s), *moved], key=lambda one: one.stamp_ns)
-    assert_alike(run(samples, displacement__message="pose"), still)
-
-
 def test_the_weight_of_a_tool_that_turns_is_taken_off_along_the_axis_of_the_base(
     still: Outcome,
 ) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueClassification, TissueEstimate
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -153,30 +152,6 @@ def test_parameters_are_described_ranged_and_fixed_while_configured() -> None:
         text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="cube")
         refused = set_parameter(bench, "geometry.kind", text)
         assert not refused.successful and "flat_punch" in refused.reason
-
-
-def test_a_geometry_that_is_not_stated_is_said_in_estimates_diagnostics_and_log() -> None:
-    with Bench() as bench, active({"geometry.area": 0.0}) as n:
-        bench.wait_until_heard()
-        stale = TissueEstimate.STATUS_STALE
-        bench.wait_for(lambda: bench.estimates, "an estimate before the first sample")
-        assert {e.status for e in bench.estimates} == {stale}
-        for index in range(20):
-            bench.publish(START_NS + index * STEP_NS, 0.0, 0.0)
-        bench.wait_for(lambda: any(e.status != stale for e in bench.estimates), "an estimate")
-        flags = TissueEstimate.FLAG_GEOMETRY_UNSTATED
-        assert all(e.flags & flags for e in bench.estimates)
-        bench.wait_for(
-            lambda: "the geometry is not stated" in bench.diagnostic().get("message", ""),
-            "the words in the diagnostics",
-        )
-        assert bench.diagnostic_level() == DiagnosticStatus.WARN
-        # Every look says it once; the log does so at the start alone.
-        looks = len(bench.diagnostics) + 3
-        bench.wait_for(lambda: len(bench.diagnostics) >= looks, "more looks")
-        for array in bench.diagnostics:
-            assert array.status[0].message.count("the geometry is not stated") == 1
-    assert n.output.count("geometry: {kind: flat_punch,") == 1
 
 
 def press(bench: Bench) -> None:

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from fden_ros.core.law.geometry import FlatPunch, Sphere
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.tissues.library import library_for, load_library, units_of
+from fden_ros.tissues.library import load_library
 
 MOMENTS = {
     "linear_stiffness": {"mean": 544.8, "sd": 155.3},
@@ -119,14 +118,6 @@ def test_typed_and_learned_tissues_stand_in_one_file(tmp_path):
 def parameters(path="", **geometry):
     values = {f"geometry.{name}": value for name, value in geometry.items()}
     return check({"classifier.library": str(path), **values})
-
-
-def test_estimates_in_newtons_are_told_by_the_area_of_one(tmp_path):
-    assert units_of(FlatPunch(1e-4, 0.02)) == "Pa"
-    assert units_of(FlatPunch(1.0, 0.02)) == "N"
-    assert units_of(Sphere(1.0)) == "Pa"
-    newtons = written(tmp_path, content(format=2, units="N"))
-    assert library_for(str(newtons), FlatPunch(1.0, 0.02)).units == "N"
 
 
 @pytest.mark.parametrize(("units", "area"), [("N", 1e-4), ("Pa", 1.0)])

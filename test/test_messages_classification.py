@@ -13,7 +13,6 @@ import pytest
 from output_helpers import ESTIMATE, summary
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.classification.relative import Comparison
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
     Classification,
@@ -21,12 +20,10 @@ from fden_ros.core.outputs import (
     Decision,
     Flag,
 )
-from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import CORRELATIONS, contact_row
 from fden_ros.ros.messages import classification_message, summary_message, summary_of
 
 CLASSES = ClassProbabilities("liver", ("liver", "unknown"), (0.9, 0.1), 0.4)
-COMPARISON = Comparison(math.log(2.0), 0.1, 20.0, 0.1, 21.0)
 COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 4e-4, 1e-6], [0.0, 1e-6, 1e-6]])
 SUMMARY = summary(
     flags=Flag.MODEL_MISMATCH, classes=CLASSES, estimate=ESTIMATE._replace(covariance=COVARIANCE)
@@ -50,14 +47,6 @@ def test_decision_goes_into_the_message_with_its_flags():
     assert (message.label, message.typicality) == ("liver", 0.4)
     assert (message.decision_time, message.decision_strain) == (0.8, 0.21)
     assert (message.ratio, message.ratio_low, message.ratio_high) == (0.0, 0.0, 0.0)
-
-
-def test_comparison_goes_into_the_message_with_its_interval():
-    message = summary_message(replace(SUMMARY, comparison=COMPARISON), "probe")
-    assert message.ratio == pytest.approx(2.0)
-    assert message.ratio_low < 2.0 < message.ratio_high
-    row = contact_object(replace(SUMMARY, comparison=COMPARISON))
-    assert (row["ratio_low"], row["ratio_high"]) == (message.ratio_low, message.ratio_high)
 
 
 def test_summary_comes_back_from_its_message():

@@ -131,16 +131,6 @@ def test_every_locked_package_is_pinned_and_no_index_is_named() -> None:
         assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*( ; [^:/]+)?", pin), pin
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "msg_defs").glob("*/*.??[gv]")), ids=str)
-def test_every_float_of_a_message_states_its_unit(path: Path) -> None:
-    field = re.compile(r"^float\d+(\[[^]]*\])?\s+(\w+)\s*(#.*)?$")
-    dimensionless_lists = {"probabilities"}
-    for line in path.read_text(encoding="utf-8").splitlines():
-        match = field.match(line)
-        if match and match.group(2) not in dimensionless_lists:
-            assert re.search(r"\[[^]]+\]", match.group(3) or ""), f"{path.name}: {line}"
-
-
 @pytest.mark.parametrize("path", sorted((ROOT / "msg_defs" / "msg").glob("*.msg")), ids=str)
 def test_every_message_of_the_sources_is_built(path: Path) -> None:
     import fden_msgs.msg

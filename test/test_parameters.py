@@ -38,15 +38,6 @@ def refused(values):
     return str(caught.value)
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.name)
-def test_default_passes_its_own_check_and_keeps_its_type(parameter):
-    value = parameter.check(parameter.default)
-    assert value == parameter.default
-    assert type(value) is type(parameter.default)
-    assert parameter.unit
-    assert parameter.description.endswith(".")
-
-
 def test_what_is_not_given_takes_its_default():
     assert check({}) == Parameters()
     assert check({}).as_dict() == {p.name: p.default for p in PARAMETERS}

@@ -103,20 +103,6 @@ def test_stream_without_a_usable_sample_is_explained(
     assert not any("overlap" in warning or "axis" in warning for warning in result.warnings)
 
 
-def test_what_is_stated_to_be_so_is_plausible(once: Path) -> None:
-    slow = identified(
-        once, "time_s*1e3,force_N,depth_mm*1e-3", {**RIGID, "plausible.strain_rate": 0.0}
-    )
-    strong = identified(
-        once,
-        "time_s,force_N*1e4,depth_mm*1e-3",
-        {**RIGID, "prior.linear_stiffness": 5e6, "plausible.force": 2e3},
-    )
-    for result in (slow, strong):
-        assert result.has_identified and not result.warnings
-        assert not any(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
-
-
 def test_slow_recording_is_identified() -> None:
     # 2 samples a second; G goes with time^alpha.
     factor = 100

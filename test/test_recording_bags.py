@@ -18,12 +18,11 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from mcap.writer import CompressionType, IndexType, Writer
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header, String
+from std_msgs.msg import Header
 
 from fden_ros.errors import InputError
 from fden_ros.recording.cdr import serialize
@@ -312,21 +311,3 @@ def test_unusable_paths_are_refused_in_one_line(tmp_path: Path) -> None:
     for size in range(1, 21):
         (tmp_path / "cut.mcap").write_bytes(start[:size])
         assert f"cut off before its first topic, at {size} b" in refusal(tmp_path / "cut.mcap")
-
-
-def test_bags_of_other_kinds_are_refused_with_the_command_that_converts_them(
-    tmp_path: Path,
-) -> None:
-    writer = RosbagsWriter(tmp_path / "old", version=9, storage_plugin=StoragePlugin.SQLITE3)
-    with writer:
-        store = get_typestore(Stores.ROS2_JAZZY)
-        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
-        writer.write(connection, START, serialize(String(data="x")))
-    with Rosbag1Writer(tmp_path / "old.bag") as writer1:
-        store = get_typestore(Stores.ROS1_NOETIC)
-        writer1.add_connection("/text", "std_msgs/msg/String", typestore=store)
-    for path in (tmp_path / "old", tmp_path / "old" / "old.db3"):
-        line = refusal(path)
-        assert "sqlite3 bag" in line and "ros2 bag convert -i" in line
-    line = refusal(tmp_path / "old.bag")
-    assert "ROS 1 bag" in line and "rosbags-convert --src" in line

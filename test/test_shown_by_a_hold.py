@@ -61,17 +61,6 @@ def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
     assert np.count_nonzero(predicted) >= 0.9 * len(predicted)
 
 
-@pytest.mark.parametrize("seeds", counts(1, 4))
-def test_an_interval_in_a_hold_of_the_laws_own_tissue_is_narrow(seeds: int) -> None:
-    widths = [
-        prediction.half_width
-        for seed in range(40, 40 + seeds)
-        for prediction in run_trial(("fden", RIGID), seed).predictions
-        if not prediction.refusal and prediction.moment in IN_THE_HOLD
-    ]
-    assert np.median(widths) < 0.015
-
-
 # The slope of what is left out
 
 

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_helpers import first
 
-from fden_ros.errors import InputError
 from fden_ros.simulation.closed_form import (
     FdenModel,
     stress_of_piecewise_linear_strain,
@@ -106,18 +105,3 @@ def test_phi_is_odd_smooth_and_inverted(model, strain):
     for place in (strain, model.boundary_strain, -model.boundary_strain):
         slope = (model.phi(place + 1e-7) - model.phi(place - 1e-7)) / 2e-7
         assert model.phi_derivative(place) == pytest.approx(slope, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    "knot_times, knot_strains, complaint",
-    [
-        ([0.0, 1.0], [0.0], "as many"),
-        ([0.0, 0.0], [0.0, 0.1], "increasing"),
-        ([0.0, 1.0], [0.1, 0.2], "must be 0"),
-    ],
-)
-def test_knots_that_make_no_motion_are_refused(knot_times, knot_strains, complaint):
-    with pytest.raises(InputError, match=complaint):
-        stress_of_piecewise_linear_strain(
-            knot_times, knot_strains, [1.0], FdenModel(520.0, 8.5, 0.131)
-        )

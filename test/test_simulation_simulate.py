@@ -96,19 +96,6 @@ def test_force_is_the_exact_stress_times_the_area():
     assert np.all(recording.force.value[(times > start) & (times < stop)] > 0.0)
 
 
-def test_displacement_comes_from_the_air_and_reads_the_surface_at_the_touch():
-    scenario = quiet_ramp(displacement=DisplacementSensor(surface_m=0.123))
-    recording = simulate(scenario)
-    times = seconds(recording.displacement)
-    ((start, _),) = contact_times(recording.truth)
-    reading = recording.displacement.value
-    assert reading[0] == pytest.approx(0.123 - 0.01)
-    assert np.interp(start, times, reading) == pytest.approx(0.123, abs=1e-8)
-    assert np.interp(start + 1.0, times, reading) == pytest.approx(0.123 + 0.1 * 0.02, abs=1e-8)
-    assert recording.truth["surface_displacement_m"] == 0.123
-    assert reading.max() == pytest.approx(0.123 + 0.3 * 0.02, abs=1e-6)
-
-
 def test_noise_bias_and_drift_have_the_stated_size():
     sensor = ForceSensor(noise_stress_pa=3.0, bias_n=0.05, drift_n_per_s=0.01)
     scenario = ramp_scenario(tissue=LIVER)

@@ -5,16 +5,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import yaml
 
-from fden_ros.core.classification.classifier import UNKNOWN, Likelihood, log_evidence, posterior
+from fden_ros.core.classification.classifier import UNKNOWN, log_evidence, posterior
 from fden_ros.tissues.library import parse_library
 from fden_ros.tissues.training import (
-    Contacts,
     check,
     contacts_of,
     learn,
@@ -55,25 +52,6 @@ def test_estimation_error_is_taken_out():
     # Uncorrected the whole would be 2.3 times too large.
     np.testing.assert_allclose(between + within, np.diag(BETWEEN + WITHIN), rtol=0.3)
     np.testing.assert_allclose(between, np.diag(BETWEEN), rtol=0.4)
-
-
-def test_order_that_no_contact_showed_is_learned_from_those_that_did():
-    rng = np.random.default_rng(2)
-    contacts = drawn(rng, specimens=40)
-    information = contacts.likelihood.information.copy()
-    blind = rng.random(len(contacts)) < 0.7
-    information[blind, 2, :] = information[blind, :, 2] = 0.0
-    centre = contacts.likelihood.centre.copy()
-    # What was published there is the prior's, and says nothing.
-    centre[blind, 2] = 0.4
-    seen = Contacts(
-        contacts.tissues,
-        contacts.specimens,
-        Likelihood(centre, contacts.likelihood.score, information),
-    )
-    for index, one in enumerate(learn(seen).values()):
-        assert one.mean[2] == pytest.approx(0.13 + index * SHIFT[2], abs=0.015)
-        assert math.sqrt(one.between[2, 2] + one.within[2, 2]) == pytest.approx(0.017, rel=0.4)
 
 
 def test_prediction_from_few_specimens_is_the_golden_one():

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings of simulated unknown rigs as bags, by the package rosbags: its types and CDR."""
+"""Recordings as bags in the layout of a robot, by the package rosbags: its types and CDR."""
 
 from __future__ import annotations
 
@@ -26,6 +26,14 @@ float32[] angle
 float32[6] pose
 float32[6] offset
 """
+LOADS = """builtin_interfaces/Time stamp
+string device
+float32[] channels
+uint8 state
+"""
+DEPTH = """std_msgs/Header header
+geometry_msgs/Vector3 tip
+"""
 
 
 class RigBag:
@@ -42,7 +50,12 @@ class RigBag:
         self.topics = (force_topic, displacement_topic)
         self.kind = kind
         self.store = get_typestore(Stores.ROS2_HUMBLE)
-        self.store.register(get_types_from_msg(ROBOT_STATES, "xarm_msgs/msg/RobotMsg"))
+        for text, name in (
+            (ROBOT_STATES, "xarm_msgs/msg/RobotMsg"),
+            (LOADS, "plc_msgs/msg/Loads"),
+            (DEPTH, "plc_msgs/msg/Depth"),
+        ):
+            self.store.register(get_types_from_msg(text, name))
 
     def write(self, folder: Path, invalid: int = 0) -> Path:
         """Write the bag; the first `invalid` poses have a stamp of 0."""
@@ -75,6 +88,10 @@ class RigBag:
         values = [float(v) for v in self.streams.force[index]]
         if len(values) == 1:
             return self.joints(time, [], [0.0, values[0]])
+        if self.kind == "plc":
+            channels = np.array([7.0, values[2], 9.0], dtype=np.float32)
+            stamp = self.header(time, "").stamp
+            return t["plc_msgs/msg/Loads"](stamp, device="plc", channels=channels, state=3)
         twist = self.streams.torque[index] if self.streams.torque is not None else (0, 0, 0)
         wrench = t["geometry_msgs/msg/Wrench"](
             force=vector(*values), torque=vector(*(float(v) for v in twist))
@@ -100,6 +117,9 @@ class RigBag:
         turn = (0.0, 0.0, 0.0, 1.0) if turned is None else turned[index]
         quaternion = t["geometry_msgs/msg/Quaternion"](*(float(v) for v in turn))
         header = self.header(time, "base")
+        if self.kind == "plc":
+            tip = t["geometry_msgs/msg/Vector3"](*place)
+            return t["plc_msgs/msg/Depth"](header, tip)
         if self.kind == "transform":
             return t["geometry_msgs/msg/TransformStamped"](
                 header,
