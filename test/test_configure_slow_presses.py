@@ -82,4 +82,4 @@ def test_signs_of_slow_presses_are_right_or_left_open(seeds: range) -> None:
     verdicts = [verdict(seed) for seed in seeds]
     assert [name for one in verdicts for name in one.wrong] == []
     clear = [one.is_open for one in verdicts if one.is_clear]
-    assert np.mean(clear) <= 0.05
+    assert sum(clear) <= max(1, 0.05 * len(clear))
