@@ -15,13 +15,13 @@ makes them better. The linear fractional model is :math:`F = K\,D^\alpha x`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.offline.session import fractional_derivative
 
 #: Hunt-Crossley holds in contact: shallower samples are left out [m].
 _LEAST_DEPTH = 1e-5
@@ -53,6 +53,30 @@ class Samples(NamedTuple):
 
 #: From what is seen, and times and depths of what is to come, to its force [N].
 Peer = Callable[[Samples, Samples], Array]
+
+
+def fractional_derivative(time: Array, values: Array, order: float) -> Array:
+    """Return D^order of a series that is 0 up to its first time, by the L1 scheme.
+
+    Parameters
+    ----------
+    time : array, shape (n,)
+        Increasing times [s], any steps.
+    values : array, shape (n,)
+        The series, linear in between; its first value is reached at once.
+    order : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    array, shape (n,)
+        The Caputo derivative of what follows the first value (Oldham and Spanier, The Fractional
+        Calculus, 1974, ch. 8.2).
+    """
+    away = np.maximum(time[:, None] - time, 0.0) ** (1.0 - order)
+    slopes = np.diff(values) / np.diff(time)
+    result: Array = (away[:, :-1] - away[:, 1:]) @ slopes / math.gamma(2.0 - order)
+    return result
 
 
 def last_value(seen: Samples, ahead: Samples) -> Array:

@@ -54,7 +54,7 @@ Identify soft tissue from force and displacement with the FDEN model.
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
   fden plan --config probe.yaml --target G=0.1,Gn=0.1
                                       which press to make next, and what to expect of it
-  fden fit creep creep.csv --plot x   alpha, G, Gn from a laboratory's experiment
+  fden fit creep creep.csv            alpha, G, Gn from a laboratory's experiment
   fden live                           simulator, identifier, controller and monitor together
   fden monitor                        a running identifier in the terminal
   fden doctor                         what a running identifier lacks, and the next step

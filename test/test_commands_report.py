@@ -19,7 +19,6 @@ from fden_ros.cli import main
 from fden_ros.offline.session import (
     Innovations,
     Session,
-    fractional_derivative,
     gather,
 )
 from fden_ros.parameters import read_parameter_file
@@ -195,12 +194,3 @@ def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None
         assert "smaller than" in verdict(0.5 * white)
         assert "not white" in verdict(np.convolve(white, np.ones(4) / 2.0, "valid"))
     assert passed >= 190  # 98 % expected of the two tests of 99 %
-
-
-def test_the_fractional_derivative_of_a_ramp_is_exact() -> None:
-    from math import gamma
-
-    time = np.cumsum(np.random.default_rng(1).uniform(0.001, 0.02, 200))
-    derivative = fractional_derivative(time, 3.0 * (time - time[0]), 0.13)
-    exact = 3.0 * (time - time[0]) ** 0.87 / gamma(1.87)
-    assert derivative == pytest.approx(exact, rel=1e-9)

@@ -17,7 +17,6 @@ from fden_ros.commands.command import (
     number,
     positive,
     print_json,
-    write,
 )
 from fden_ros.experiments.kinds import EXPERIMENTS, Options, fit_file
 
@@ -44,7 +43,7 @@ Prints a table with standard deviations and 95 % intervals, or with --json one o
 
 EPILOG = """\
 examples:
-  fden fit dynamic sweep.csv --plot sweep.png
+  fden fit dynamic sweep.csv
   fden fit creep creep.csv --stress 50
   fden fit nonlinearity coefficients.csv --alpha 0.131 --alpha-sd 0.011
   fden fit nonlinearity creep_tests/ --json | jq '.g, .g_sd'
@@ -73,9 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=EXPERIMENTS, metavar="KIND", help=", ".join(EXPERIMENTS))
     parser.add_argument("file", type=Path, metavar="FILE", help="a CSV file, or a folder of them")
     add_json(parser)
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw data and model (.png, .svg, .pdf)"
-    )
     numbers = parser.add_argument_group("what the file does not say")
     numbers.add_argument(
         "--stress", type=positive, metavar="PA", help="creep: the constant stress"
@@ -102,11 +98,6 @@ def run(args: argparse.Namespace) -> int:
     """Fit and print; return the exit code."""
     options = _options(args)
     fit = fit_file(args.kind, args.file, options)
-    if args.plot:
-        from fden_ros.report.fit_picture import save_fit_picture
-
-        title = f"{args.kind}: {args.file.name}"
-        write(args.plot, lambda path: save_fit_picture(fit, path, title))
     if args.json:
         return print_json({"file": str(args.file), **fit.as_object()})
     _print(fit, args.file)

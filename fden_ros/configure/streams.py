@@ -58,11 +58,6 @@ class Streams:
         """Last stamp that both streams have [s]."""
         return float(min(self.force_times[-1], self.motion_times[-1]))
 
-    def position_at(self, times: Array) -> Array:
-        """Return the position at `times` (n,), linear between the samples: (n, 1) or (n, 3)."""
-        columns = [np.interp(times, self.motion_times, column) for column in self.position.T]
-        return np.stack(columns, axis=1)
-
     def rotation_at(self, times: Array) -> Rotation | None:
         """Return the sensor's orientation at `times` (n,)."""
         if self.orientation is None:

@@ -28,7 +28,7 @@ from fden_ros.errors import InputError
 from fden_ros.experiments.columns import read_table
 from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import line_through_logarithms, require_positive
-from fden_ros.experiments.result import Fit, Panel, compared, r_squared
+from fden_ros.experiments.result import Fit, r_squared
 
 #: The paper leaves the first second of a creep test out: the rheometer still vibrates.
 START = 1.0
@@ -82,7 +82,6 @@ def fit_creep(time: Array, strain: Array, stress: float) -> Fit:
     if not 0.0 < alpha < 1.0:
         warnings.append(f"alpha is {alpha:.3f}, outside (0, 1): this is no springpot's creep")
     logs = np.log(strain)
-    curves = compared(time, strain, time, np.exp(log_xc) * time**alpha)
     return Fit(
         "creep",
         {
@@ -93,8 +92,4 @@ def fit_creep(time: Array, strain: Array, stress: float) -> Fit:
         r_squared(logs, logs - solution.residuals),
         time.size,
         tuple(warnings),
-        panels=(
-            Panel("Creep", "time [s]", "strain", curves),
-            Panel("Log-log", "time [s]", "strain", curves, x_log=True, y_log=True),
-        ),
     )

@@ -26,16 +26,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.experiments.columns import read_table
 from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import line_through, require_positive
-from fden_ros.experiments.result import (
-    Curve,
-    Fit,
-    Panel,
-    Parameter,
-    compared,
-    plain,
-    positive,
-    r_squared,
-)
+from fden_ros.experiments.result import Fit, Parameter, plain, positive, r_squared
 
 #: Deviations of alpha and ln G about the first sample's values, before any sample counts.
 _PRIOR_SD = (0.3, 3.0)
@@ -112,7 +103,6 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
             "slope": {"alpha": whole.plain(1.0)},
             "phase": {"alpha": alpha_by_phase(angles)},
         },
-        _panels(omega, moduli, state),
     )
 
 
@@ -170,28 +160,4 @@ def contradiction(slope: float, variance: float, angles: Array, what: str) -> tu
         f"slope and phase contradict each other: alpha is {slope:.3f} by the slope, "
         f"{from_angle.mean():.3f} by {what} ({abs(difference) / max(sd, 1e-12):.0f} deviations "
         "apart); one springpot does not describe both",
-    )
-
-
-def frequencies(omega: Array) -> Array:
-    """Return the frequencies [rad/s] at which a model is drawn."""
-    return np.geomspace(omega.min(), omega.max(), 60)
-
-
-def _panels(omega: Array, moduli: Array, state: Array) -> tuple[Panel, ...]:
-    fine = frequencies(omega)
-    model = np.exp(_predicted(state, np.log(fine)))
-    curves = [
-        curve
-        for i, name in enumerate(("G'", "G''"))
-        for curve in (
-            Curve(omega, moduli[:, i], f"{name} measured", line=False, color=i),
-            Curve(fine, model[:, i], f"{name} model", color=i),
-        )
-    ]
-    tangent = moduli[:, 1] / moduli[:, 0]
-    tangents = compared(omega, tangent, fine, model[:, 1] / model[:, 0], "tan(πα/2)")
-    return (
-        Panel("Complex modulus", "ω [rad/s]", "G', G'' [Pa]", curves, x_log=True, y_log=True),
-        Panel("Loss tangent", "ω [rad/s]", "G''/G'", tangents, x_log=True),
     )

@@ -39,7 +39,7 @@ from fden_ros.experiments.regression import (
     minimise_logarithms,
     require_positive,
 )
-from fden_ros.experiments.result import Curve, Fit, Panel, compared, plain, r_squared
+from fden_ros.experiments.result import Fit, plain, r_squared
 
 #: Stresses at which creep must be known.
 _LEAST_STRESSES = 3
@@ -119,7 +119,6 @@ def fit_nonlinearity(
         r_squared(stress, np.exp(log_phi(coefficient, log_g, log_g_n)) * factor),
         stress.size,
         (*undetermined_nonlinearity(float(coefficient.max()), log_g_n), *solution.warnings()),
-        panels=_panels(stress, coefficient, solution.values, factor),
     )
 
 
@@ -152,7 +151,6 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
     bounds = np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high])
     logs = np.log(strain)
     solution = minimise_logarithms(predicted, logs, start, *bounds)
-    factor = float(gamma(1.0 + solution.values[0]))
     return Fit(
         "nonlinearity",
         {"alpha": solution.plain(1.0), **stiffness_parameters(solution, 1)},
@@ -163,10 +161,6 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
             *solution.warnings(),
         ),
         {"coefficients": pairs.parameters},
-        (
-            *_panels(stresses, coefficients, solution.values[1:], factor),
-            _creep_panel(tests, solution.values),
-        ),
     )
 
 
@@ -185,30 +179,3 @@ def _log_creep(time: Array, log_stress: Array | float, values: Array) -> Array:
     """Return ln x of the exact creep at times (n,) for (alpha, ln G, ln Gn)."""
     log_phis = log_stress + values[0] * np.log(time) - gammaln(1.0 + values[0])
     return log_strain(log_phis, values[1], values[2])
-
-
-def _panels(
-    stress: Array, coefficient: Array, values: Array, factor: float
-) -> tuple[Panel, Panel]:
-    fine = np.linspace(0.02, 1.05, 200) * coefficient.max()
-    curves = compared(coefficient, stress, fine, factor * np.exp(log_phi(fine, *values)))
-    boundary = np.full(2, math.exp(-values[1]))
-    linear, logarithmic = (
-        Curve(boundary, np.array([least, stress.max()]), "1/Gn", color=2, dashed=True)
-        for least in (0.0, stress.min())
-    )
-    x_label, y_label = "strain coefficient", "stress [Pa]"
-    return (
-        Panel("Nonlinearity", x_label, y_label, (*curves, linear)),
-        Panel("Semi-log", x_label, y_label, (*curves, logarithmic), y_log=True),
-    )
-
-
-def _creep_panel(tests: Sequence[CreepTest], values: Array) -> Panel:
-    curves: list[Curve] = []
-    for test in tests:
-        model = np.exp(_log_creep(test.time, math.log(test.stress), values))
-        some = np.unique(np.geomspace(1, test.time.size, 30).astype(int)) - 1
-        pair = compared(test.time[some], test.strain[some], test.time, model)
-        curves += [replace(curve, label="") for curve in pair] if curves else pair
-    return Panel("Creep curves", "time [s]", "strain", curves, x_log=True, y_log=True)

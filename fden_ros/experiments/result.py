@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fit returns: parameters with uncertainty, R², warnings, and the curves of its picture."""
+"""What a fit returns: parameters with uncertainty, R² and warnings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -30,37 +30,6 @@ class Parameter(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Points or a line of a panel."""
-
-    x: Array
-    y: Array
-    label: str
-    line: bool = True
-    color: int = 0
-    dashed: bool = False
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One pair of axes of a fit's picture."""
-
-    title: str
-    x_label: str
-    y_label: str
-    curves: Sequence[Curve]
-    x_log: bool = False
-    y_log: bool = False
-
-
-def compared(
-    x: Array, measured: Array, grid: Array, model: Array, label: str = "model"
-) -> tuple[Curve, Curve]:
-    """Return the measured points (n,) and the line of the model over a grid (m,)."""
-    return Curve(x, measured, "measured", line=False), Curve(grid, model, label, color=1)
-
-
-@dataclass(frozen=True)
 class Fit:
     """The outcome of one experiment.
 
@@ -79,8 +48,6 @@ class Fit:
         What contradicts the model or the reading of the file, one line each.
     beside : mapping of str to mapping
         The same parameters by other procedures, for comparison.
-    panels : tuple of Panel
-        Data and model, for the plot.
     """
 
     kind: str
@@ -89,7 +56,6 @@ class Fit:
     samples: int
     warnings: tuple[str, ...] = ()
     beside: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
-    panels: tuple[Panel, ...] = ()
 
     def __getitem__(self, name: str) -> Parameter:
         """Return one parameter."""

@@ -251,45 +251,15 @@ def normalized_innovation(innovation: Innovation) -> float:
     return innovation.innovation / math.sqrt(innovation.variance)
 
 
-def fractional_derivative(time: Array, values: Array, order: float) -> Array:
-    """Return D^order of a series that is 0 up to its first time, by the L1 scheme.
+def predicted_stress(contact: Contact) -> tuple[Array, Array]:
+    """Return time [s] and predicted stress [Pa], shape (n,) each.
 
-    Parameters
-    ----------
-    time : array, shape (n,)
-        Increasing times [s], any steps.
-    values : array, shape (n,)
-        The series, linear in between; its first value is reached at once.
-    order : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    array, shape (n,)
-        The Caputo derivative of what follows the first value (Oldham and Spanier, The Fractional
-        Calculus, 1974, ch. 8.2).
-    """
-    away = np.maximum(time[:, None] - time, 0.0) ** (1.0 - order)
-    slopes = np.diff(values) / np.diff(time)
-    result: Array = (away[:, :-1] - away[:, 1:]) @ slopes / math.gamma(2.0 - order)
-    return result
-
-
-def predicted_stress(contact: Contact) -> tuple[Array, Array, Array]:
-    """Return time [s], measured and predicted stress [Pa], shape (n,) each.
-
-    Where the fractional stress is observed, its innovations are carried over to the stress:
-    both are linear in each other, f - D^alpha (f' - f'_predicted).
+    Empty where the fractional stress is observed.
     """
     states = [
         s for s in contact.states.items if s.signals is not None and s.innovation is not None
     ]
-    if len(states) < 2:
-        return (np.zeros(0),) * 3
+    if len(states) < 2 or not contact.observes_stress:
+        return np.zeros(0), np.zeros(0)
     time = np.array([(s.stamp_ns - states[0].stamp_ns) / NANOSECONDS for s in states])
-    measured = np.array([s.signals.stress for s in states])
-    if contact.observes_stress:
-        return time, measured, np.array([s.innovation.predicted_stress for s in states])
-    order = states[-1].estimate.fractional_order if states[-1].estimate is not None else 0.0
-    innovations = np.array([s.innovation.innovation for s in states])
-    return time, measured, measured - fractional_derivative(time, innovations, order)
+    return time, np.array([s.innovation.predicted_stress for s in states])

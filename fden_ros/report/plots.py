@@ -161,7 +161,7 @@ def signals(session: Session, contact: Contact) -> str:
     """Depth and force of a contact, and the force that was predicted."""
     geometry = session.geometry
     states = [state for state in contact.states.items if state.signals is not None]
-    time, _, predicted = predicted_stress(contact)
+    time, predicted = predicted_stress(contact)
     depth = np.array(
         [1e3 * geometry.length * geometry.compression(s.signals.strain) for s in states]
     )
