@@ -24,6 +24,5 @@ BENCHMARKS: dict[str, str] = {
     "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "closed_loop": "force control with gains from the live stiffness, and with fixed ones",
     "replay": "a sample beside a filter's step; speed of replay beside decoding",
-    "study": "the paper's study, simulated, and evaluated by the paper's procedures",
     "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
 }

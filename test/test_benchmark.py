@@ -226,15 +226,6 @@ def test_the_law_itself_is_predicted_within_its_interval(tmp_path, capsys):
 # The paper's study
 
 
-def test_study_stands_beside_the_paper_without_and_with_noise(tmp_path, capsys):
-    figures = benchmark(capsys, tmp_path, "study", "--contacts", 3, "--jobs", 1)
-    rows = figures["tables"]
-    assert rows["nonlinearity Gn, paper"]["average"] == 8.547
-    assert 250.0 < rows["dynamic G, exact"]["average"] < 520.0
-    assert rows["R² creep, noisy"]["minimum"] > 0.9
-    assert figures["ratios"]["G, all curves, exact"]["average"] == pytest.approx(1.0, abs=1e-6)
-
-
 # Changes
 
 SLIDE, INCLUSION = changes.CHANGES[:2]

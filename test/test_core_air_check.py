@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from pipeline_helpers import FORCE, feed, identified, items_of, parameters_of, summaries_of
+from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
 
 from fden_ros.core.outputs import Flag
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.disturbance import Disturbances
 from fden_ros.simulation.scenario import ramp_scenario
 from fden_ros.simulation.simulate import EXACT, simulate
@@ -54,20 +52,3 @@ def test_first_contact_whose_air_was_none_is_withdrawn():
     assert last.estimate is None
     assert not last.converged
     assert last.flags & Flag.ORIGIN_UNCERTAIN
-
-
-def test_tare_after_a_contact_is_no_drift():
-    items, parameters = recorded()
-    (touched,) = summaries_of(identified(items, parameters)[1])
-    outputs = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
-    tare_ns = touched.end_ns + 250_000_000
-    shifted = [
-        item._replace(value=item.value + 0.1) if item.stream == FORCE else item for item in items
-    ]
-    feed(pipeline, [item for item in shifted if item.stamp_ns < tare_ns])
-    assert pipeline.tare() is None
-    feed(pipeline, [item for item in shifted if item.stamp_ns >= tare_ns])
-    pipeline.finish()
-    (summary,) = summaries_of(outputs)
-    assert not summary.flags & Flag.FORCE_DRIFTED

@@ -28,7 +28,6 @@ from fden_ros.core import (
 )
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
-from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 
 START_NS = 5_000_000_000
@@ -308,22 +307,6 @@ def test_a_stiffness_is_not_current_when_the_palpation_is_over():
     assert outputs[-1].apparent_stiffness is not None
     feed(pipeline, still, shift=40.0)
     assert outputs[-1].apparent_stiffness is None
-
-
-def test_a_stated_frequency_gives_what_the_found_one_does_and_sooner():
-    record = palpated(5, is_rigid=True)
-    (found, stated) = (
-        [one for one in of(TissueState, outputs) if one.apparent_stiffness]
-        for outputs in (
-            identify(record)[1],
-            identify(record, **{"dither.frequencies": [1.5]})[1],
-        )
-    )
-    last, other = found[-1].apparent_stiffness, stated[-1].apparent_stiffness
-    assert last.value == pytest.approx(other.value, abs=last.sd)
-    assert stated[0].stamp_ns < found[0].stamp_ns
-    with pytest.raises(InputError, match="2 frequencies"):
-        identify(record, **{"dither.frequencies": [1.5, 3.0]})
 
 
 def test_a_force_out_of_step_is_told_and_its_alpha_not_known():

@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +32,6 @@ from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linea
 SPACING = 0.77
 RATES_OF_KERNEL = np.exp(np.log(1e-6) + SPACING * np.arange(RATES))
 KNOTS = 7
-PRESS_BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
 
 needs_compiled = pytest.mark.skipif(loops.notice() is not None, reason="not compiled")
 
@@ -382,19 +379,3 @@ def test_without_compiled_loops_a_line_says_so(
     with pytest.raises(SystemExit):
         cli.main(["--version"])
     assert loops.notice() in capsys.readouterr().out
-
-
-def test_a_replay_without_compiled_loops_says_so_and_estimates_the_same(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = str(PRESS_BAG / "identifier.yaml")
-    results = []
-    for library in (loops._COMPILED, None):
-        monkeypatch.setattr(loops, "_COMPILED", library)
-        assert cli.main(["replay", str(PRESS_BAG), "--config", config, "--json"]) == 0
-        printed = capsys.readouterr()
-        assert (loops.notice() or "") in printed.err
-        results.append(json.loads(printed.out)["contacts"][0])
-    assert "compiled" in printed.err
-    for name in ("g", "g_n", "alpha"):
-        assert results[1][name] == pytest.approx(results[0][name], rel=1e-6)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import subprocess
 import threading
@@ -21,7 +20,6 @@ from lifecycle_msgs.msg import Transition
 from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import RELIABLE, Bench, active, identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -66,27 +64,6 @@ def test_a_topic_that_nothing_publishes_is_named_with_one_that_fits_and_the_rema
     assert "/displacement is published by /bench, but no message has come from it" in line
 
 
-def test_another_type_another_qos_and_a_missing_clock_are_named_with_what_mends_them() -> None:
-    reliable = {"qos_overrides./force.subscription.reliability": "reliable"}
-    wrong = {"displacement.message": "pose", "use_sim_time": True, **reliable}
-    with Bench() as bench:
-        bench.node.destroy_publisher(bench.force)
-        best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        bench.force = bench.node.create_publisher(WrenchStamped, "/force", best_effort)
-        mended = (
-            "/displacement is published as sensor_msgs/msg/JointState, expected "
-            "geometry_msgs/msg/PoseStamped: set displacement.message to joint_state",
-            "a publisher on /force offers an incompatible reliability, best_effort where reliable "
-            "is asked for: nothing comes from it; "
-            "set qos_overrides./force.subscription.reliability to best_effort",
-            "nothing publishes /clock: play the bag with ros2 bag play --clock",
-        )
-        with identifier({"autostart": True, **wrong}) as node:
-            wait_for_words(bench, *mended)
-    for words in mended:
-        assert len(warnings_of(node, words)) == 1, words
-
-
 def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_said() -> None:
     with Bench() as bench:
         for publisher in (bench.force, bench.displacement):
@@ -119,24 +96,6 @@ def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet() -> Non
     assert said.status == TissueEstimate.STATUS_STALE
     assert said.valid == TissueEstimate.VALID_NONE
     assert said.header.stamp.sec == 0
-
-
-def test_a_force_of_the_wrong_sign_is_said_before_the_first_press_is_over() -> None:
-    """As `force.axis: [0, 0, -1]` on a sensor whose z grows with the press."""
-    words = "does it have the wrong sign (force.axis, force.inverted)"
-    with (
-        Bench() as bench,
-        active({"force.axis": [0.0, 0.0, -1.0]}) as node,
-    ):
-        bench.wait_until_heard()
-        for k in range(700):
-            depth = max(0.0, (k - 400) * 1e-5)
-            bench.publish(START_NS + k * STEP_NS, 60.0 * depth + 1e-4 * math.sin(k), depth)
-        bench.wait_for(
-            lambda: words in bench.diagnostic().get("message", ""), "the words on the sign"
-        )
-        assert not bench.summaries
-    assert len(warnings_of(node, words)) == 1
 
 
 def test_lost_messages_are_said_with_their_topic_and_what_mends_it() -> None:

@@ -87,22 +87,6 @@ def test_wrong_unit_is_never_converged_and_said_with_its_factor(
     assert all(o.classes is None for o in flagged if isinstance(o, Classification))
 
 
-@pytest.mark.parametrize(
-    ("columns", "parameters", "words"),
-    [
-        ("time_s*1e-3,force_N,depth_mm*1e-3", RIGID, "is the time in s already"),
-        ("time_s,force_N,depth_mm", {**RIGID, "displacement.limit": 1e-3}, "is it in mm"),
-    ],
-    ids=["ms for s", "beyond the limit"],
-)
-def test_stream_without_a_usable_sample_is_explained(
-    columns: str, parameters: dict[str, object], words: str, once: Path
-) -> None:
-    result = identified(once, columns, parameters)
-    assert not result.summaries and any(words in warning for warning in result.warnings)
-    assert not any("overlap" in warning or "axis" in warning for warning in result.warnings)
-
-
 def test_slow_recording_is_identified() -> None:
     # 2 samples a second; G goes with time^alpha.
     factor = 100
