@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +17,10 @@ from scipy.special import gamma
 from fden_ros.core.law.characteristic import (
     apparent_stiffness_factor,
     elastic_response,
+    log_phi,
+    log_strain,
+    phi,
+    strain_of_phi,
 )
 
 #: No test depends on the time it takes, nor on chance.
@@ -54,6 +59,16 @@ def test_derivatives_are_those_of_the_value(x, G, Gn):
         elastic_response(x, G * math.exp(step), Gn), elastic_response(x, G * math.exp(-step), Gn)
     )
     assert by_log_g == pytest.approx(response.value, rel=1e-8, abs=1e-9)
+
+
+@steady
+@given(x=strains, G=stiffnesses, Gn=nonlinear_stiffnesses)
+def test_the_inverses_give_the_strain_back(x, G, Gn):
+    found = strain_of_phi(phi(np.array([x]), G, Gn), G, Gn)
+    assert found == pytest.approx([x], rel=1e-9, abs=1e-12)
+    logs = math.log(G), math.log(Gn)
+    log_x = np.log(np.array([abs(x) + 1e-6]))
+    assert log_strain(log_phi(np.exp(log_x), *logs), *logs) == pytest.approx(log_x, abs=1e-9)
 
 
 def test_apparent_stiffness_is_the_relaxation_of_a_step():
