@@ -118,8 +118,8 @@ def _as_table(folder: Path, streams: Streams) -> Path:
     """Write the file of the real-time interface's recorder, separated by blanks."""
     path = folder / "robot_data.csv"
     times = streams.force_times
-    places = [np.interp(times, streams.motion_times, column) for column in streams.position.T]
-    rows = np.hstack([times[:, None], streams.force, np.stack(places, axis=1)])
+    newest = np.searchsorted(streams.motion_times[1:], times, side="right")
+    rows = np.hstack([times[:, None], streams.force, streams.position[newest]])
     names = [f"actual_TCP_{what}_{k}" for what in ("force", "pose") for k in range(3)]
     np.savetxt(path, rows, "%.6f", header=" ".join(["timestamp", *names]), comments="")
     return path

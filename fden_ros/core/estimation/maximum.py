@@ -35,6 +35,9 @@ _MOST_STEPS, _MOST_TRIES = 60, 8
 CONVERGED = 1e-4
 #: The same where rounding lets no step lower it [1].
 _NEARLY_CONVERGED = 1e-3
+#: The same where steps go to and fro between kinks until there are no more: a fifth of a standard
+#: deviation is left [1].
+_CLOSE = 0.05
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
 #: the distance [1], so that both cannot take turns.
 _QUICK_STEPS, _FOLLOWING = 5, 0.5
@@ -130,6 +133,7 @@ class MaximumSearch:
         at = start  # where the variances are taken; it follows the state
         found = self._density.evaluate(self._points, state)
         is_solved = is_at_kink = False
+        left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
         for count in range(_MOST_STEPS):
             at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
@@ -171,6 +175,7 @@ class MaximumSearch:
                 damping *= _EASED
             elif damping > _KINK_DAMPING and not is_at_kink:
                 is_at_kink, damping = True, _DAMPING
+        is_solved |= left < _CLOSE
         return Maximum(state, found, metric.errors, self._scales, is_solved)
 
     def _metric(self, at: Array, found: Evaluation | None) -> _Metric:
