@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from typing import Any
 
@@ -21,7 +22,7 @@ from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import ContactSummary, apparent_stiffness_of
-from fden_ros.offline.advice import shortfall
+from fden_ros.offline.advice import next_press, shortfall
 from fden_ros.offline.remarks import remarks
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.planning.remedies import WORDS
@@ -74,6 +75,9 @@ def lacking(source: str, index: int, deviation: float, **more: Any) -> tuple[str
         converged=False,
         estimate=ESTIMATE._replace(covariance=covariance, known=known),
         max_force=0.016,
+        end_ns=1_000_000_000,
+        start_ns=0,
+        sample_count=100,
         budget=Budget(variances, parts, stress_noise=160.0, surface_sd=0.02),
         **more,
     )
@@ -135,7 +139,7 @@ def test_the_exit_line_the_remark_and_the_sentence_say_the_same() -> None:
     config = PipelineConfig(None, geometry=FlatPunch(math.pi * RADIUS**2, 0.02))
     words = shortfall(contact, config)
     assert f"{words[0].upper()}{words[1:]}." in list(remarks(contact, config))
-    assert next_step(contact, config, None) in words
+    assert next_step(contact, config) in words
 
 
 def test_a_hidden_surface_leaves_the_slope_of_the_force() -> None:
@@ -153,10 +157,14 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force() -> None:
     assert shallow.sd > 2.0 * shallow.value
 
 
-def test_a_press_that_is_not_deep_enough_says_how_deep_would_be() -> None:
+def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is() -> None:
     contact, config = pressed(2000.0, 0.002, 0.06)
     words = shortfall(contact, config)
-    assert "Gn is not observable" in words and "press to" in words and words.endswith("mm for Gn")
+    assert "Gn is not observable" in words
+    assert re.search(r"; press to [\d.]+ mm at .* the target with \d+ %", words)
+    following = next_press(contact, config)
+    assert following is not None and words.endswith(following.line())
+    assert following.motion.depth > 0.1 * 0.02  # beyond 1/Gn
 
 
 @pytest.mark.parametrize("source", ["drift", "motion"])

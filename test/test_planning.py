@@ -134,6 +134,20 @@ def test_a_record_of_few_samples_has_the_counts_of_all() -> None:
     assert points.counts.sum() == pytest.approx(PRESS.seconds * SENSORS.rate, rel=0.05)
 
 
+def test_an_order_that_is_given_is_planned_with() -> None:
+    known = Member(1.0, LIVER.mean, np.diag([0.09, 0.04, 0.0]))
+    given = config_of(alpha__learn=False)
+    found = plan(given, SENSORS, TARGET, tissue=TissueBelief((known,)))
+    assert found.deviations[2] == pytest.approx(0.03)
+
+
+def test_sensors_of_any_rate_are_simulated_at_one_that_tells_as_much() -> None:
+    fast = Sensors(rate=1e11, force_sd=50.0, displacement_sd=0.05)
+    slow = Sensors(rate=1000.0, force_sd=0.005, displacement_sd=5e-6)
+    for a, b in ((fast.slower(), slow), (slow.slower(), slow)):
+        assert a.rate == b.rate and a.force_sd == pytest.approx(b.force_sd)
+
+
 def test_draws_have_the_moments_of_all_modes() -> None:
     shallow = Member(0.4, np.array([6.0, 1.0, 0.1]), np.diag([0.01, 0.2, 1e-4]))
     deep = Member(0.6, np.array([6.3, 2.5, 0.2]), np.diag([0.02, 0.01, 1e-4]))

@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(plan_object(plan))
     else:
         print(plan.line())
-    return 0 if plan.is_possible else _NOT_POSSIBLE
+    return 0 if plan.is_worth_it else _NOT_POSSIBLE
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:

@@ -7,11 +7,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import WITHHELD, ContactSummary
+from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.planning.motion import Sensors
+from fden_ros.planning.plan import Plan, plan
 from fden_ros.planning.remedies import (
     LARGEST_COMPRESSION,
     WORDS,
@@ -20,6 +25,7 @@ from fden_ros.planning.remedies import (
     remedy,
     uncover,
 )
+from fden_ros.planning.tissue import TissueBelief
 
 #: Sources named at most.
 _NAMED = 4
@@ -38,13 +44,19 @@ def shortfall(summary: ContactSummary, config: PipelineConfig) -> str:
 
 
 def cure(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return the cheapest remedy for a contact that has not converged; empty: none is known."""
+    """Return the press that would settle a contact that has not converged, else what would help.
+
+    Empty: nothing is known that would.
+    """
     estimate, budget = summary.estimate, summary.budget
     if estimate is None or not _is_open(summary):
         return ""
     if budget is not None and any(estimate.hidden):
         linear = estimate.linear_stiffness / estimate.nonlinear_stiffness
         return uncover(budget, config.geometry, linear)
+    planned = next_press(summary, config)
+    if planned is not None and planned.is_worth_it:
+        return planned.line()
     if not estimate.determines(1):
         return deeper(summary.max_strain, estimate.nonlinear_stiffness, config.geometry)
     poor = _poor(estimate, config.estimator)
@@ -61,6 +73,20 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
         summary.max_strain,
     )
     return remedy(case)
+
+
+def next_press(summary: ContactSummary, config: PipelineConfig) -> Plan | None:
+    """Return the press that a contact asks for; None: its sensors are not known."""
+    estimate, budget = summary.estimate, summary.budget
+    seconds = (summary.end_ns - summary.start_ns) / NANOSECONDS
+    if estimate is None or budget is None or not budget.stress_noise or seconds <= 0.0:
+        return None
+    noise = budget.stress_noise / config.geometry.stress_per_force
+    sensors = Sensors(max(summary.sample_count / seconds, 1.0), noise)
+    try:
+        return plan(config, sensors, tissue=TissueBelief.found(estimate))
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
 
 
 def deeper(strain: float, gn: float, geometry: Geometry) -> str:

@@ -83,10 +83,12 @@ class Forecast:
     """
 
     def __init__(self, config: PipelineConfig, sensors: Sensors, tissue: TissueBelief) -> None:
-        self.config, self.sensors, self.tissue = config, sensors, tissue
+        self.config, self.sensors, self.tissue = config, sensors.slower(), tissue
         self._scale = config.geometry.stress_per_force
-        precision: Array = np.asarray(np.linalg.inv(tissue.covariance), dtype=np.float64)
-        self._known = Belief(tissue.mean, precision)
+        #: Places of what is not known of the law.
+        self._open = np.flatnonzero(tissue.covariance.diagonal() > 0.0)
+        block = np.ix_(self._open, self._open)
+        self._precision: Array = np.asarray(np.linalg.inv(tissue.covariance[block]), dtype=float)
         self._touches: dict[tuple[float, int], Touch] = {}
 
     def _setting(self, origin_sd: float) -> PressSetting:
@@ -108,7 +110,8 @@ class Forecast:
         noise = self.sensors.displacement_sd / length
         posterior = setting.posterior((), noise, depth / length)
         mean, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
-        mean[_LAW], precision[_LAW, _LAW] = self._known.mean, self._known.precision
+        mean[_LAW] = self.tissue.mean
+        precision[np.ix_(self._open, self._open)] = self._precision
         posterior.belief = Belief(mean, precision)
         return posterior
 

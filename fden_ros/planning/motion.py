@@ -19,6 +19,8 @@ FREQUENCY = 1.5
 #: Steps of the samples that stand for those of the sensors [s]: in motion, two in a block, and at
 #: rest, from when it has lasted so long [s]. Half of them change no deviation by 2 %.
 _MOVING, _RESTING, _AT_REST = 5e-3, 2e-2, 0.2
+#: Samples in a second that are simulated at most [Hz].
+_MOST_RATE = 1000.0
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,12 @@ class Sensors:
     rate: float
     force_sd: float
     displacement_sd: float = 0.0
+
+    def slower(self) -> Sensors:
+        """Return sensors of at most 1 kHz that tell as much."""
+        part = min(_MOST_RATE / self.rate, 1.0)
+        noises = (math.sqrt(part) * sd for sd in (self.force_sd, self.displacement_sd))
+        return Sensors(part * self.rate, *noises)
 
 
 @dataclass(frozen=True)

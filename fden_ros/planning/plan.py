@@ -34,6 +34,8 @@ _EXCEEDED = 0.05
 _AS_GOOD = 1.05
 #: A target is said to be possible from this probability on [1].
 POSSIBLE = 0.8
+#: A press is worth it from this probability of the target on [1].
+WORTH_IT = 0.25
 #: Depths over the largest, speeds over the largest [1], and holds [s] that are tried; the second
 #: depth shows where the law's own error is larger than the noise.
 _DEPTHS, _SPEEDS, _HOLDS = (1.0, 0.7), (1.0, 0.4), (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -118,20 +120,25 @@ class Plan:
         """Whether the target can be met."""
         return self.presses > 0
 
+    @property
+    def is_worth_it(self) -> bool:
+        """Whether the target may well be met, and a press tells whether it is."""
+        return self.is_possible or self.probability >= WORTH_IT
+
     def line(self) -> str:
         """Return the plan in one line."""
         found = ", ".join(
             f"{name} to {100.0 * sd:.2g} %" if name != "alpha" else f"alpha to {sd:.2g}"
             for name, sd in zip(NAMES, self.deviations.tolist(), strict=True)
+            if sd > 0.0
         )
         words = f"{motion_words(self.motion)}: {found}"
-        chance = f"{100.0 * self.probability:.0f} %"
-        if not self.is_possible:
-            often = f"possible with {chance} only" if self.probability else "not possible"
-            return f"{often}: {self.cause}; at best {words}"
-        if self.presses == 1:
-            return f"{words}; the target with {chance}"
-        return f"{words}; the target with {chance}, or after {self.presses} such presses"
+        chance = f"the target with {100.0 * self.probability:.0f} %"
+        if not self.is_worth_it:
+            return f"not possible: {self.cause}; at best {words}"
+        if self.presses > 1:
+            chance += f", or after {self.presses} such presses"
+        return f"{words}; {chance}"
 
 
 def motion_words(motion: Motion) -> str:

@@ -8,16 +8,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
 from fden_ros.core.classification.classifier import UNKNOWN
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag
-from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.offline.advice import cure, wanted_strain
-from fden_ros.offline.session import Contact, Session
-from fden_ros.planning.remedies import LARGEST_COMPRESSION
+from fden_ros.offline.advice import cure
+from fden_ros.offline.session import Session
 from fden_ros.report.numbers import DASH, stiffness
 
 #: So many places are named one by one.
@@ -37,27 +33,16 @@ def sentence(session: Session) -> str:
     places = list({summary.site_id: summary for summary in summaries}.values())
     if len(places) > _EACH:
         return _of_many(places, session.config)
-    speeds = {
-        contact.contact_id: _speed(contact, session.geometry) for contact in session.contacts
-    }
     parts = []
     for place in places:
-        remedy = next_step(place, session.config, speeds.get(place.contact_id))
+        remedy = next_step(place, session.config)
         words = _what(place, session.geometry) + (f"; {remedy}" if remedy else "")
         parts.append(words if len(places) == 1 else f"site {place.site_id}: {words}")
     return _sentence(". ".join(part[0].upper() + part[1:] for part in parts))
 
 
-def next_step(summary: ContactSummary, config: PipelineConfig, speed: float | None) -> str:
-    """Return what to do so that more of a place is known; empty where all is.
-
-    Parameters
-    ----------
-    summary : ContactSummary
-    config : PipelineConfig
-    speed : float or None
-        Of the press [m/s], where it is known.
-    """
+def next_step(summary: ContactSummary, config: PipelineConfig) -> str:
+    """Return what to do so that more of a place is known; empty where all is."""
     estimate, flags = summary.estimate, summary.flags
     if flags & Flag.IMPLAUSIBLE:
         return "check the units"
@@ -67,35 +52,9 @@ def next_step(summary: ContactSummary, config: PipelineConfig, speed: float | No
         return "begin 1 s in the air for G and Gn"
     if estimate is None or estimate.at_edge:
         return "see what stands against an estimate"
-    remedy = cure(summary, config)
-    if remedy and not estimate.determines(1):
-        remedy += _longer(summary.max_strain, estimate.nonlinear_stiffness, config.geometry, speed)
-    if remedy:
+    if remedy := cure(summary, config):
         return remedy
     return "" if estimate.determines(2) else "hold for 2 s for alpha"
-
-
-def _longer(strain: float, gn: float, geometry: Geometry, speed: float | None) -> str:
-    """Return how much longer to press at a speed [m/s] for Gn, in brackets."""
-    compression = geometry.compression(wanted_strain(strain, gn))
-    if not speed or compression > LARGEST_COMPRESSION:
-        return ""
-    way = geometry.length * (compression - geometry.compression(strain))
-    return f" ({way / speed:.1f} s longer)"
-
-
-def _speed(contact: Contact, geometry: Geometry) -> float | None:
-    """Return how fast the probe went from half its largest depth on [m/s]; None: not known."""
-    seen = [(s.stamp_ns, s.signals.strain) for s in contact.states.items if s.signals is not None]
-    if len(seen) < 2:
-        return None
-    stamps, strains = (np.array(column) for column in zip(*seen, strict=True))
-    half, end = (int(np.argmax(strains >= part * strains.max())) for part in (0.5, 0.98))
-    seconds = (stamps[end] - stamps[half]) / NANOSECONDS
-    if seconds <= 0.0:
-        return None
-    first, last = (geometry.compression(float(strains[i])) for i in (half, end))
-    return geometry.length * (last - first) / float(seconds)
 
 
 def _what(place: ContactSummary, geometry: Geometry) -> str:
@@ -125,7 +84,7 @@ def _of_many(places: Sequence[ContactSummary], config: PipelineConfig) -> str:
     ]
     if values:
         words += f"; {min(values):.3g} to {max(values):.3g} N/m"
-    steps = Counter(filter(None, (next_step(place, config, None) for place in places)))
+    steps = Counter(filter(None, (next_step(place, config) for place in places)))
     for step, count in steps.most_common(1):
         words += f"; at {count} of them {step}"
     return _sentence(words)
