@@ -35,9 +35,6 @@ _MOST_STEPS, _MOST_TRIES = 60, 8
 CONVERGED = 1e-4
 #: The same where rounding lets no step lower it [1].
 _NEARLY_CONVERGED = 1e-3
-#: The same where steps go to and fro between kinks until there are no more: a fifth of a standard
-#: deviation is left [1].
-_CLOSE = 0.05
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
 #: the distance [1], so that both cannot take turns.
 _QUICK_STEPS, _FOLLOWING = 5, 0.5
@@ -165,9 +162,9 @@ class MaximumSearch:
             tried += tries
             if taken is None:
                 # A sample at the surface: its stress begins there, and so does its derivative.
-                is_solved = is_at_kink and left < max(_NEARLY_CONVERGED, converged)
+                is_stuck = is_at_kink and left < max(_NEARLY_CONVERGED, converged)
                 is_at_kink, damping = True, _DAMPING
-                if is_solved:
+                if is_stuck:
                     break
                 continue
             state, found = taken
@@ -175,7 +172,8 @@ class MaximumSearch:
                 damping *= _EASED
             elif damping > _KINK_DAMPING and not is_at_kink:
                 is_at_kink, damping = True, _DAMPING
-        is_solved |= left < _CLOSE
+        # Steps from kink to kink are short, and many.
+        is_solved |= is_at_kink and left < max(_NEARLY_CONVERGED, converged)
         return Maximum(state, found, metric.errors, self._scales, is_solved)
 
     def _metric(self, at: Array, found: Evaluation | None) -> _Metric:

@@ -163,7 +163,7 @@ class PressModel:
         self.size = stop
         names = [u.name for u in unknowns]
         self._compliance = names.index("compliance") if "compliance" in names else None
-        self._half_at = np.array([u.half_at for u in unknowns])
+        self._adds_stress = np.array([u.stress is not None for u in unknowns])
         knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
         kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
         kinds = np.concatenate([[u.kind for u in unknowns], kernel, knots])
@@ -283,22 +283,10 @@ class PressModel:
         by_block *= 0.5
         if self._compliance is not None:
             by_block[:, self._compliance] *= self._compliance_unit
-        stress = points.mean(found.stress)
-        added, by_stress = self._added(design, stress)
-        by_block *= 1.0 + (self._of_unknowns(state) @ by_stress)[:, None]
-        by_block[:, : len(self.unknowns)] += added.T
-        stress += self._of_unknowns(state) @ added
+        of_unknowns = by_block[:, : self._adds_stress.size]
+        of_unknowns[:, self._adds_stress] = design.stresses[self._adds_stress].T
+        stress = points.mean(found.stress) + self._of_unknowns(state) @ design.stresses
         return Evaluation(stress, by_block, found.elastic, found.slope, begun)
-
-    def _added(self, design: _Design, stress: Array) -> tuple[Array, Array]:
-        """Return the stress that each unknown adds, and its derivative by that of the tissue."""
-        acts = np.ones_like(design.stresses)
-        by_stress = np.zeros_like(design.stresses)
-        for k in np.flatnonzero(self._half_at):
-            square, half = stress**2, self._half_at[k] ** 2
-            acts[k] = square / (square + half)
-            by_stress[k] = 2.0 * stress * half / (square + half) ** 2
-        return design.stresses * acts, design.stresses * by_stress
 
     def response(self, points: Points, state: Array) -> Evaluation:
         """Return the stress of every block without its derivatives.
@@ -314,7 +302,7 @@ class PressModel:
         asked = surface, Columns.none(points.times.size)
         found = self._response(points, state, law, asked, begun)
         stress = points.mean(found.stress)
-        stress += self._of_unknowns(state) @ self._added(self._design(points), stress)[0]
+        stress += self._of_unknowns(state) @ self._design(points).stresses
         return Evaluation(stress, np.zeros((stress.size, 0)), found.elastic, found.slope, begun)
 
     def _response(

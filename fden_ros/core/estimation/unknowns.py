@@ -61,8 +61,6 @@ class Unknown:
         Points to the change of their compressions by one standard deviation, (n,).
     stress : callable or None
         Points to the stress at their blocks by one standard deviation, (m,) [Pa].
-    half_at : float
-        Stress of the tissue at which half of `stress` acts [Pa]; 0: all of it always does.
     since : float or None
         It is a change of the stiffness at this time [s], relative to the first stiffness.
     """
@@ -74,7 +72,6 @@ class Unknown:
     kind: int = 0
     motion: Callable[[Points], Array] | None = None
     stress: Callable[[Points], Array] | None = None
-    half_at: float = 0.0
     since: float | None = None
 
     @property
@@ -235,7 +232,9 @@ def _late(delay: float, points: Points) -> Array:
 
 def _friction(stress: float, length: float, points: Points) -> Array:
     speed = length * points.mean(points.speeds)
-    result: Array = stress * speed / np.hypot(speed, FRICTION_SPEED)
+    # In the air there is none, or it is in the zero; half of it where the tissue presses as much.
+    in_contact = points.stresses**2 / (points.stresses**2 + stress**2)
+    result: Array = stress * in_contact * speed / np.hypot(speed, FRICTION_SPEED)
     return result
 
 
@@ -281,8 +280,6 @@ def unknowns_of(
             unsure.friction_sd,
             rig,
             stress=partial(_friction, per_force * unsure.friction_sd, length),
-            # That of the air is in the zero.
-            half_at=per_force * unsure.friction_sd,
         ),
         Unknown(
             "drift",
