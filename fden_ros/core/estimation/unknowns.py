@@ -35,6 +35,8 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
 #: Speed at which friction has half its full square [m/s]: slower is a hold.
 FRICTION_SPEED = 5e-4
+#: Compression at which half of it acts [1].
+FRICTION_STRAIN = 0.01
 
 
 class Lifetime(enum.Enum):
@@ -232,8 +234,9 @@ def _late(delay: float, points: Points) -> Array:
 
 def _friction(stress: float, length: float, points: Points) -> Array:
     speed = length * points.mean(points.speeds)
-    # In the air there is none, or it is in the zero; half of it where the tissue presses as much.
-    in_contact = points.stresses**2 / (points.stresses**2 + stress**2)
+    # In the air there is none, or it is in the zero.
+    pressed = np.maximum(points.mean(points.compressions), 0.0)
+    in_contact = pressed**2 / (pressed**2 + FRICTION_STRAIN**2)
     result: Array = stress * in_contact * speed / np.hypot(speed, FRICTION_SPEED)
     return result
 
