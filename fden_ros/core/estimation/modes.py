@@ -21,10 +21,11 @@ import numpy as np
 from scipy.special import expit, log_ndtr
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.estimate import Member
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
 #: Maxima less likely than the best by this logarithm do not count [1].
@@ -92,9 +93,14 @@ class Modes:
 
 
 def find_modes(
-    posterior: Posterior, points: Points, starts: Sequence[Array], scales: Scales, strain: float
+    posterior: Posterior,
+    points: Points,
+    starts: Sequence[Array],
+    scales: Scales,
+    before: Sequence[tuple[Array, Solution]],
+    strain: float,
 ) -> Modes:
-    """Return the modes that starts lead to.
+    """Return the modes that starts lead to, and those of a shorter record.
 
     Parameters
     ----------
@@ -102,7 +108,10 @@ def find_modes(
     points : Points
     starts : sequence of ndarray, shape (n,)
     scales : Scales
-        To begin with.
+        To begin with at these.
+    before : sequence of (ndarray, Solution)
+        Modes of the shorter record, with their states by now: at their own scales, which others
+        would be no match for.
     strain : float
         Largest strain of the record [1].
 
@@ -111,7 +120,13 @@ def find_modes(
     FloatingPointError
         If the stress is not finite at any start.
     """
-    return _weighed(posterior, points, posterior.solutions(points, starts, scales), strain)
+    found = posterior.solutions(points, starts, scales)
+    for one in before:
+        try:
+            found += _followed(posterior, points, [one], strain)
+        except UNSOLVABLE:
+            continue
+    return _weighed(posterior, points, found, strain)
 
 
 def follow_modes(
@@ -121,6 +136,15 @@ def follow_modes(
     strain: float,
 ) -> Modes:
     """Return the modes that those of a shorter record, with their states by now, lead to."""
+    return _weighed(posterior, points, _followed(posterior, points, before, strain), strain)
+
+
+def _followed(
+    posterior: Posterior,
+    points: Points,
+    before: Sequence[tuple[Array, Solution]],
+    strain: float,
+) -> list[Solution]:
     boundary = _boundary(strain)
     found = []
     for state, solution in before:
@@ -130,18 +154,18 @@ def follow_modes(
             bent = state.copy()
             bent[LOG_GN] = boundary + _BENT
             found.append(posterior.tracked(points, bent, solution))
-    found.sort(key=lambda s: -s.log_evidence)
-    return _weighed(posterior, points, found, strain)
+    return found
 
 
 def _weighed(
     posterior: Posterior, points: Points, found: Sequence[Solution], strain: float
 ) -> Modes:
     """Return the modes that are apart, weighed by their evidence under the same errors."""
+    found = sorted(found, key=lambda s: -s.log_evidence)
     if len(found) == 1:
         return _with_linear(posterior, points, Modes((found[0],)), strain)
     errors = found[0].maximum.errors
-    evidence = np.array([posterior.log_evidence(points, s.maximum, errors) for s in found])
+    evidence = np.array([_under(posterior, points, s, errors) for s in found])
     kept: list[tuple[float, Solution]] = []
     boundary = _boundary(strain)
     has_linear = False
@@ -158,6 +182,13 @@ def _weighed(
     solutions = tuple(s for _, s in kept)
     modes = Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
     return _with_linear(posterior, points, modes, strain)
+
+
+def _under(posterior: Posterior, points: Points, solution: Solution, errors: Errors) -> float:
+    """Return the log evidence of a solution, over all scales, as it is under other errors."""
+    own, best = solution.maximum.errors, solution.maximum
+    there = posterior.log_evidence(points, best, errors)
+    return solution.log_evidence + there - posterior.log_evidence(points, best, own)
 
 
 def _boundary(strain: float) -> float:

@@ -297,8 +297,8 @@ class PressPosterior:
             except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         self._blocks_at_starts = self._blocks
-        starts = [state for state, _ in tracked] + self._starts(posterior, points)
-        return find_modes(posterior, points, starts, _first_scales(posterior), strain)
+        starts, scales = self._starts(posterior, points), _first_scales(posterior)
+        return find_modes(posterior, points, starts, scales, tracked, strain)
 
     def _starts(self, posterior: Posterior, points: Points) -> list[Array]:
         if self.setting.carried is not None:
