@@ -229,7 +229,7 @@ class PressPosterior:
     def _filtered(self, own_filter: PressFilter, compression: float) -> Innovation:
         """Let the filter take the samples of a block."""
         points = block_points(self._samples, self._last, self.record.noise_sd)
-        self._last = self._samples[-1].time
+        self._last = float(points.times[-1])
         try:
             found = own_filter.step(points)
             mean = own_filter.mean
