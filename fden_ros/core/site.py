@@ -341,7 +341,8 @@ class Site:
         placed.estimator.go_on_beside(new)
         self._rest_until(first.stamp_ns)
         shift = placed.shift + (origin - self.origin) / self._config.geometry.length
-        return EitherPlace(self._config.estimator, placed._replace(shift=shift), Placed(new))
+        same = Placed(placed.estimator, shift, placed.estimator.change_count)
+        return EitherPlace(self._config.estimator, same, Placed(new))
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""

@@ -37,10 +37,11 @@ _LEAST_WEIGHT = 0.01
 
 
 class Placed(NamedTuple):
-    """An estimator, and by how much its compressions are larger than those it is given [1]."""
+    """An estimator, and what it brings along."""
 
     estimator: PosteriorEstimator
-    shift: float = 0.0
+    shift: float = 0.0  #: by which its compressions are larger than those it is given [1]
+    changes: int = 0  #: of the tissue, found before
 
     def estimate(self) -> Estimate:
         """Return its estimate, the origin in the compressions that it is given."""
@@ -80,7 +81,7 @@ class EitherPlace:
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
-        return self.likeliest.estimator.change_count
+        return self.likeliest.estimator.change_count - self.likeliest.changes
 
     @property
     def rig_misfit(self) -> float:
@@ -106,8 +107,8 @@ class EitherPlace:
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last."""
-        for estimator, shift in self._places:
-            estimator.take(step, compression + shift, stress, is_free=is_free)
+        for place in self._places:
+            place.estimator.take(step, compression + place.shift, stress, is_free=is_free)
 
     def rest(self, duration: float) -> None:
         """Let time [s] pass between two contacts."""

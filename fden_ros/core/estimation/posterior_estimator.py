@@ -279,6 +279,9 @@ class PosteriorEstimator:
             return self._prior_estimate()
         solved, config = press.solved, self._setting.config
         mean, full = self._moments_now(solved, press.filter)
+        if not np.all(np.abs(mean) < _LARGEST_LOG):
+            # The filter is where no number is; the next solution is due.
+            return self._prior_estimate()
         covariance = self._published(full)
         if solved.is_contradicted and not self._setting.is_bent:
             # Parameters of a law that the data contradict are known no better than before.
@@ -338,7 +341,9 @@ class PosteriorEstimator:
         """Return the covariance of (ln G, ln Gn, alpha), with that of the thickness."""
         covariance = full[:3, :3].copy()
         covariance[:2, :2] += self._setting.config.uncertainty.thickness_sd**2
-        result: Array = 0.5 * (covariance + covariance.T)
+        values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        # Rounding of the filter may leave a variance below 0.
+        result: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
         return result
 
     def _probability_beyond(
