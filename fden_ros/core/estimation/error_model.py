@@ -142,8 +142,9 @@ class ErrorModel:
         by_block[1:] += by_block[:-1].copy()
         for value, unknown in zip(state, self._model.unknowns, strict=False):
             if unknown.since is not None:
-                # A block that the change cuts may have had it for all or none of its time.
-                cut = points.middles - 0.5 * points.durations <= unknown.since
+                # A block that the change cuts may have had it for all or none of its time, and so
+                # may the next, where the change was that much later.
+                cut = points.middles - points.durations <= unknown.since
                 cut &= unknown.since < points.middles + points.durations
                 by_block += cut * (value * points.mean(elastic * factor * step**-order)) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
