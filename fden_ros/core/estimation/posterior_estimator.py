@@ -46,6 +46,8 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 _LEAST_TOLD = 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
+#: Part of the largest variance that rounding may leave below 0 [1].
+_ROUNDING = 1e-13
 #: Logarithm beyond which a number is as good as infinite [1].
 _LARGEST_LOG = 300.0
 _NOISELESS = PathNoise()
@@ -341,9 +343,12 @@ class PosteriorEstimator:
         """Return the covariance of (ln G, ln Gn, alpha), with that of the thickness."""
         covariance = full[:3, :3].copy()
         covariance[:2, :2] += self._setting.config.uncertainty.thickness_sd**2
-        values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-        # Rounding of the filter may leave a variance below 0.
-        result: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        result: Array = 0.5 * (covariance + covariance.T)
+        values, vectors = np.linalg.eigh(result)
+        if values[0] < -_ROUNDING * values[-1]:
+            # The filter was far from where it is linear.
+            result = (vectors * np.maximum(values, 0.0)) @ vectors.T
+            result = 0.5 * (result + result.T)
         return result
 
     def _probability_beyond(
