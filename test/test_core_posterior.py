@@ -295,7 +295,8 @@ def test_a_change_is_placed_between_the_times_that_are_looked_at() -> None:
     press = pressed(11, 0.005, 1.5)
     found = look_at(press, count=40)
     assert found is not None
-    assert found.since == pytest.approx(press.times[met_at(press)], abs=0.005)
+    # Within a block: the one after it may have had the change for part of its time.
+    assert found.since == pytest.approx(press.times[met_at(press)], abs=0.01)
 
 
 @pytest.mark.parametrize(("jerk", "block"), [(-600.0, -3), (600.0, -4)])

@@ -73,11 +73,12 @@ class Modes:
     def members(self, mean: Array, covariance: Array) -> list[Member]:
         """Return all modes, where the moments of the first have gone on to these."""
         best = self.best
-        if best.considered is not None:
-            covariance = covariance + best.considered
         shift = mean - best.mean
         others = [m._replace(mean=m.mean + shift) for m in self.others]
-        return [Member(self.weight, mean, covariance), *others]
+        found = [Member(self.weight, mean, covariance), *others]
+        if best.considered is None:
+            return found
+        return [m._replace(covariance=m.covariance + best.considered) for m in found]
 
     def mixed(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Return the moments of all modes, where those of the first have gone on to these."""

@@ -47,7 +47,7 @@ _LEAST_TOLD = 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 #: Part of the largest variance that rounding may leave below 0 [1].
-_ROUNDING = 1e-13
+_ROUNDING = 1e-12
 #: Logarithm beyond which a number is as good as infinite [1].
 _LARGEST_LOG = 300.0
 _NOISELESS = PathNoise()
