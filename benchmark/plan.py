@@ -47,13 +47,13 @@ examples:
   fden benchmark plan --cases 20mN --presses 60
 """
 
-_RADIUS_M, _THICKNESS_M, _RATE_HZ, _MOTION_NOISE_M = 0.02, 0.02, 500.0, 5e-6
+RADIUS_M, THICKNESS_M, _RATE_HZ, _MOTION_NOISE_M = 0.02, 0.02, 500.0, 5e-6
 #: The tissue is thicker or thinner by a share uniform between these two: a deviation of 2 %.
 _MOST_THICKER = 0.02 * math.sqrt(3.0)
-_PARAMETERS = {
+PARAMETERS = {
     "geometry.kind": "flat_punch",
-    "geometry.area": math.pi * _RADIUS_M**2,
-    "geometry.thickness": _THICKNESS_M,
+    "geometry.area": math.pi * RADIUS_M**2,
+    "geometry.thickness": THICKNESS_M,
     "prior.linear_stiffness": 520.0,
     "prior.linear_stiffness_log_sd": 0.3,
     "prior.nonlinear_stiffness": 8.4,
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> Report:
 
 def trial_of(name: str, number: int) -> Trial:
     """Plan for tissue `number` without knowing it, press it, and compare."""
-    case, config = CASES[name], pipeline_config(check(_PARAMETERS))
+    case, config = CASES[name], pipeline_config(check(PARAMETERS))
     draw = np.random.default_rng([number, 23])
     prior = config.estimator.prior
     tissue = np.clip(draw.normal(prior.mean, prior.deviations), [-9.0, -9.0, 0.03], 99.0)
@@ -135,7 +135,7 @@ def trial_of(name: str, number: int) -> Trial:
 
 def _second(case: Case, number: int, tissue: Array) -> tuple[Array, Array, Array]:
     """Return predicted and achieved deviations of a press after a shallow one, and its error."""
-    config = pipeline_config(check(_PARAMETERS))
+    config = pipeline_config(check(PARAMETERS))
     sensors = Sensors(_RATE_HZ, case.noise_n, _MOTION_NOISE_M)
     first = _pressed(case, number, tissue, (_SHALLOW,))
     nothing = np.full(3, np.nan)
@@ -162,8 +162,8 @@ def _pressed(
         seed=1000 * number + round(1e3 * case.noise_n),
         geometry=Geometry(
             "flat_punch",
-            radius_m=_RADIUS_M,
-            thickness_m=_THICKNESS_M * (1.0 + draw.uniform(-_MOST_THICKER, _MOST_THICKER)),
+            radius_m=RADIUS_M,
+            thickness_m=THICKNESS_M * (1.0 + draw.uniform(-_MOST_THICKER, _MOST_THICKER)),
         ),
         sites=(
             Site(
@@ -180,13 +180,13 @@ def _pressed(
         force=ForceSensor(rate_hz=_RATE_HZ, noise_n=case.noise_n),
         displacement=DisplacementSensor(rate_hz=_RATE_HZ, noise_m=_MOTION_NOISE_M),
     )
-    outputs = identified(simulate(scenario), _PARAMETERS)[1]
+    outputs = identified(simulate(scenario), PARAMETERS)[1]
     return [summary.estimate for summary in last_summaries(outputs).values()]
 
 
 def _press(motion: Motion) -> Press:
-    speed, release = motion.speed / _THICKNESS_M, motion.release / _THICKNESS_M
-    strain = motion.depth / _THICKNESS_M
+    speed, release = motion.speed / THICKNESS_M, motion.release / THICKNESS_M
+    strain = motion.depth / THICKNESS_M
     if not motion.cycles:
         return RampHold(speed, strain, motion.hold, release)
     size = motion.amplitude * strain

@@ -14,6 +14,7 @@ import pytest
 from pipeline_helpers import identified, items_of, summaries_of
 
 import fden_ros.planning.forecast as forecasting
+from benchmark.plan import PARAMETERS, RADIUS_M, THICKNESS_M
 from fden_ros.cli import main
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import Member
@@ -34,18 +35,6 @@ from fden_ros.simulation.scenario import (
 from fden_ros.simulation.simulate import simulate
 from fden_ros.simulation.trajectory import RampHold
 
-RADIUS, THICKNESS = 0.02, 0.02
-PARAMETERS = {
-    "geometry.kind": "flat_punch",
-    "geometry.area": math.pi * RADIUS**2,
-    "geometry.thickness": THICKNESS,
-    "prior.linear_stiffness": 520.0,
-    "prior.linear_stiffness_log_sd": 0.3,
-    "prior.nonlinear_stiffness": 8.4,
-    "prior.nonlinear_stiffness_log_sd": 0.2,
-    "prior.alpha": 0.131,
-    "prior.alpha_sd": 0.03,
-}
 SENSORS = Sensors(rate=500.0, force_sd=0.005, displacement_sd=5e-6)
 PRESS = Motion(depth=5e-3, speed=0.02, hold=1.0, release=0.02)
 TARGET = Target((0.1, 0.1, math.inf))
@@ -62,11 +51,11 @@ LIVER = TissueBelief.stated(CONFIG.estimator.prior)
 
 def test_the_expected_deviations_are_those_that_the_identifier_states() -> None:
     tissue = LIVER.draws(1)
-    press = RampHold(PRESS.speed / THICKNESS, PRESS.depth / THICKNESS, PRESS.hold, 1.0)
+    press = RampHold(PRESS.speed / THICKNESS_M, PRESS.depth / THICKNESS_M, PRESS.hold, 1.0)
     g, gn, alpha = math.exp(tissue[0, 0]), math.exp(tissue[0, 1]), float(tissue[0, 2])
     scenario = Scenario(
         seed=1,
-        geometry=Geometry(radius_m=RADIUS, thickness_m=THICKNESS),
+        geometry=Geometry(radius_m=RADIUS_M, thickness_m=THICKNESS_M),
         sites=(Site(tissue=Tissue(g, gn, alpha), presses=(press,)),),
         approach=Approach(slow_distance_m=0.005),
         force=ForceSensor(rate_hz=500.0, noise_n=SENSORS.force_sd),

@@ -14,6 +14,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
+from fden_ros.core.contact.rise import Rise
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.either_place import EitherPlace, Placed
@@ -26,6 +27,7 @@ from fden_ros.core.estimation.fractional_stress_estimator import (
 )
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.law.stress_memory import StressMemory
 from fden_ros.core.lift_off import KnownTissue, LiftOff
@@ -130,10 +132,7 @@ class _Finding:
         """Whether the touch did not show where the surface is."""
         if self._rise is None:
             return False
-        geometry = self._config.geometry
-        depth = self._rise.depth / geometry.length
-        growth = estimate.nonlinear_stiffness * geometry.strain_slope(depth) * depth
-        return not self._rise.shows_surface(growth)
+        return hides_surface(self._rise, self._config.geometry, estimate.nonlinear_stiffness)
 
 
 class _Lessons:
@@ -218,7 +217,7 @@ class Site:
         self._lessons = _Lessons(config, rig)
         self._finding = _Finding(onset, config)
         self._finding.doubt(flags, 1.0)
-        self.origin, self.origin_sd = _origin(onset, config)
+        self.origin, self.origin_sd = origin_of(onset, config)
         self._memory = StressMemory(exact_orders(config.estimator))
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
@@ -542,7 +541,14 @@ def _check_finite(*numbers: float) -> None:
         raise FloatingPointError(f"the estimate is not finite: {numbers}")
 
 
-def _origin(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
+def hides_surface(rise: Rise, geometry: Geometry, nonlinear_stiffness: float) -> bool:
+    """Whether the rise of the force at a touch does not show where tissue of a Gn [1] begins."""
+    depth = rise.depth / geometry.length
+    growth = nonlinear_stiffness * geometry.strain_slope(depth) * depth
+    return not rise.shows_surface(growth)
+
+
+def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
     """Return the displacement at zero strain [m] and its standard deviation as compression [1]."""
     if config.strain_origin is not None:
         return config.strain_origin, 0.0

@@ -50,7 +50,7 @@ _SMOOTH, _ROUGH = (0, 2, 3), (0, 1, 3)
 _FIRST_ORIGIN_SD = 3e-3
 #: Standard deviations of the origin that a touch may be before its nominal place [1].
 _REACH = 6.0
-#: Deviation of what is not told at all [1].
+#: Added to the standard deviations where no contact is detected [1].
 _UNTOLD = 10.0
 _LAW = slice(0, len(LAW))
 

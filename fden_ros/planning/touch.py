@@ -13,19 +13,19 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.chunks import CHUNK_NS
-from fden_ros.core.contact.detector import Onset
+from fden_ros.core.contact.detector import (
+    AMPLE_EVIDENCE,
+    CLEAR_DEVIATIONS,
+    MIN_EVIDENCE,
+    Onset,
+)
 from fden_ros.core.contact.surface import FIRST_WINDOW, find_surface
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.site import Site
+from fden_ros.core.site import hides_surface, origin_of
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 from fden_ros.planning.motion import Motion, Sensors
 
 #: Seconds in the air before the touch that its fit sees, and that tell the force's zero.
 _AIR, _ZERO_TIME = 1.0, 2.0
-#: A contact is told where a chunk's mean force exceeds so many deviations of a sample [1]; or
-#: where it explains the force by so much chi-squared better than a drift [1], or at its end by so
-#: much [1], as the detector has it.
-_CLEAR, _AMPLE, _LEAST = 4.0, 200.0, 12.0
 #: First windows of the fit [s], where the force is clear and where it is not.
 _WINDOWS = FIRST_WINDOW, 1.0
 _CHUNK = CHUNK_NS / NANOSECONDS
@@ -79,10 +79,10 @@ def touch_of(
     """
     if config.strain_origin is not None:
         return Touch(0.0, True, False)
-    geometry, (times, forces) = config.geometry, course
+    times, forces = course
     seen = np.arange(-_AIR, float(times[-1]), 1.0 / sensors.rate)
     force = np.interp(seen, times, forces) * (seen > 0.0)
-    threshold = max(_CLEAR * sensors.force_sd, config.contact.force_threshold)
+    threshold = max(CLEAR_DEVIATIONS * sensors.force_sd, config.contact.force_threshold)
     end, is_clear, is_told = _detection(seen, force, threshold, sensors.force_sd)
     seen, force = seen[:end], force[:end]
     force += sensors.force_sd * np.random.default_rng(seed).standard_normal(end)
@@ -103,10 +103,9 @@ def touch_of(
         seen=True,
         air_seen=True,
     )
-    site = Site(1, onset, config, RigKnowledge.stated(config.estimator))
-    depth = surface.rise.depth / geometry.length
-    growth = nonlinear_stiffness * geometry.strain_slope(depth) * depth
-    return Touch(site.origin_sd, is_told, not surface.rise.shows_surface(growth))
+    _, origin_sd = origin_of(onset, config)
+    is_hidden = hides_surface(surface.rise, config.geometry, nonlinear_stiffness)
+    return Touch(origin_sd, is_told, is_hidden)
 
 
 def _detection(
@@ -123,8 +122,8 @@ def _detection(
     sf, stf, sff = np.cumsum(forces), np.cumsum(t * forces), np.cumsum(forces**2)
     spread = np.maximum(stt - st**2 / count, 1e-12)
     left = sff - sf**2 / count - (stf - st * sf / count) ** 2 / spread
-    ample = np.flatnonzero(left > _AMPLE * noise**2)
+    ample = np.flatnonzero(left > AMPLE_EVIDENCE * noise**2)
     found = [indices[0] for indices in (clear, ample) if indices.size]
     last = int(min(found)) if found else int(np.argmax(left))
     end = min(last + 1 + round(_CHUNK / float(times[1] - times[0])), times.size)
-    return end, bool(clear.size and clear[0] == last), bool(left[last] > _LEAST * noise**2)
+    return end, bool(clear.size and clear[0] == last), bool(left[last] > MIN_EVIDENCE * noise**2)

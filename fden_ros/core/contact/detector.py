@@ -118,7 +118,7 @@ _RELEASE_CHUNKS = 2
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
 #: line in time does is a drift. One that may still grow is given time up to 200: what is seen
 #: longer tells the surface better.
-_MIN_EVIDENCE, _AMPLE_EVIDENCE = 12.0, 200.0
+MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
 #: A rise is looked at again when it has lasted for a tenth longer, or has fallen by 30 %.
 _RETRY, _OVER = 0.1, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
@@ -133,7 +133,7 @@ _FALL_THRESHOLDS = 12.0
 #: That minute [ns].
 _FALL_NS = 60 * NANOSECONDS
 #: A sample clearly is not the air's from 4 standard deviations of the noise per sample on.
-_CLEAR_DEVIATIONS = 4.0
+CLEAR_DEVIATIONS = 4.0
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
 #: at first.
 _COLOUR, _LONG_WINDOW = 1.5, 1.0
@@ -223,7 +223,7 @@ class ContactDetector:
         noise = baseline.noise_of(air)
         bias = baseline.bias_at(chunk.end_ns)
         excess = baseline.excess(chunk)
-        beyond_noise = max(self._config.force_threshold, _CLEAR_DEVIATIONS * noise)
+        beyond_noise = max(self._config.force_threshold, CLEAR_DEVIATIONS * noise)
         clear = max(beyond_noise, baseline.threshold_of_chunk)
         is_clear = chunk.mean - bias > clear
         rise = self._rise
@@ -253,13 +253,13 @@ class ContactDetector:
             return True
         rise, evidence = self._rise, approach.surface.evidence
         rise.look_ns = now_ns + round(_RETRY * approach.lasting * NANOSECONDS)
-        if evidence < _MIN_EVIDENCE:
+        if evidence < MIN_EVIDENCE:
             # A drift, which rises whatever the probe does; or the beginning of a contact that is
             # too faint to tell yet.
             if self._doubted_ns is None:
                 self._doubted_ns = now_ns
             rise.is_doubted = not may_grow or now_ns - self._doubted_ns > _DOUBT_NS
-        if evidence < (_AMPLE_EVIDENCE if may_grow else _MIN_EVIDENCE):
+        if evidence < (AMPLE_EVIDENCE if may_grow else MIN_EVIDENCE):
             return False
         return approach.is_established(is_clear=not may_grow)
 
