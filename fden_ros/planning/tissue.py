@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, Member
+from fden_ros.core.estimation.estimate import Estimate, Member, mixture
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
 
@@ -59,16 +59,12 @@ class TissueBelief:
     @property
     def mean(self) -> Array:
         """Of all members, (3,)."""
-        result: Array = np.sum([m.weight * m.mean for m in self.members], axis=0)
-        return result
+        return mixture(self.members)[0]
 
     @property
     def covariance(self) -> Array:
         """Of all members, (3, 3)."""
-        off = [(m, m.mean - self.mean) for m in self.members]
-        spread = [m.weight * (m.covariance + np.outer(o, o)) for m, o in off]
-        result: Array = np.sum(spread, axis=0)
-        return result
+        return mixture(self.members)[1]
 
     def draws(self, count: int) -> Array:
         """Return tissues that stand evenly for what is known, (count, 3); the first is typical."""

@@ -24,7 +24,7 @@ from scipy.special import softmax
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import converged
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Estimate, Member, mixture
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
@@ -165,13 +165,13 @@ class EitherPlace:
         if len(estimates) == 1:
             return estimates[0]
 
-        def mixed(of: Callable[[Estimate], float | Array]) -> Array:
-            return np.tensordot(self._weights, np.array([of(e) for e in estimates]), axes=1)
+        def mixed(of: Callable[[Estimate], float]) -> float:
+            return float(self._weights @ [of(e) for e in estimates])
 
         best = estimates[int(np.argmax(self._weights))]
-        mean = mixed(lambda e: e.mean)
-        covariance = mixed(lambda e: e.covariance + np.outer(e.mean - mean, e.mean - mean))
-        origin = float(mixed(lambda e: e.strain_origin))
+        weighed = zip(self._weights.tolist(), estimates, strict=True)
+        mean, covariance = mixture([Member(w, e.mean, e.covariance) for w, e in weighed])
+        origin = mixed(lambda e: e.strain_origin)
         spread = mixed(lambda e: e.strain_origin_sd**2 + (e.strain_origin - origin) ** 2)
         valid, known = best.valid, best.known
         for weight, estimate in zip(self._weights, estimates, strict=True):
@@ -186,7 +186,7 @@ class EitherPlace:
             covariance=covariance,
             strain_origin=origin,
             strain_origin_sd=math.sqrt(spread),
-            probability_beyond_boundary=float(mixed(lambda e: e.probability_beyond_boundary)),
+            probability_beyond_boundary=mixed(lambda e: e.probability_beyond_boundary),
             valid=valid,
             known=known & converged(self._config, deviations, valid),
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,18 @@ class Member(NamedTuple):
     weight: float
     mean: Array
     covariance: Array
+
+
+def mixture(members: Sequence[Member]) -> tuple[Array, Array]:
+    """Return mean and covariance of a mixture whose weights add up to 1."""
+    if len(members) == 1:
+        return members[0].mean, members[0].covariance
+    middle = np.sum([m.weight * m.mean for m in members], axis=0)
+    spread = np.zeros_like(members[0].covariance)
+    for member in members:
+        off = member.mean - middle
+        spread += member.weight * (member.covariance + np.outer(off, off))
+    return middle, spread
 
 
 class Estimate(NamedTuple):

@@ -22,7 +22,7 @@ from scipy.special import expit, log_ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import Errors
-from fden_ros.core.estimation.estimate import Member
+from fden_ros.core.estimation.estimate import Member, mixture
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
@@ -82,15 +82,7 @@ class Modes:
 
     def mixed(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Return the moments of all modes, where those of the first have gone on to these."""
-        members = self.members(mean, covariance)
-        if len(members) == 1:
-            return members[0].mean, members[0].covariance
-        middle = np.sum([m.weight * m.mean for m in members], axis=0)
-        spread = np.zeros_like(covariance)
-        for member in members:
-            off = member.mean - middle
-            spread += member.weight * (member.covariance + np.outer(off, off))
-        return middle, spread
+        return mixture(self.members(mean, covariance))
 
 
 def find_modes(
@@ -187,9 +179,11 @@ def _weighed(
 
 def _under(posterior: Posterior, points: Points, solution: Solution, errors: Errors) -> float:
     """Return the log evidence of a solution, over all scales, as it is under other errors."""
-    own, best = solution.maximum.errors, solution.maximum
+    best = solution.maximum
+    if errors is best.errors:
+        return solution.log_evidence
     there = posterior.log_evidence(points, best, errors)
-    return solution.log_evidence + there - posterior.log_evidence(points, best, own)
+    return solution.log_evidence + there - posterior.log_evidence(points, best, best.errors)
 
 
 def _boundary(strain: float) -> float:

@@ -10,6 +10,7 @@ the free surface of the tissue.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +18,9 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate, LawError, Member
+from fden_ros.core.estimation.estimate import Estimate, LawError, Member, mixture
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
@@ -280,7 +280,8 @@ class PosteriorEstimator:
         if press is None or press.solved is None or press.filter is None:
             return self._prior_estimate()
         solved, config = press.solved, self._setting.config
-        mean, full = self._moments_now(solved, press.filter)
+        modes = solved.modes.members(press.filter.mean, press.filter.covariance)
+        mean, full = _after_changes(solved.model, *mixture(modes))
         if not np.all(np.abs(mean) < _LARGEST_LOG):
             # The filter is where no number is; the next solution is due.
             return self._prior_estimate()
@@ -321,23 +322,8 @@ class PosteriorEstimator:
             mismatch_probability=self._mismatch_probability,
             at_edge=claims.at_edge,
             is_order_contradicted=is_contradicted,
-            modes=self._modes_now(solved, press.filter),
+            modes=_of_law(solved.model, modes),
         )
-
-    @staticmethod
-    def _modes_now(solved: Solved, own_filter: PressFilter) -> tuple[Member, ...]:
-        """Return the modes of ln G, ln Gn and alpha, for the tissue under the probe."""
-        found = []
-        for mode in solved.modes.members(own_filter.mean, own_filter.covariance):
-            mean, covariance = _after_changes(solved.model, mode.mean, mode.covariance)
-            found.append(Member(mode.weight, mean[:3].copy(), covariance[:3, :3].copy()))
-        return tuple(found)
-
-    @staticmethod
-    def _moments_now(solved: Solved, own_filter: PressFilter) -> tuple[Array, Array]:
-        """Return mean and covariance of all modes by now, for the tissue under the probe."""
-        mean, covariance = solved.modes.mixed(own_filter.mean, own_filter.covariance)
-        return _after_changes(solved.model, mean, covariance)
 
     def _published(self, full: Array) -> Array:
         """Return the covariance of (ln G, ln Gn, alpha), with that of the thickness."""
@@ -400,6 +386,15 @@ def _is_order_contradicted(config: EstimatorConfig, error: LawError | None) -> b
     prior = config.prior
     both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
     return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
+
+
+def _of_law(model: PressModel, modes: Sequence[Member]) -> tuple[Member, ...]:
+    """Return the modes of ln G, ln Gn and alpha, for the tissue under the probe."""
+    found = []
+    for mode in modes:
+        mean, covariance = _after_changes(model, mode.mean, mode.covariance)
+        found.append(Member(mode.weight, mean[:3].copy(), covariance[:3, :3].copy()))
+    return tuple(found)
 
 
 def _after_changes(model: PressModel, mean: Array, covariance: Array) -> tuple[Array, Array]:

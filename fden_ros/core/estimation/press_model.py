@@ -249,10 +249,7 @@ class PressModel:
             first = int(np.argmax(elastic > surface))
             result[: len(self.unknowns)] = slope[first] * motions[:, first]
             result[LOG_G] += elastic[first]
-            step = np.zeros(self.size)
-            step[LOG_GN] = _LOG_STEP
-            higher, lower = (self.elastic(points, state + s)[0][first] for s in (step, -step))
-            result[LOG_GN] += (higher - lower) / (2.0 * _LOG_STEP)
+            result[LOG_GN] += self._rise_by_log_gn(points, state)[first] / (2.0 * _LOG_STEP)
             result[ORDER] -= by_order[first]
             if by_knots is not None:
                 strain = self._strains(points, state)[0][first : first + 1]
@@ -344,16 +341,22 @@ class PressModel:
         motions = self._design(points).motions
         lifted[: len(self.unknowns)] -= change.ratio * change.slope * motions
         lifted[LOG_G] -= change.added
-        step = np.zeros(state.size)
-        step[LOG_GN] = _LOG_STEP
-        higher, lower = (self.elastic(points, state + s)[0] for s in (step, -step))
-        lifted[LOG_GN] -= change.ratio * (higher - lower) / (2.0 * _LOG_STEP)
+        rise = self._rise_by_log_gn(points, state)
+        lifted[LOG_GN] -= change.ratio * rise / (2.0 * _LOG_STEP)
         for k, unknown in enumerate(self.unknowns):
             if unknown.since is not None:
                 lifted[k] -= change.elastic * (points.times > unknown.since)
         if self.is_bent:
             splines = characteristic_splines(self._strains(points, state)[0], self.last_knot)
             lifted[self.characteristic] -= change.added * splines.T
+
+    def _rise_by_log_gn(self, points: Points, state: Array) -> Array:
+        """Return how the elastic response rises from a step below ln Gn to one above it."""
+        step = np.zeros(state.size)
+        step[LOG_GN] = _LOG_STEP
+        higher, lower = (self.elastic(points, state + s)[0] for s in (step, -step))
+        result: Array = higher - lower
+        return result
 
     def _surface(
         self, points: Points, state: Array, change: _Change | None
