@@ -24,6 +24,4 @@ BENCHMARKS: dict[str, str] = {
     "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "plan": "what a plan expects of a press, beside what the identifier says after it",
     "closed_loop": "force control with gains from the live stiffness, and with fixed ones",
-    "replay": "a sample beside a filter's step; speed of replay beside decoding",
-    "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
 }
