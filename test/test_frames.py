@@ -171,11 +171,7 @@ def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
     assert summary.position_frame == "base" and summary.converged
     sd = float(np.sqrt(expected.estimate.covariance[0, 0]))
     assert abs(summary.estimate.mean[0] - expected.estimate.mean[0]) < sd / 3.0
-    out = bag.parent / "out"
     config = ["--config", str(bag / PARAMETER_FILE)]
-    assert main(["replay", str(bag), *config, "-o", str(out), "--with-inputs"]) == 0
-    (out / PARAMETER_FILE).write_text((bag / PARAMETER_FILE).read_text())
-    assert replayed(out, KINDS)[1] == replayed(bag, KINDS)[1]
     assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
 
 

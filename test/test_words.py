@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +17,6 @@ from rich.console import Console
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag
-from fden_ros.offline.replay import replay
-from fden_ros.offline.results import replay_to_bag
-from fden_ros.parameters import read_parameter_file
-from fden_ros.recording.reader import BagReader
-from fden_ros.recording.source import Selection
-from fden_ros.recording.table import Columns
 from fden_ros.report.numbers import result
 from fden_ros.report.table import contact_table
 from fden_ros.simulation.scenario import Tissue, ramp_scenario
@@ -102,33 +95,6 @@ def test_the_table_with_flags_is_whole_in_80_columns() -> None:
         *("G known", "tissue", "changed", "origin", "uncertain", "unknown 94%"),
     ):
         assert words in text, text
-
-
-# Rejections that are usual
-
-
-# Results of a table
-
-
-def test_the_rows_of_a_table_go_into_the_bag_of_results_and_replay_alike(tmp_path: Path) -> None:
-    parameters = read_parameter_file(PROBE).changed(
-        {"force.inverted": True, "displacement.inverted": True}
-    )
-    selection = Selection(columns=Columns.parse("time_s,force_N*-1,depth_mm*-1e-3"))
-    out = tmp_path / "results"
-    of_table = replay_to_bag(TABLE, parameters, selection, out, with_inputs=True)
-    assert len(of_table.summaries) == 2
-    topics = {topic.name: topic for topic in BagReader(out).topics}
-    for name in ("/force", "/displacement"):
-        assert topics[name].message_count == 2226
-    of_bag = replay(out, parameters)
-    assert of_bag.inputs == {"force": "/force", "displacement": "/displacement"}
-    for one, other in zip(of_table.summaries, of_bag.summaries, strict=True):
-        assert one.estimate is not None and other.estimate is not None
-        assert one.estimate.mean.tolist() == other.estimate.mean.tolist()
-        assert replace(one, estimate=None, classes=None, stamp_ns=0) == replace(
-            other, estimate=None, classes=None, stamp_ns=0
-        )
 
 
 # What is no result is not printed as one

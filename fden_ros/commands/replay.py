@@ -56,9 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT", help="write what the node publishes as a bag"
     )
-    parser.add_argument(
-        "--with-inputs", action="store_true", help="copy force and displacement into OUT too"
-    )
     parser.add_argument("--force", action="store_true", help="replace OUT if it is there already")
     add_json(parser)
 
@@ -68,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
     from fden_ros.core.estimation import loops
     from fden_ros.offline.replay import replay
 
-    if args.output is None and (args.with_inputs or args.force):
-        args.parser.error("--with-inputs and --force are about OUT: give -o OUT too")
+    if args.output is None and args.force:
+        args.parser.error("--force is about OUT: give -o OUT too")
     parameters, selection = parameters_of(args), selection_of(args)
     progress = sys.stderr.isatty()
     if slow := loops.notice():
@@ -86,7 +83,6 @@ def run(args: argparse.Namespace) -> int:
         parameters,
         selection,
         args.output,
-        with_inputs=args.with_inputs,
         overwrite=args.force,
         progress=progress,
     )

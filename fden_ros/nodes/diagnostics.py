@@ -144,8 +144,6 @@ class _Report:
     def _first_problems(self) -> list[str]:
         """Return what is wrong with the inputs; log it once while nothing has come of them."""
         session, pipeline = self._session, self._session.pipeline
-        if session.tool.is_collecting:
-            return ["identify_tool is collecting: nothing is estimated until it has answered"]
         first = [problem for one in session.listened_to for problem in self._problems_of(one)]
         pairing = pipeline.transform_problem or pairing_problem(pipeline, session.inputs)
         if pairing:

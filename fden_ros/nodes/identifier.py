@@ -5,7 +5,7 @@
 
 Subscribes to ``force``, ``displacement`` and, where it is measured, ``surface``; publishes
 ``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``,
-``~/forget_rig``, ``~/tare`` and ``~/identify_tool``.
+``~/forget_rig`` and ``~/tare``.
 Everything that computes is in :mod:`fden_ros.core`; what is there while the node is active is in
 :mod:`fden_ros.nodes.session`.
 """
@@ -18,7 +18,6 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from fden_msgs.srv import IdentifyTool
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -177,12 +176,11 @@ class Identifier(LifecycleNode):
                 qos_overriding_options=OVERRIDABLE,
             )
         self._services_made = [
-            self.create_service(kind, name, answer)
-            for kind, name, answer in (
-                (Trigger, "~/reset", self._on_reset),
-                (Trigger, "~/forget_rig", self._on_forget_rig),
-                (Trigger, "~/tare", self._on_tare),
-                (IdentifyTool, "~/identify_tool", self._on_identify_tool),
+            self.create_service(Trigger, name, answer)
+            for name, answer in (
+                ("~/reset", self._on_reset),
+                ("~/forget_rig", self._on_forget_rig),
+                ("~/tare", self._on_tare),
             )
         ]
         self._is_configured = True
@@ -268,15 +266,6 @@ class Identifier(LifecycleNode):
         self.get_logger().info(f"{name}: {problem or done}")
         response.success, response.message = problem is None, problem or "done"
         return response
-
-    def _on_identify_tool(
-        self, request: IdentifyTool.Request, response: IdentifyTool.Response
-    ) -> IdentifyTool.Response:
-        with self._lock:
-            if self._session is None:
-                response.message = _INACTIVE
-                return response
-            return self._session.tool.answer(request.command, response)
 
 
 def _plain(value: Any) -> Any:

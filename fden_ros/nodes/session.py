@@ -25,14 +25,11 @@ from tf2_msgs.msg import TFMessage
 
 from fden_ros.core.outputs import ContactSummary, Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, taker
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
-from fden_ros.nodes.tool_identification import ToolCollection, ToolIdentification
 from fden_ros.offline.advice import shortfall
 from fden_ros.parameters import Parameters, pipeline_config
-from fden_ros.recording.reader import Topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs, stream_of
 from fden_ros.ros.status import type_name
@@ -42,8 +39,6 @@ from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 _STALE_CHECK_PERIOD = 0.05
 #: A stale estimate is published again and again at this period [s].
 _STALE_PERIOD = 1.0
-#: What ``~/identify_tool`` reads.
-_TURNS_OF_THE_TOOL = ("force", "displacement")
 
 
 class Session:
@@ -73,9 +68,6 @@ class Session:
         self.inputs = Inputs(parameters, self.pipeline)
         self.backlog = Backlog()
         self.listened_to: list[ListenedTo] = []
-        self.tool = ToolIdentification(
-            self._begin_collection, lambda line: node.get_logger().info(f"identify_tool: {line}")
-        )
         self._lost: Counter[str] = Counter()
         self._messages = OutputMessages()
         self._last_state: TissueState | None = None
@@ -114,7 +106,6 @@ class Session:
     def close(self) -> None:
         """Listen no more."""
         self._is_open = False
-        self.tool.end()
         self.backlog.clear()
         for one in self.listened_to:
             self._node.destroy_subscription(one.subscription)
@@ -160,13 +151,10 @@ class Session:
         self.backlog.inputs.append(source)
 
     def _reader(self, kind: type, topic: str) -> Callable[[bytes], None]:
-        inputs, tool = self.inputs, self.tool
+        inputs = self.inputs
         fast = fast_handler(topic, type_name(kind), inputs)
 
         def read(data: bytes) -> None:
-            if tool.is_collecting and topic in _TURNS_OF_THE_TOOL:
-                tool.add(topic, data)
-                return
             try:
                 if fast is not None:
                     fast(data)
@@ -182,27 +170,6 @@ class Session:
             inputs.add(topic, message)
 
         return read
-
-    def _begin_collection(self) -> ToolCollection:
-        """Return an empty collection; the pipeline waits, and begins afresh behind it."""
-        parameters = self._parameters
-        if parameters.displacement.message not in INPUT_MESSAGES["displacement"]:
-            raise InputError("identify_tool needs the turns of a pose: displacement.message: pose")
-        force, displacement = (
-            Topic(
-                self._node.resolve_topic_name(name),
-                type_name(INPUT_MESSAGES[name][getattr(parameters, name).message]),
-                1,
-            )
-            for name in _TURNS_OF_THE_TOOL
-        )
-        collection = ToolCollection(force, displacement, needs_centre=self.inputs.takes_torque)
-        if self.reset() is not None:
-            raise InputError(
-                "the probe is in contact: lift it, then ask again; where it is in the air all "
-                "the same, deactivate and activate the node first"
-            )
-        return collection
 
     # Out
 
@@ -226,7 +193,6 @@ class Session:
                 return
             if self.backlog.waiting:
                 self.backlog.work()
-            self.tool.check_time()
             self._log_failures()
             self._check_stale()
 
@@ -248,8 +214,6 @@ class Session:
         if self._said_stale is not None:
             if _seconds(self._said_stale, now) < _STALE_PERIOD:
                 return
-        elif self.tool.is_collecting:
-            self._node.get_logger().debug("stale: the samples go to identify_tool")
         elif self._last_state is not None:
             self._node.get_logger().warning(
                 f"no usable pair of force and displacement for {waited:.2f} s: the estimate is "

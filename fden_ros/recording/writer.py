@@ -100,13 +100,7 @@ class BagWriter:
             self._file.close()
             shutil.rmtree(self._folder, ignore_errors=True)
 
-    def add_topic(
-        self,
-        topic: str,
-        type_name: str,
-        *offered_qos: Qos,
-        schema: tuple[str, str] | None = None,
-    ) -> None:
+    def add_topic(self, topic: str, type_name: str, *offered_qos: Qos) -> None:
         """Declare a topic before its first message.
 
         Parameters
@@ -117,9 +111,6 @@ class BagWriter:
             Message type, such as ``geometry_msgs/msg/WrenchStamped``.
         *offered_qos
             What the publishers offer; `RELIABLE` when nothing is given.
-        schema
-            Definition of the type and its format, such as ``ros2msg``; that of the installed
-            type when not given.
 
         Raises
         ------
@@ -131,9 +122,8 @@ class BagWriter:
             raise InputError(f"topic {topic} is in the bag already: declare it once")
         profiles = offered_qos or (RELIABLE,)
         if type_name not in self._schemas:
-            text, encoding = schema or (message_definition(type_name), SchemaEncoding.ROS2)
             self._schemas[type_name] = self._writer.register_schema(
-                type_name, encoding, text.encode()
+                type_name, SchemaEncoding.ROS2, message_definition(type_name).encode()
             )
         self._channels[topic] = self._writer.register_channel(
             topic,
