@@ -27,8 +27,9 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.simulation.closed_form import FdenModel, LinearMove
-from fden_ros.simulation.contact import contacts_of_moves
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import LinearMove
+from simulation.contact import contacts_of_moves
 
 #: Of (ln G, ln Gn, alpha, origin, bias), the order everywhere.
 _ORIGIN = 3

@@ -28,10 +28,10 @@ from fden_ros.core.outputs import Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.closed_form import FdenModel
+from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
-from fden_ros.simulation.simulate import EXACT
 from fden_ros.simulation.tissue import Column, Inclusion
+from simulation.simulate import EXACT
 
 EPILOG = """\
 examples:

@@ -27,12 +27,9 @@ from benchmark.score import NAMES, Outcome, Share, bootstrapped, figures_of
 from benchmark.trial import elapsed, outcome_of
 from fden_ros.core.arrays import Array
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.closed_form import (
-    FdenModel,
-    LinearMove,
-    stress_of_piecewise_linear_strain,
-)
-from fden_ros.simulation.scenario import (
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -40,8 +37,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import END_PAUSE_S, EXACT, KNOWN_RIG, Recording, simulate
-from fden_ros.simulation.trajectory import Approach, Palpation, Path, Ramp, RampHold, Staircase
+from simulation.simulate import END_PAUSE_S, EXACT, KNOWN_RIG, Recording, simulate
+from simulation.trajectory import Approach, Palpation, Path, Ramp, RampHold, Staircase
 
 EPILOG = """\
 examples:

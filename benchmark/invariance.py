@@ -28,7 +28,7 @@ from fden_ros.core.outputs import ContactSummary, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.simulate import START_NS, Recording, Stream, simulate
+from simulation.simulate import START_NS, Recording, Stream, simulate
 
 EPILOG = """\
 examples:

@@ -40,8 +40,8 @@ from fden_ros.core.outputs import Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.closed_form import FdenModel
-from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
+from fden_ros.simulation.model import FdenModel
+from simulation.simulate import KNOWN_RIG, START_NS
 
 EPILOG = """\
 examples:

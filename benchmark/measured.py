@@ -40,7 +40,7 @@ from fden_ros.core.outputs import ContactSummary, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.simulate import KNOWN_RIG
+from simulation.simulate import KNOWN_RIG
 
 COLUMNS = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
 #: How much of the hold is seen [s].

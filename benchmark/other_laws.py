@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fden_ros.simulation.closed_form import FdenModel, FloatArray
+from fden_ros.simulation.model import FdenModel, FloatArray
 from fden_ros.simulation.tissue import Column, Relaxation, Tissue
 
 #: Terms of the series of one-dimensional consolidation; the next is 1e-4 of the first.

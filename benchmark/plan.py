@@ -29,7 +29,7 @@ from fden_ros.planning.forecast import Forecast
 from fden_ros.planning.motion import FREQUENCY, Motion, Sensors
 from fden_ros.planning.plan import Plan, Target, plan
 from fden_ros.planning.tissue import TissueBelief
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -38,8 +38,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Approach, RampHold, Sinusoid
+from simulation.simulate import simulate
+from simulation.trajectory import Approach, RampHold, Sinusoid
 
 EPILOG = """\
 examples:

@@ -32,11 +32,11 @@ from fden_ros.core.classification.classifier import (
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site
-from fden_ros.simulation.scenario import Tissue as SimulatedTissue
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Approach, Ramp, RampHold
 from fden_ros.tissues.training import Contacts
+from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site
+from simulation.scenario import Tissue as SimulatedTissue
+from simulation.simulate import simulate
+from simulation.trajectory import Approach, Ramp, RampHold
 
 #: The estimator's prior, as wide as these tissues are.
 PRIOR = Prior(750.0, 0.9, 8.5, 0.45, 0.17, 0.06)

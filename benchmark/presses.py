@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmark.score import Outcome
 from benchmark.trial import outcome_of
-from fden_ros.simulation.disturbance import Disturbances, SurfaceMotion
-from fden_ros.simulation.scenario import (
+from simulation.disturbance import Disturbances, SurfaceMotion
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -32,8 +32,8 @@ from fden_ros.simulation.scenario import (
     SurfaceSensor,
     Tissue,
 )
-from fden_ros.simulation.simulate import EXACT, Recording, simulate
-from fden_ros.simulation.trajectory import Approach, Palpation, Ramp, RampHold
+from simulation.simulate import EXACT, Recording, simulate
+from simulation.trajectory import Approach, Palpation, Ramp, RampHold
 
 RATE_HZ = 500.0
 #: As stated to the identifier.

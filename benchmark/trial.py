@@ -19,7 +19,7 @@ from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueSt
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS, Position
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.simulate import START_NS, Recording
+from simulation.simulate import START_NS, Recording
 
 #: Presses are apart by at least this [s]; contact lost for a shorter time is the same press.
 _SHORTEST_AIR = 0.15

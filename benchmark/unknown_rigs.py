@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from fden_ros.configure.streams import Streams
 from fden_ros.core.arrays import Array
-from fden_ros.simulation.closed_form import FdenModel
+from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.tissue import Column, Tissue
 
 Generator = np.random.Generator

@@ -41,7 +41,7 @@ COMMANDS = (
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
-  fden bag ramp -o /tmp/ramp          make a synthetic palpation bag
+  fden bag ramp -o /tmp/ramp          make a synthetic palpation bag, from a checkout
   fden replay /tmp/ramp --config /tmp/ramp/identifier.yaml
                                       estimate G and Gn from a bag
   fden report /tmp/ramp --config /tmp/ramp/identifier.yaml -o ramp.html

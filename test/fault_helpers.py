@@ -29,9 +29,9 @@ from fden_ros.core.outputs import (
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
-from fden_ros.simulation.simulate import Recording, simulate
-from fden_ros.simulation.trajectory import Palpation, RampHold
+from simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
+from simulation.simulate import Recording, simulate
+from simulation.trajectory import Palpation, RampHold
 
 RATE = 200.0
 #: What a number must come with so that no controller relies on it.

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from unknown_rig_bags import RigBag
 
 from fden_ros.configure.streams import Streams
-from fden_ros.simulation.disturbance import Disturbances
-from fden_ros.simulation.scenario import (
+from simulation.disturbance import Disturbances
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -30,8 +30,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import Recording, simulate
-from fden_ros.simulation.trajectory import Approach, RampHold
+from simulation.simulate import Recording, simulate
+from simulation.trajectory import Approach, RampHold
 
 Array = NDArray[np.float64]
 FACE, THICKNESS = math.pi * 0.02**2, 0.02

@@ -25,9 +25,9 @@ from tf2_msgs.msg import TFMessage
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.recording.qos import LATCHED, RELIABLE
-from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp
+from simulation.bag import PARAMETER_FILE
 
 FRAMES = {"frames.base": "base", "frames.probe": "tip", "displacement.message": "tf"}
 #: Of the sensor in the arm's flange, and of the tip in the sensor's frame.

@@ -16,7 +16,7 @@ import numpy as np
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.simulation.simulate import Recording, simulate
+from simulation.simulate import Recording, simulate
 
 FORCE, DISPLACEMENT = 0, 1
 #: The paper's liver, for what was measured with it as the prior: the numbers, and by name.

@@ -38,9 +38,9 @@ from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
 from fden_ros.recording.cdr import serialize
-from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.topics import OutputMessages
+from simulation.bag import PARAMETER_FILE
 
 NAME = "/identifier"
 RELIABLE = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)

@@ -27,7 +27,7 @@ from fden_ros.offline.remarks import remarks
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.planning.remedies import WORDS
 from fden_ros.report.sentence import next_step
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -35,8 +35,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import RampHold
+from simulation.simulate import simulate
+from simulation.trajectory import RampHold
 
 RADIUS = 0.01
 

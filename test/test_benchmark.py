@@ -32,11 +32,8 @@ from benchmark.score import Judged, Share
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
-from fden_ros.simulation.closed_form import (
-    FdenModel,
-    LinearMove,
-    stress_of_piecewise_linear_strain,
-)
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 
 DEVIATION = np.array([0.01, 0.01, 0.002])
 
@@ -60,7 +57,7 @@ def test_without_a_checkout_one_line_says_that_it_needs_one(tmp_path):
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert "need a checkout" in done.stderr and done.stderr.count("\n") == 1
+    assert "needs a checkout" in done.stderr and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(

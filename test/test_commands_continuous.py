@@ -14,9 +14,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from fden_ros.cli import main
-from fden_ros.recording.synthetic import write_recording
-from fden_ros.simulation.scenario import load_scenario
-from fden_ros.simulation.simulate import simulate
+from simulation.bag import write_recording
+from simulation.scenario import load_scenario
+from simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 from scipy.special import gamma
 
 from fden_ros.cli import main
-from fden_ros.simulation.closed_form import FdenModel
+from fden_ros.simulation.model import FdenModel
 
 MODEL = FdenModel(545.0, 8.55, 0.131)
 TIMES = np.geomspace(0.5, 100.0, 60)

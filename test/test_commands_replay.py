@@ -27,11 +27,11 @@ from unknown_rig_bags import RigBag
 from fden_ros.cli import main
 from fden_ros.configure.streams import Streams
 from fden_ros.recording.reader import BagReader, decode
-from fden_ros.recording.synthetic import write_recording
 from fden_ros.recording.table import Column, Columns, TableReader
 from fden_ros.recording.writer import BagWriter
-from fden_ros.simulation.scenario import load_scenario, ramp_scenario
-from fden_ros.simulation.simulate import START_NS, Recording, simulate
+from simulation.bag import write_recording
+from simulation.scenario import load_scenario, ramp_scenario
+from simulation.simulate import START_NS, Recording, simulate
 
 ROOT = Path(__file__).parent.parent
 GOLDEN = ROOT / "bags" / "golden"

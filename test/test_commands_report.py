@@ -22,11 +22,11 @@ from fden_ros.offline.session import (
     gather,
 )
 from fden_ros.parameters import read_parameter_file
-from fden_ros.recording.synthetic import write_recording
 from fden_ros.report import style
 from fden_ros.report.sentence import sentence
-from fden_ros.simulation.scenario import Tissue, ramp_scenario
-from fden_ros.simulation.simulate import simulate
+from simulation.bag import write_recording
+from simulation.scenario import Tissue, ramp_scenario
+from simulation.simulate import simulate
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 POSE = GOLDEN / "golden_pose"

@@ -15,10 +15,10 @@ import yaml
 from pipeline_helpers import LIVER_FILE
 
 from fden_ros.cli import main
-from fden_ros.recording.synthetic import write_recording
-from fden_ros.simulation.scenario import Tissue, ramp_scenario
-from fden_ros.simulation.simulate import simulate
 from fden_ros.tissues.library import load_library
+from simulation.bag import write_recording
+from simulation.scenario import Tissue, ramp_scenario
+from simulation.simulate import simulate
 
 CLASSES = {"liver": (6.3, 2.1, 0.13), "muscle": (7.3, 2.3, 0.2)}
 HEADER = ("tissue", "specimen", "g", "g_sd", "g_n", "g_n_sd", "alpha", "alpha_sd")

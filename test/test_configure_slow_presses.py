@@ -12,7 +12,7 @@ import pytest
 
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import survey
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -21,8 +21,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import START_NS, simulate
-from fden_ros.simulation.trajectory import Approach, RampHold
+from simulation.simulate import START_NS, simulate
+from simulation.trajectory import Approach, RampHold
 
 
 class Verdict(NamedTuple):

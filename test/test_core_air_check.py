@@ -11,9 +11,9 @@ import numpy as np
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
 
 from fden_ros.core.outputs import Flag
-from fden_ros.simulation.disturbance import Disturbances
-from fden_ros.simulation.scenario import ramp_scenario
-from fden_ros.simulation.simulate import EXACT, simulate
+from simulation.disturbance import Disturbances
+from simulation.scenario import ramp_scenario
+from simulation.simulate import EXACT, simulate
 
 
 def recorded(**disturbances):

@@ -14,12 +14,8 @@ from fden_ros.core.oscillation.complex_modulus import (
     ComplexModulusMeter,
     modulus_of_springpot,
 )
-from fden_ros.simulation.closed_form import (
-    FdenModel,
-    SineMove,
-    moves_of_knots,
-    stress_of_moves,
-)
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import SineMove, moves_of_knots, stress_of_moves
 
 MODEL = FdenModel(545.0, 8.55, 0.131)
 

@@ -16,8 +16,8 @@ from property_helpers import counts
 from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
 from fden_ros.core.streams.samples import Pair
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
-from fden_ros.simulation.scenario import Tissue, load_scenario, ramp_scenario
-from fden_ros.simulation.simulate import START_NS, simulate
+from simulation.scenario import Tissue, load_scenario, ramp_scenario
+from simulation.simulate import START_NS, simulate
 
 MS = 1_000_000
 ORDER = 0.131

@@ -15,7 +15,8 @@ from fden_ros.core.classification.classifier import TissueLibrary
 from fden_ros.core.outputs import Classification, Decision, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.scenario import (
+from fden_ros.tissues.library import load_library
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -25,9 +26,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Approach
-from fden_ros.tissues.library import load_library
+from simulation.simulate import simulate
+from simulation.trajectory import Approach
 
 BUILT_IN = load_library()
 LIVER = BUILT_IN.tissues[0]

@@ -10,8 +10,8 @@ import pytest
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
 
 from fden_ros.core.outputs import Flag, Status, TissueState
-from fden_ros.simulation.scenario import ramp_scenario
-from fden_ros.simulation.simulate import EXACT, simulate
+from simulation.scenario import ramp_scenario
+from simulation.simulate import EXACT, simulate
 
 AXIS = {"displacement.message": "point", "displacement.axis": [0.0, 0.0, 1.0]}
 

@@ -28,8 +28,8 @@ from fden_ros.offline.rows import contact_row
 from fden_ros.report.numbers import plus_minus
 from fden_ros.report.table import contact_table, status_words
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
-from fden_ros.simulation.scenario import Tissue, ramp_scenario
-from fden_ros.simulation.simulate import simulate
+from simulation.scenario import Tissue, ramp_scenario
+from simulation.simulate import simulate
 
 G = ParameterSet.LINEAR_STIFFNESS
 ALPHA = ParameterSet.FRACTIONAL_ORDER

@@ -27,7 +27,8 @@ from fden_ros.core.estimation.loop_arguments import (
     ResponseState,
     WalkState,
 )
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
 
 SPACING = 0.77
 RATES_OF_KERNEL = np.exp(np.log(1e-6) + SPACING * np.arange(RATES))

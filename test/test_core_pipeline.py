@@ -31,9 +31,9 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.simulation.scenario import DisplacementSensor, Site, ramp_scenario
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import Approach, Palpation, RampHold, Trajectory
+from simulation.scenario import DisplacementSensor, Site, ramp_scenario
+from simulation.simulate import simulate
+from simulation.trajectory import Approach, Palpation, RampHold, Trajectory
 
 SECOND = 1_000_000_000
 RATE = 250.0

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from pipeline_helpers import accuracy_of, contact_errors
 
-from fden_ros.simulation.scenario import load_scenario
+from simulation.scenario import load_scenario
 
 CONTACTS = 200
 SCENARIOS = ("ramp", "slow_ramp", "fast_ramp")

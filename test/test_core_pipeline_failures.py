@@ -21,7 +21,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.recording.synthetic import write_recording
+from simulation.bag import write_recording
 
 
 class BrokenError(Exception):

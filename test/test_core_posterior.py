@@ -29,8 +29,9 @@ from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Posterior, Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
 from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
-from fden_ros.simulation.scenario import load_scenario
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.scenario import load_scenario
 
 GEOMETRY = FlatPunch(3.14e-4, 0.02)
 #: A rig and a law without errors; a law that may be off, as it is by default.

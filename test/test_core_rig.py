@@ -20,7 +20,7 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import Flag, Phase, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     DisplacementSensor,
     Disturbances,
     ForceSensor,
@@ -29,8 +29,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import RampHold
+from simulation.simulate import simulate
+from simulation.trajectory import RampHold
 
 ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
 CONFIG = EstimatorConfig(uncertainty=ARM)

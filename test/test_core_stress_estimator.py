@@ -22,9 +22,10 @@ from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.geometry import PassThrough
 from fden_ros.core.outputs import Flag, TissueState
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
-from fden_ros.simulation.scenario import load_scenario
-from fden_ros.simulation.simulate import simulate
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.scenario import load_scenario
+from simulation.simulate import simulate
 
 RATE, PER_BLOCK, NOISE = 500.0, 5, 3.0
 ORDER, ORDER_SD = 0.2, 0.05

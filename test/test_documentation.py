@@ -38,8 +38,8 @@ from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.report.sentence import sentence
 from fden_ros.ros.inputs import DAMAGED
-from fden_ros.simulation.scenario import load_scenario
-from fden_ros.simulation.simulate import EXACT, simulate
+from simulation.scenario import load_scenario
+from simulation.simulate import EXACT, simulate
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

@@ -18,15 +18,15 @@ from fault_helpers import outcome_of
 from pipeline_helpers import items_of, parameters_of
 
 from fden_ros.core.outputs import ContactSummary
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Site,
     Tissue,
     ramp_scenario,
 )
-from fden_ros.simulation.simulate import EXACT, simulate
-from fden_ros.simulation.trajectory import Approach, Palpation
+from simulation.simulate import EXACT, simulate
+from simulation.trajectory import Approach, Palpation
 
 #: ln G differs by this between places [1], or not at all.
 _APART = 0.3

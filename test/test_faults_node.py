@@ -34,7 +34,7 @@ from std_srvs.srv import Trigger
 from fden_ros.nodes.identifier import Identifier
 from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
-from fden_ros.simulation.simulate import START_NS
+from simulation.simulate import START_NS
 
 STEP_NS = 4_000_000
 GOOD = (

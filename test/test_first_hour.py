@@ -19,11 +19,11 @@ from first_hour import FACE, LAYOUTS, THICKNESS, Truth, recorded
 from fden_ros.cli import main
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, read_parameter_file
-from fden_ros.recording.synthetic import write_recording
-from fden_ros.simulation.disturbance import SurfaceMotion
-from fden_ros.simulation.scenario import Geometry, Site, Tissue, load_scenario
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import RampHold
+from simulation.bag import write_recording
+from simulation.disturbance import SurfaceMotion
+from simulation.scenario import Geometry, Site, Tissue, load_scenario
+from simulation.simulate import simulate
+from simulation.trajectory import RampHold
 
 #: Of white noise a sample [N].
 NOISES = (0.005, 0.02, 0.05)

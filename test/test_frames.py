@@ -34,9 +34,9 @@ from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
-from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.recording.table import Columns
-from fden_ros.simulation.simulate import START_NS
+from simulation.bag import PARAMETER_FILE
+from simulation.simulate import START_NS
 
 
 def run(samples: Iterable[Any], **parameters: Any) -> Outcome:

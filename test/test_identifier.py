@@ -33,10 +33,11 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.parameters import PARAMETERS, Parameters, read_parameter_file
 from fden_ros.recording.reader import BagReader
-from fden_ros.recording.synthetic import PARAMETER_FILE, read_truth, write_recording
-from fden_ros.simulation.scenario import load_scenario
-from fden_ros.simulation.simulate import START_NS, simulate
-from fden_ros.simulation.trajectory import Sinusoid
+from fden_ros.recording.truth import read_truth
+from simulation.bag import PARAMETER_FILE, write_recording
+from simulation.scenario import load_scenario
+from simulation.simulate import START_NS, simulate
+from simulation.trajectory import Sinusoid
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 STEP_NS = 2_000_000

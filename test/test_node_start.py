@@ -25,7 +25,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fden_ros.nodes.doctor import Examination, examine
-from fden_ros.simulation.simulate import START_NS
+from simulation.simulate import START_NS
 
 STEP_NS = 4_000_000
 

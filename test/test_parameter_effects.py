@@ -25,8 +25,8 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.disturbance import Disturbances, SurfaceMotion
-from fden_ros.simulation.scenario import (
+from simulation.disturbance import Disturbances, SurfaceMotion
+from simulation.scenario import (
     DisplacementSensor,
     Dropout,
     ForceSensor,
@@ -36,8 +36,8 @@ from fden_ros.simulation.scenario import (
     SurfaceSensor,
     Tissue,
 )
-from fden_ros.simulation.simulate import Recording, simulate
-from fden_ros.simulation.trajectory import Approach, Ramp, RampHold, Sinusoid, Trajectory
+from simulation.simulate import Recording, simulate
+from simulation.trajectory import Approach, Ramp, RampHold, Sinusoid, Trajectory
 
 LIVER = Tissue(520.0, 8.4, 0.131)
 HOLD = RampHold(0.3, 0.25, 0.5, 1.0)

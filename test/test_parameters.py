@@ -27,8 +27,8 @@ from fden_ros.parameters import (
     tool_weight,
 )
 from fden_ros.ros.inputs import Inputs
-from fden_ros.simulation.simulate import EXACT
 from fden_ros.tissues.library import load_library
+from simulation.simulate import EXACT
 
 
 def refused(values):

@@ -23,7 +23,7 @@ from fden_ros.planning.forecast import Forecast
 from fden_ros.planning.motion import Motion, Sensors, record
 from fden_ros.planning.plan import Limits, Search, Target, plan
 from fden_ros.planning.tissue import TissueBelief
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     Approach,
     DisplacementSensor,
     ForceSensor,
@@ -32,8 +32,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import simulate
-from fden_ros.simulation.trajectory import RampHold
+from simulation.simulate import simulate
+from simulation.trajectory import RampHold
 
 SENSORS = Sensors(rate=500.0, force_sd=0.005, displacement_sd=5e-6)
 PRESS = Motion(depth=5e-3, speed=0.02, hold=1.0, release=0.02)

@@ -12,8 +12,9 @@ import pytest
 
 from fden_ros.cli import main
 from fden_ros.recording.reader import BagReader, decode
-from fden_ros.recording.synthetic import read_truth, write_recording
-from fden_ros.simulation.simulate import Recording, Stream
+from fden_ros.recording.truth import read_truth
+from simulation.bag import write_recording
+from simulation.simulate import Recording, Stream
 
 START = 1_700_000_000_000_000_000
 

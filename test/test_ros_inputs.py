@@ -19,9 +19,9 @@ from fden_ros.parameters import Parameters, read_parameter_file
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
-from fden_ros.recording.synthetic import PARAMETER_FILE
 from fden_ros.recording.table import Columns
 from fden_ros.recording.writer import BagWriter
+from simulation.bag import PARAMETER_FILE
 
 BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_pose"
 FORCE, POSE = "/tool/wrench", "/arm/measured_cp"

@@ -28,8 +28,9 @@ from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
-from fden_ros.simulation.simulate import KNOWN_RIG, START_NS
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.simulate import KNOWN_RIG, START_NS
 
 IN_THE_HOLD = MOMENTS[2:]
 STRAIN, RAMP = 0.25, 1.0

@@ -14,10 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_helpers import first
 
-from fden_ros.simulation.closed_form import (
-    FdenModel,
-    stress_of_piecewise_linear_strain,
-)
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
 
 DIGITS = 30
 

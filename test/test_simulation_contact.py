@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.special import gamma, roots_jacobi
 
-from fden_ros.simulation.closed_form import FdenModel, pieces_of
-from fden_ros.simulation.contact import Stiffening, contacts_of_moves
-from fden_ros.simulation.trajectory import Approach, Palpation, Path, RampHold
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import pieces_of
+from simulation.contact import Stiffening, contacts_of_moves
+from simulation.trajectory import Approach, Palpation, Path, RampHold
 
 TISSUES = [(0.02, 6.0), (0.131, 8.5), (0.6, 10.0)]
 QUICK_PALPATION = Palpation(

@@ -10,13 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
-from fden_ros.simulation.disturbance import (
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.disturbance import (
     Disturbances,
     Phases,
     SurfaceMotion,
 )
-from fden_ros.simulation.scenario import (
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
@@ -25,8 +26,8 @@ from fden_ros.simulation.scenario import (
     Site,
     Tissue,
 )
-from fden_ros.simulation.simulate import START_NS, simulate
-from fden_ros.simulation.trajectory import Approach, Ramp, RampHold
+from simulation.simulate import START_NS, simulate
+from simulation.trajectory import Approach, Ramp, RampHold
 
 MODEL = FdenModel(4000.0, 8.0, 0.2)
 AREA = np.pi * 0.01**2

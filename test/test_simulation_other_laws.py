@@ -17,7 +17,8 @@ from benchmark.other_laws import (
     standard_linear_solid,
     stress_of_law,
 )
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
 
 MODEL = FdenModel(1000.0, 8.0, 0.2)
 LINEAR = FdenModel(1000.0, 0.5, 0.2)

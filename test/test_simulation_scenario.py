@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.disturbance import Disturbances
-from fden_ros.simulation.scenario import (
+from simulation.disturbance import Disturbances
+from simulation.scenario import (
     load_scenario,
     scenario_names,
     scenario_of_mapping,

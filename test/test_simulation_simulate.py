@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from fden_ros.parameters import check
-from fden_ros.simulation.closed_form import FdenModel, stress_of_piecewise_linear_strain
-from fden_ros.simulation.scenario import (
+from fden_ros.simulation.model import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Tissue,
@@ -23,7 +24,7 @@ from fden_ros.simulation.scenario import (
     ramp_scenario,
     scenario_names,
 )
-from fden_ros.simulation.simulate import START_NS, simulate
+from simulation.simulate import START_NS, simulate
 
 LIVER = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
 AREA_M2 = np.pi * 0.01**2

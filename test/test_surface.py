@@ -28,10 +28,10 @@ from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, read_parameter_file
 from fden_ros.recording.source import Selection
-from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
 from fden_ros.recording.table import Columns
-from fden_ros.simulation.disturbance import Disturbances, SurfaceMotion
-from fden_ros.simulation.scenario import (
+from simulation.bag import PARAMETER_FILE, write_recording
+from simulation.disturbance import Disturbances, SurfaceMotion
+from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Scenario,
@@ -40,8 +40,8 @@ from fden_ros.simulation.scenario import (
     Tissue,
     ramp_scenario,
 )
-from fden_ros.simulation.simulate import EXACT, Recording, simulate
-from fden_ros.simulation.trajectory import Approach, RampHold
+from simulation.simulate import EXACT, Recording, simulate
+from simulation.trajectory import Approach, RampHold
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

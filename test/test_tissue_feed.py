@@ -23,11 +23,11 @@ from fden_ros.core.outputs import Flag, Status, TissueState, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.closed_form import FdenModel
+from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
-from fden_ros.simulation.simulate import EXACT
 from fden_ros.simulation.tissue import Column
 from fden_ros.tissue_feed import TissueFeed
+from simulation.simulate import EXACT
 
 AREA, THICKNESS = 3.1416e-4, 0.02
 GEOMETRY = FlatPunch(AREA, THICKNESS)

@@ -14,10 +14,11 @@ from live_helpers import Ears, node_process
 from sensor_msgs.msg import JointState
 
 from fden_ros.ros.messages import stamp_ns
-from fden_ros.simulation.closed_form import FdenModel, moves_of_knots
-from fden_ros.simulation.contact import contacts_of_moves
+from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion, Tissue
+from simulation.closed_form import moves_of_knots
+from simulation.contact import contacts_of_moves
 
 LIVER = FdenModel(544.8, 8.547, 0.131)
 STEP = 1e-3

@@ -19,8 +19,8 @@ from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Flag
 from fden_ros.report.numbers import result
 from fden_ros.report.table import contact_table
-from fden_ros.simulation.scenario import Tissue, ramp_scenario
-from fden_ros.simulation.simulate import simulate
+from simulation.scenario import Tissue, ramp_scenario
+from simulation.simulate import simulate
 
 ROOT = Path(__file__).parent.parent
 TABLE = ROOT / "examples" / "press.csv"

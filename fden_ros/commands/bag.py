@@ -9,13 +9,15 @@ import argparse
 import shlex
 from pathlib import Path
 
+from fden_ros.commands.checkout import module
 from fden_ros.commands.command import Command, number
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
 Simulate a palpation and write it as a rosbag2 folder (MCAP), which `ros2 bag play`, Foxglove and
 PlotJuggler read too. The truth travels inside, as JSON on the latched topic /simulation/truth; a
-parameter file for the identifier, identifier.yaml, lies in the folder.
+parameter file for the identifier, identifier.yaml, lies in the folder. The simulation is not
+installed: this works from a checkout.
 """
 
 EPILOG = """\
@@ -52,12 +54,10 @@ def run(args: argparse.Namespace) -> int:
         return _list_scenarios()
     if args.scenario is None or args.output is None:
         args.parser.error("give SCENARIO and -o DIR, or --list to see the scenarios")
-    from fden_ros.recording.synthetic import PARAMETER_FILE, write_recording
-    from fden_ros.simulation.scenario import load_scenario
-    from fden_ros.simulation.simulate import simulate
-
-    recording = simulate(load_scenario(args.scenario), args.seed)
-    bag = write_recording(recording, args.output, overwrite=args.force)
+    writer = module("simulation.bag")
+    scenario = module("simulation.scenario").load_scenario(args.scenario)
+    recording = module("simulation.simulate").simulate(scenario, args.seed)
+    bag = writer.write_recording(recording, args.output, overwrite=args.force)
     truth = recording.truth
     duration = ((bag.end_ns or 0) - (bag.start_ns or 0)) * 1e-9
     print(
@@ -66,20 +66,21 @@ def run(args: argparse.Namespace) -> int:
     )
     for topic in bag.topics:
         print(f"  {topic.name:24} {topic.type_name:32} {topic.message_count:>8}")
-    folder, config = (shlex.quote(str(p)) for p in (args.output, args.output / PARAMETER_FILE))
+    folder, config = (
+        shlex.quote(str(p)) for p in (args.output, args.output / writer.PARAMETER_FILE)
+    )
     print(f"Next: fden replay {folder} --config {config}")
     return 0
 
 
 def _list_scenarios() -> int:
-    from fden_ros.simulation.scenario import load_scenario, scenario_names
-
-    names = scenario_names()
+    scenarios = module("simulation.scenario")
+    names = scenarios.scenario_names()
     if not names:
         raise InputError("no scenario is installed: give the path of a YAML file instead")
     width = max(map(len, names))
     for name in names:
-        print(f"{name:{width}}  {load_scenario(name).description}".rstrip())
+        print(f"{name:{width}}  {scenarios.load_scenario(name).description}".rstrip())
     return 0
 
 

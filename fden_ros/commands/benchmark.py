@@ -6,14 +6,11 @@
 from __future__ import annotations
 
 import argparse
-import importlib
-import sys
 from pathlib import Path
 from typing import Any
 
-import fden_ros
+from fden_ros.commands.checkout import checkout, module
 from fden_ros.commands.command import Command, Parser, add_json
-from fden_ros.errors import InputError
 
 DESCRIPTION = """\
 Measure how good the package is, and hold the figures against their goals. Each benchmark prints
@@ -35,14 +32,14 @@ whatever came out; 1 the input cannot be used; 2 wrong usage.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks, each with its own arguments."""
-    if _checkout() is None:
+    if checkout() is None:
         words = "needs a checkout of fden_ros"
         parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="NAME", help=words)
         return
     names = parser.add_subparsers(
         dest="benchmark", required=True, metavar="NAME", parser_class=_BenchmarkParser
     )
-    for name, summary in _module().BENCHMARKS.items():
+    for name, summary in module("benchmark").BENCHMARKS.items():
         one = names.add_parser(
             name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
@@ -58,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print and write; return the exit code."""
-    return int(_module("harness").main(args))
+    return int(module("benchmark.harness").main(args))
 
 
 class _BenchmarkParser(Parser):
@@ -69,29 +66,11 @@ class _BenchmarkParser(Parser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, after the benchmark has added its own arguments."""
         if self.benchmark:
-            module = _module(self.benchmark)
-            self.description = module.__doc__
+            own = module(f"benchmark.{self.benchmark}")
+            self.description = own.__doc__
             self.benchmark = ""
-            module.BENCHMARK.add_arguments(self)
+            own.BENCHMARK.add_arguments(self)
         return super().parse_known_args(args, namespace)
-
-
-def _checkout() -> Path | None:
-    """Return the folder with the package and its benchmarks, if there is one."""
-    for root in (Path(fden_ros.__file__).resolve().parents[1], Path.cwd()):
-        if (root / "benchmark" / "harness.py").is_file() and (root / "fden_ros").is_dir():
-            return root
-    return None
-
-
-def _module(name: str = "") -> Any:
-    """Return a module of the benchmarks, or their package."""
-    root = _checkout()
-    if root is None:
-        raise InputError("benchmarks need a checkout of fden_ros: run this in its folder")
-    if str(root) not in sys.path:
-        sys.path.insert(0, str(root))
-    return importlib.import_module(f"benchmark.{name}" if name else "benchmark")
 
 
 COMMAND = Command(

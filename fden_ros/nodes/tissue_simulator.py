@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from fden_ros.errors import InputError
 from fden_ros.nodes.running import run_node
 from fden_ros.ros.messages import to_stamp
-from fden_ros.simulation.closed_form import FdenModel
+from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion
 

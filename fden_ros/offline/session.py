@@ -29,7 +29,7 @@ from fden_ros.offline.signals import Envelope, Signals, before
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, is_table
-from fden_ros.recording.synthetic import read_truth
+from fden_ros.recording.truth import read_truth
 
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60

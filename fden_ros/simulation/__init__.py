@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Synthetic tissue and scenarios, the truth for tests and demonstrations.
+"""Simulated tissue and a rig over it in time steps, for the live simulator.
 
-Shares no numerics with :mod:`fden_ros.core`.
+Shares no numerics with :mod:`fden_ros.core`. Simulated recordings stand beside the package, in
+``simulation/``.
 """

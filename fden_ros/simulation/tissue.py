@@ -3,7 +3,7 @@
 
 r"""Tissue in time steps: what a probe meets whose motion is not known beforehand.
 
-:mod:`fden_ros.simulation.closed_form` needs the whole motion; a closed loop has only the past. The
+:mod:`simulation.closed_form` needs the whole motion; a closed loop has only the past. The
 law :math:`f = D^\alpha \varphi(x)` is stepped with :math:`\varphi` linear in between (the L1
 scheme; Oldham and Spanier, The Fractional Calculus, 1974), the newest step with the true kernel
 and the past in one number per exponential of
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.closed_form import FdenModel, FloatArray
+from fden_ros.simulation.model import FdenModel, FloatArray
 
 #: Step of ln(rate): the rule's error falls as exp(-pi^2 / step), here 3e-9.
 _LOG_STEP = 0.5

@@ -25,10 +25,10 @@ import yaml
 
 from fden_ros.errors import InputError
 from fden_ros.shipped import all_shipped, shipped
-from fden_ros.simulation.closed_form import FdenModel, FloatArray
-from fden_ros.simulation.contact import Stiffening
-from fden_ros.simulation.disturbance import Disturbances
-from fden_ros.simulation.trajectory import (
+from fden_ros.simulation.model import FdenModel, FloatArray
+from simulation.contact import Stiffening
+from simulation.disturbance import Disturbances
+from simulation.trajectory import (
     TRAJECTORIES,
     Approach,
     Ramp,

@@ -20,7 +20,7 @@ and contact is regained at the first time r at which :math:`\phi(x_{probe}) \ge 
           .
 
 The first term counts only the motion since r and is the closed form of
-:mod:`fden_ros.simulation.closed_form`; the second is the whole memory of the earlier contacts, one
+:mod:`simulation.closed_form`; the second is the whole memory of the earlier contacts, one
 integral over the past stress. That stress has algebraic singularities where the velocity jumps, so
 each piece is integrated by Gauss-Legendre quadrature in a variable that is graded towards both of
 its ends.
@@ -41,9 +41,8 @@ from scipy.optimize import brentq
 from scipy.special import gamma
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.closed_form import (
-    FdenModel,
-    FloatArray,
+from fden_ros.simulation.model import FdenModel, FloatArray
+from simulation.closed_form import (
     Move,
     Piece,
     pieces_of,

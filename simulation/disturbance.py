@@ -4,12 +4,12 @@
 """What a real rig adds to a recording: motion of the surface, friction, creep, hum and the like.
 
 Disturbances of the motion change the strain that the tissue sees, so the force follows from the
-law along the disturbed path (:mod:`fden_ros.simulation.stepped_contact`); those of the force and
+law along the disturbed path (:mod:`simulation.stepped_contact`); those of the force and
 of the readings are added to what the sensors see. Everything is off by default.
 
 White noise, bias, drift, jitter and delay belong to the sensors: see
-:class:`~fden_ros.simulation.scenario.ForceSensor` and
-:class:`~fden_ros.simulation.scenario.DisplacementSensor`.
+:class:`~simulation.scenario.ForceSensor` and
+:class:`~simulation.scenario.DisplacementSensor`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.closed_form import FloatArray
-from fden_ros.simulation.trajectory import require_not_negative, require_positive
+from fden_ros.simulation.model import FloatArray
+from simulation.trajectory import require_not_negative, require_positive
 
 #: Slower than this [m/s] the probe counts as at rest: there is no friction and no vibration.
 REST_SPEED = 1e-4

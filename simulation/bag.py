@@ -17,14 +17,13 @@ from std_msgs.msg import String
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import LATCHED, RELIABLE
-from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.reader import BagReader
+from fden_ros.recording.truth import TRUTH_TOPIC, TRUTH_TYPE
 from fden_ros.recording.writer import BagWriter
-from fden_ros.simulation.simulate import Recording, Stream
+from simulation.simulate import Recording, Stream
 
-TRUTH_TOPIC = "/simulation/truth"
 PARAMETER_FILE = "identifier.yaml"
 
-_STRING = "std_msgs/msg/String"
 _JOINT = "probe"
 _NS_PER_S = 1_000_000_000
 # By the message of a stream: its type, and the field that the sample goes to.
@@ -52,7 +51,7 @@ def write_recording(
     Parameters
     ----------
     recording
-        What `fden_ros.simulation.simulate.simulate` returns.
+        What `simulation.simulate.simulate` returns.
     folder
         The bag to make.
     overwrite
@@ -73,7 +72,7 @@ def write_recording(
         if stream.stamp_ns.size == 0:
             raise InputError(f"the recording has no sample for {stream.topic}: make it longer")
     with BagWriter(folder, overwrite=overwrite) as bag:
-        bag.add_topic(TRUTH_TOPIC, _STRING, LATCHED)
+        bag.add_topic(TRUTH_TOPIC, TRUTH_TYPE, LATCHED)
         makers = []
         for stream in streams:
             type_name, field = _message_of(stream, is_force=stream is recording.force)
@@ -87,25 +86,6 @@ def write_recording(
         parameters = _parameter_file(recording)
         (bag.folder / PARAMETER_FILE).write_text(parameters, encoding="utf-8")
     return BagReader(folder)
-
-
-def read_truth(bag: BagReader) -> dict[str, Any] | None:
-    """Return the truth that a simulated bag carries; None for any other bag."""
-    for topic in bag.topics:
-        if topic.name == TRUTH_TOPIC and topic.type_name == _STRING:
-            for message in bag.messages([TRUTH_TOPIC]):
-                return _parse_truth(decode(message).data)
-    return None
-
-
-def _parse_truth(text: str) -> dict[str, Any]:
-    try:
-        truth = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{TRUTH_TOPIC} holds no JSON ({error}): make the bag anew") from None
-    if not isinstance(truth, dict):
-        raise InputError(f"{TRUTH_TOPIC} holds no JSON object: make the bag anew")
-    return truth
 
 
 def _by_stamp(streams: tuple[Stream, ...]) -> list[tuple[int, int]]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.closed_form import LinearMove, Move, SineMove
+from simulation.closed_form import LinearMove, Move, SineMove
 
 
 def require_positive(owner: object, *names: str) -> None:

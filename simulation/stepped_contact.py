@@ -23,12 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move
-from fden_ros.simulation.disturbance import Disturbances, Phases, with_backlash
+from fden_ros.simulation.model import FdenModel, FloatArray
 from fden_ros.simulation.tissue import Column, Tissue
+from simulation.closed_form import Move
+from simulation.disturbance import Disturbances, Phases, with_backlash
 
 if TYPE_CHECKING:
-    from fden_ros.simulation.scenario import Geometry
+    from simulation.scenario import Geometry
 
 #: Time step [s].
 STEP_S = 1e-3
@@ -56,7 +57,7 @@ class SteppedHistory:
     Attributes
     ----------
     contacts
-        What :class:`~fden_ros.simulation.contact.ContactHistory` has, too.
+        What :class:`~simulation.contact.ContactHistory` has, too.
     model
         The tissue.
     times, strains, stresses

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.simulation.closed_form import FdenModel, FloatArray, Move, SineMove
-from fden_ros.simulation.contact import ContactHistory, contacts_of_moves
-from fden_ros.simulation.disturbance import Disturbances, Phases, quantised
-from fden_ros.simulation.scenario import (
+from fden_ros.simulation.model import FdenModel, FloatArray
+from simulation.closed_form import Move, SineMove
+from simulation.contact import ContactHistory, contacts_of_moves
+from simulation.disturbance import Disturbances, Phases, quantised
+from simulation.scenario import (
     Dropout,
     ForceSensor,
     Geometry,
@@ -24,11 +25,11 @@ from fden_ros.simulation.scenario import (
     Scenario,
     Site,
 )
-from fden_ros.simulation.stepped_contact import (
+from simulation.stepped_contact import (
     SteppedHistory,
     stepped_contacts_of_moves,
 )
-from fden_ros.simulation.trajectory import Approach, Path
+from simulation.trajectory import Approach, Path
 
 StampArray = NDArray[np.int64]
 

@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What stands beside the package in a checkout, and is not installed: benchmarks, simulation."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import fden_ros
+from fden_ros.errors import InputError
+
+
+def checkout() -> Path | None:
+    """Return the folder with the package and what stands beside it, if there is one."""
+    for root in (Path(fden_ros.__file__).resolve().parents[1], Path.cwd()):
+        if (root / "benchmark" / "harness.py").is_file() and (root / "fden_ros").is_dir():
+            return root
+    return None
+
+
+def module(name: str) -> Any:
+    """Return a module of a checkout, such as ``simulation.scenario``.
+
+    Raises
+    ------
+    InputError
+        If there is no checkout.
+    """
+    root = checkout()
+    if root is None:
+        raise InputError(
+            f"fden_ros has no {name.partition('.')[0]} where it is installed: this needs a "
+            "checkout of it; run it in that folder"
+        )
+    if str(root) not in sys.path:
+        sys.path.insert(0, str(root))
+    return importlib.import_module(name)
