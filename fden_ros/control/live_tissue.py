@@ -21,7 +21,7 @@ from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, Geometry
-from fden_ros.core.law.kernel import SHORTEST_STEP
+from fden_ros.core.law.relaxation import SHORTEST_STEP
 from fden_ros.core.outputs import WITHHELD, Flag, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 

@@ -18,11 +18,11 @@ from fden_ros.core.estimation.loop_arguments import Columns, LawState, ResponseS
 from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.kernel import SHORTEST_STEP
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
     RATES,
+    SHORTEST_STEP,
     StressMoments,
     creep_weights,
     relaxation_weights,

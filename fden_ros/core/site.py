@@ -21,14 +21,11 @@ from fden_ros.core.estimation.either_place import EitherPlace, Placed
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
-from fden_ros.core.estimation.fractional_stress_estimator import (
-    FractionalStressEstimator,
-    exact_orders,
-)
+from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.kernel import SHORTEST_STEP
+from fden_ros.core.law.relaxation import SHORTEST_STEP, memory_weights
 from fden_ros.core.law.stress_memory import StressMemory
 from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.outputs import WITHHELD, Flag
@@ -218,7 +215,7 @@ class Site:
         self._finding = _Finding(onset, config)
         self._finding.doubt(flags, 1.0)
         self.origin, self.origin_sd = origin_of(onset, config)
-        self._memory = StressMemory(exact_orders(config.estimator))
+        self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
 
@@ -377,10 +374,7 @@ class Site:
         if learns and self.is_usable and self._estimator is not None:
             self._estimator.take(step, compression, stress, is_free=is_free)
         if step > 0.0:
-            if is_free:
-                self._memory.release(step)
-            else:
-                self._memory.press(step, stress)
+            self._memory.press(step, 0.0 if is_free else stress)
         self._last_ns = pair.stamp_ns
         return ContactSample(pair.stamp_ns, step, force, compression, stress, is_free)
 
@@ -394,8 +388,8 @@ class Site:
         FloatingPointError
             If innovation or estimate is not finite.
         """
-        integrals, innovation = self._memory.means(means.size), None
-        fractional_stress = self._fractional_stress(integrals)
+        memory, innovation = self._memory.means(means.size), None
+        fractional_stress = self._fractional_stress(memory)
         if learns and self.is_usable and self._estimator is not None:
             if self._is_informative(means):
                 memory_time = 0.5 * (means.start_ns + means.end_ns - 2 * self.start_ns)
@@ -406,7 +400,7 @@ class Site:
                         memory_time=memory_time / NANOSECONDS,
                         size=means.size,
                         duration=means.duration,
-                        fractional_integrals=integrals,
+                        memory=memory,
                     )
                 )
                 _check_finite(innovation.innovation, innovation.variance)
@@ -417,12 +411,12 @@ class Site:
                 self._finding.update(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
 
-    def _fractional_stress(self, integrals: Array) -> float:
+    def _fractional_stress(self, memory: Array) -> float:
         """Return D^-alpha of the stress at the newest alpha [Pa s^alpha]."""
-        order = prior = self._config.estimator.prior.fractional_order
+        order = self._config.estimator.prior.fractional_order
         if self.estimate is not None:
             order = self.estimate.fractional_order
-        return float(integrals[0]) if order == prior else self._memory.at_order(integrals, order)
+        return float(memory_weights(order) @ memory)
 
     def _is_informative(self, means: Means) -> bool:
         """Whether the law holds for a block: not behind the surface, nor while letting go."""
@@ -493,8 +487,7 @@ def _begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
 
 
 def prepare(config: PipelineConfig) -> None:
-    """Compute the kernels' weights, which takes a moment: not only at the first touch."""
-    StressMemory(exact_orders(config.estimator))
+    """Import and compute what takes a moment: not only at the first touch."""
     _new_estimator(config, 1.0, 1.0, PathNoise(), RigKnowledge.stated(config.estimator))
 
 

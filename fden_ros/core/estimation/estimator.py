@@ -23,7 +23,7 @@ class Block(NamedTuple):
     memory_time: float  #: t since the memory began [s]
     size: int  #: samples in the block
     duration: float  #: from the first sample to the last and one step more [s]
-    fractional_integrals: Array  #: D^-beta f [Pa s^beta], shape (orders,)
+    memory: Array  #: of the stress, as :meth:`~..law.stress_memory.StressMemory.means` gives it
 
 
 class Innovation(NamedTuple):

@@ -45,6 +45,7 @@ from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.relaxation import memory_weights
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -85,17 +86,11 @@ class FractionalBlock(NamedTuple):
     size: int  #: samples in the block
 
 
-def exact_orders(config: EstimatorConfig) -> tuple[float, float, float]:
-    """Return alpha and the orders above and below it, whose difference is df'/dalpha [1]."""
-    order = config.prior.fractional_order
-    return order, order + _ORDER_STEP, max(order - _ORDER_STEP, _LEAST_ORDER)
-
-
 class FractionalStressEstimator:
     """The Gaussian sum as an :class:`~fden_ros.core.estimation.estimator.Estimator`.
 
-    The blocks' fractional integrals begin with those of :func:`exact_orders`. They hold all of the
-    past, so that motion, rest and relinearisation are nothing to this estimator.
+    The blocks' memory holds all of the past, so that motion, rest and relinearisation are nothing
+    to this estimator.
 
     Parameters
     ----------
@@ -123,18 +118,20 @@ class FractionalStressEstimator:
         origin_sd: float = 0.0,
     ) -> None:
         self._filter = GaussianSum(config, geometry, noise_sd, origin_sd)
-        _, above, below = exact_orders(config)
-        self._distance = above - below
+        order = config.prior.fractional_order
+        above, below = order + _ORDER_STEP, max(order - _ORDER_STEP, _LEAST_ORDER)
+        self._at_order = memory_weights(order)
+        self._by_order = (memory_weights(above) - memory_weights(below)) / (above - below)
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact; the drift is left out."""
         self._filter.begin_contact(bias_sd)
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
-        """Take a sample: the integrals of its block hold it."""
+        """Take a sample: the memory of its block holds it."""
 
     def rest(self, duration: float) -> None:
-        """Let time pass: the integrals hold it."""
+        """Let time pass: the memory holds it."""
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
@@ -147,12 +144,11 @@ class FractionalStressEstimator:
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""
-        at_order, above, below = block.fractional_integrals[:3]
         return self._filter.update(
             FractionalBlock(
                 compression=block.compression,
-                fractional_stress=float(at_order),
-                fractional_stress_by_order=float(above - below) / self._distance,
+                fractional_stress=float(self._at_order @ block.memory),
+                fractional_stress_by_order=float(self._by_order @ block.memory),
                 memory_time=block.memory_time,
                 size=block.size,
             )

@@ -12,10 +12,19 @@ r"""The relaxation of the law and its inverse, the creep, as sums of exponential
 The trapezoidal rule in ln lambda converges exponentially: with steps of :data:`SPACING` the error
 is 5e-6 of the relaxation. What is slower than the slowest rate counts as a constant, what is
 faster than the fastest as a weight on the last rate of change, both as geometric sums.
+
+The moments :math:`\int e^{-\lambda (t - s)} f(s)\,ds` of a stress hold its whole past in one
+number a rate, whatever the order. With f linear over a step h and :math:`y = \lambda h` they are
+exact: they decay by :math:`e^{-y}` and gain
+
+.. math:: h\,[f_{n-1} (m_1 - m_2) + f_n m_2], \qquad m_1 = (1 - e^{-y})/y,\ m_2 = (1 - m_1)/y .
+
+C. Lubich, A. Schädle, SIAM J. Sci. Comput. 24 (2002) 161.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -33,6 +42,10 @@ RATES.flags.writeable = False
 #: Orders alpha [1] that the weights are made for.
 LOWEST_ORDER, HIGHEST_ORDER = 0.003, 0.9
 _STEP = 1e-6
+#: Shortest step between samples [s]: shorter ones tell nothing by these rates.
+SHORTEST_STEP = 1e-5
+#: Below this value of rate times step [1], m_2 is taken from its series.
+_SERIES_LIMIT = 1e-4
 
 
 def relaxation_weights(order: float) -> Array:
@@ -60,6 +73,34 @@ def creep_weights(order: float) -> Array:
     return weights
 
 
+@functools.lru_cache(maxsize=16)
+def memory_weights(order: float) -> Array:
+    """Return the weights, shape (COUNT + 1,), of moments and present stress in D^-alpha of it."""
+    factor = SPACING * math.sin(math.pi * order) / math.pi
+    # What decays faster than the fastest follows the stress.
+    fast = factor * RATES[-1] ** -order / math.expm1(SPACING * order)
+    return np.append(creep_weights(order), fast)
+
+
+def passed(
+    step: float | Array, before: float | Array, after: float | Array
+) -> tuple[Array, Array]:
+    """Return by what moments decay in steps [s], and what stresses [Pa] along lines add to them.
+
+    Parameters
+    ----------
+    step, before, after : float or ndarray, shape (n, 1)
+
+    Returns
+    -------
+    decay, gain : ndarray, shape (..., COUNT)
+    """
+    y = RATES * step
+    mean = -np.expm1(-y) / y
+    later = np.where(y < _SERIES_LIMIT, 0.5 - y / 6.0, (1.0 - mean) / y)
+    return np.exp(-y), step * (before * (mean - later) + after * later)
+
+
 class StressMoments:
     """Exponential moments of a measured stress: all that the tissue's future remembers of it.
 
@@ -74,10 +115,8 @@ class StressMoments:
 
     def add(self, step: float, before: float, after: float) -> None:
         """Take a stress [Pa] that goes along a line in `step` seconds."""
-        y = RATES * step
-        mean = -np.expm1(-y) / y
-        later = np.where(y < 1e-4, 0.5 - y / 6.0, (1.0 - mean) / y)
-        self.values = np.exp(-y) * self.values + step * (before * (mean - later) + after * later)
+        decay, gain = passed(step, before, after)
+        self.values = decay * self.values + gain
 
     def after(self, elapsed: Array) -> Array:
         """Return the moments after times without stress [s], shape (n, COUNT)."""

@@ -5,61 +5,82 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.fractional_integral import FractionalIntegral
-from fden_ros.core.law.kernel import order_nodes, order_weights
+from fden_ros.core.law.relaxation import COUNT, RATES, memory_weights, passed
 
-#: The tissue's relaxation between two contacts is followed in steps, the first of 1 ms [s], each
-#: longer by 4 %. (Eight steps a decade would bias Gn by a third of its error's bound.)
-_FIRST_REST, _REST_RATIO = 1e-3, 1.04
+#: The stress falls to 0 within 1 ms [s] where nothing is seen of its end.
+_LETTING_GO = 1e-3
 
 
 class StressMemory:
-    """Fractional integrals of the stress at one place, in constant memory.
+    """Exponential moments of the stress at one place, in constant memory.
 
-    Parameters
-    ----------
-    exact_orders : tuple of float
-        Orders at which the integrals are not interpolated [1].
+    Examples
+    --------
+    The integral of order 1/2 of f(t) = t is t^1.5 / Gamma(2.5), whatever the steps:
+
+    >>> memory = StressMemory()
+    >>> for step, stress in ((0.1, 0.1), (0.5, 0.6), (0.4, 1.0)):
+    ...     memory.press(step, stress)
+    ...     mean = memory.means(1)
+    >>> round(float(memory_weights(0.5) @ mean), 4)
+    0.7522
     """
 
-    def __init__(self, exact_orders: tuple[float, ...] = ()) -> None:
-        self._exact = len(exact_orders)
-        self._integral = FractionalIntegral((*exact_orders, *order_nodes()))
+    def __init__(self) -> None:
+        self._moments: Array = np.zeros(COUNT)
+        self._stress = 0.0
+        self._waiting: list[tuple[float, float]] = []
+        self._sum: Array = np.zeros(COUNT + 1)
 
     def press(self, step: float, stress: float) -> None:
         """Take a stress [Pa] `step` seconds after the last."""
-        self._integral.add(step, stress)
-
-    def release(self, step: float) -> None:
-        """Let the stress be 0 by `step` seconds after the last."""
-        self._integral.advance(step, 0.0)
+        self._waiting.append((step, stress))
 
     def rest(self, duration: float) -> None:
         """Let the tissue relax free of stress for some time [s]."""
-        first = min(_FIRST_REST, 0.5 * duration)
-        count = 2
-        if first == _FIRST_REST:
-            count += math.ceil(math.log(duration / first) / math.log(_REST_RATIO))
-        elapsed = np.geomspace(first, duration, count)
-        self._integral.relax(tuple(np.diff(elapsed, prepend=0.0).tolist()))
+        self._catch_up()
+        first = min(_LETTING_GO, 0.5 * duration)
+        decay, gain = passed(first, self._stress, 0.0)
+        self._moments = np.exp(-RATES * (duration - first)) * (decay * self._moments + gain)
+        self._stress = 0.0
 
     def begin_block(self) -> None:
         """Let the next means be those of what comes now."""
-        self._integral.take_sum()
+        self.means(1)
 
     def means(self, size: int) -> Array:
-        """Return the integrals' means over the `size` samples since the last [Pa s^beta]."""
-        return self._integral.take_sum() / size
+        """Return the means over the `size` samples since the last.
 
-    def at_order(self, integrals: Array, order: float) -> float:
-        """Return one of the integrals, interpolated at an order [1]."""
-        return float(order_weights(order) @ integrals[self._exact :])
+        Returns
+        -------
+        ndarray, shape (COUNT + 1,)
+            Moments [Pa s] and stress [Pa], as :func:`memory_weights` weighs them.
+        """
+        self._catch_up()
+        total, self._sum = self._sum, np.zeros(COUNT + 1)
+        return total / size
 
     def free_response(self, step: float, order: float) -> float:
         """Return phi of the free surface `step` seconds from the last sample [Pa s^alpha]."""
-        return float(order_weights(order) @ self._integral.ahead(step)[self._exact :])
+        self._catch_up()
+        decay, gain = passed(step, self._stress, 0.0)
+        return float(memory_weights(order)[:COUNT] @ (decay * self._moments + gain))
+
+    def _catch_up(self) -> None:
+        """Take the samples that wait: together their decays cost a third of what each would."""
+        if not self._waiting:
+            return
+        steps, stresses = np.array(self._waiting).T
+        self._waiting.clear()
+        before = np.append(self._stress, stresses[:-1])
+        moments, total = self._moments, self._sum[:COUNT]
+        for decay, gain in zip(
+            *passed(steps[:, None], before[:, None], stresses[:, None]), strict=True
+        ):
+            moments = decay * moments + gain
+            total += moments
+        self._moments, self._stress = moments, float(stresses[-1])
+        self._sum[COUNT] += stresses.sum()

@@ -26,13 +26,14 @@ from fden_ros.core.estimation.claims import converged, determined
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
-from fden_ros.core.law.kernel import HIGHEST_ORDER, LOWEST_ORDER
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 
 #: k' lies above 0 by this many standard deviations [1] where the probe is on something.
 _PRESENT = 5.0
 #: alpha lies beyond what can be represented by this many standard deviations [1].
 _BEYOND = 3.0
+#: Orders alpha [1] that palpation may show, wider than the range 0.02 to 0.6 of a given one.
+_LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
 #: Least standard deviation of a given alpha [1], so that it can be divided by.
 _LEAST_ORDER_SD = 1e-6
 
@@ -122,15 +123,15 @@ def _estimate(
     covariance[2, 2] = variance
     deviations = np.sqrt(covariance.diagonal())
     is_beyond = not config.is_order_given and (
-        own_order + _BEYOND * deviation < LOWEST_ORDER
-        or own_order - _BEYOND * deviation > HIGHEST_ORDER
+        own_order + _BEYOND * deviation < _LOWEST_ORDER
+        or own_order - _BEYOND * deviation > _HIGHEST_ORDER
     )
     valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
     known = converged(config, deviations, valid)
     return Estimate(
         log_linear_stiffness=math.log(prior.linear_stiffness),
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
-        fractional_order=min(max(order, LOWEST_ORDER), HIGHEST_ORDER),
+        fractional_order=min(max(order, _LOWEST_ORDER), _HIGHEST_ORDER),
         covariance=covariance,
         strain_origin=0.0,
         strain_origin_sd=0.0,
