@@ -23,5 +23,4 @@ BENCHMARKS: dict[str, str] = {
     "classification": "probabilities that mean what they say, the unknown, real tissue",
     "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "plan": "what a plan expects of a press, beside what the identifier says after it",
-    "closed_loop": "force control with gains from the live stiffness, and with fixed ones",
 }

@@ -9,17 +9,17 @@ import functools
 
 import numpy as np
 import pytest
+from closed_loop import LAST, LIMIT, STEP, Run, close_loop, tissue
 from property_helpers import first
 
-from benchmark.closed_loop import Program, Run, close_loop, tissues
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import Reading
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
 
 ALL = ParameterSet.ALL
-#: Shorter than that of the benchmark, which runs all ten.
-PROGRAM = Program(rest=2.5, work=1.5, back=1.0)
+#: The fifth of ten tissues from the softest to the stiffest.
+MIDDLE = 4.0 / 9.0
 CONFIG = ForceControlConfig(safe_stiffness=100.0, force_limit=1.0, bandwidth=10.0)
 
 
@@ -81,36 +81,33 @@ def test_a_measured_stiffening_counts_at_once_and_noise_does_not() -> None:
 
 
 @functools.cache
-def closed(number: int, scheduled: bool) -> Run:
-    """Close the loop over one of ten tissues."""
-    return close_loop(tissues(10)[number], scheduled=scheduled, program=PROGRAM)
+def closed(place: float, scheduled: bool) -> Run:
+    return close_loop(tissue(place), scheduled=scheduled)
 
 
-@pytest.mark.parametrize("number", first(4, 9))
-def test_scheduled_gains_keep_their_promises(number: int) -> None:
-    """The stiffest of the soft half, and of all ten."""
-    fixed, scheduled = (closed(number, is_scheduled) for is_scheduled in (False, True))
-    assert scheduled.force.max() <= PROGRAM.limit
+@pytest.mark.parametrize("place", first(MIDDLE, 1.0, 0.0, 0.25, 0.75))
+def test_scheduled_gains_keep_their_promises(place: float) -> None:
+    fixed, scheduled = (closed(place, is_scheduled) for is_scheduled in (False, True))
+    assert scheduled.force.max() <= LIMIT
     assert max(scheduled.overshoot) <= 0.05
     assert scheduled.settling < fixed.settling
-    if number == 4:
+    if place <= MIDDLE:
         assert scheduled.settling <= 0.5 * fixed.settling
 
 
 def test_fixed_gains_pass_the_limit_on_the_stiffest() -> None:
-    assert PROGRAM.limit < closed(9, False).force.max()
+    assert closed(1.0, False).force.max() > LIMIT
 
 
 def test_an_inclusion_takes_the_estimate_back() -> None:
-    scheduled = closed(4, True)
-    after = scheduled.times > PROGRAM.steps[-1][0] + 1.0
-    assert scheduled.live[~after].any()
+    scheduled = closed(MIDDLE, True)
+    assert scheduled.live[scheduled.times <= LAST + 1.0].any()
     assert set(scheduled.refusals) & {"CONTRADICTED", "REJECTED"}
 
 
 def test_a_loss_in_the_middle_of_a_motion_leads_to_safe_gains_within_a_deadline() -> None:
-    lost = PROGRAM.steps[2][0] + 0.1
-    result = close_loop(tissues(10)[4], scheduled=True, program=PROGRAM, lose_estimate_at=lost)
+    lost = STEP + 0.1
+    result = close_loop(tissue(MIDDLE), scheduled=True, lost_at=lost)
     assert result.live[(result.times > lost - 0.1) & (result.times < lost)].all()
     assert not result.live[result.times > lost + 0.1].any()
-    assert result.force.max() <= PROGRAM.limit and result.overshoot[0] <= 0.05
+    assert result.force.max() <= LIMIT and result.overshoot[0] <= 0.05
