@@ -21,6 +21,5 @@ BENCHMARKS: dict[str, str] = {
     "robots": "what a real rig adds: breathing, compliance, hum; silent errors, contacts missed",
     "changes": "inclusions and slides under the probe: how soon they are told; false ones",
     "classification": "probabilities that mean what they say, the unknown, real tissue",
-    "configure": "what fden configure finds on simulated rigs of which nothing is known",
     "plan": "what a plan expects of a press, beside what the identifier says after it",
 }

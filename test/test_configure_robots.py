@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from test_configure import run, whole_rig
 from unknown_rig_bags import RigBag
+from unknown_rigs import SimulatedRig
 
-from benchmark.unknown_rigs import SimulatedRig
 from fden_ros.configure.robots import robot_named, robot_names
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import read_parameter_file

@@ -11,15 +11,17 @@ and one lags the other. Nothing is shared with the findings.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from fden_ros.configure.finding import Finding
 from fden_ros.configure.streams import Streams
+from fden_ros.configure.survey import Survey
 from fden_ros.core.arrays import Array
 from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.tissue import Column, Tissue
@@ -66,8 +68,6 @@ class RigTruth:
     rigid: bool  #: something rigid was pressed
     tissue: bool  #: tissue was pressed
     leaves: bool  #: the probe left the surface
-    frequencies: tuple[float, ...]  #: of oscillations in contact [Hz]
-    normal: Array | None = None  #: of the surface, in the frame of the poses; None: not known
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,6 @@ def simulate_rig(
     *,
     along_tool: bool = False,
     presses: int = 0,
-    slope: tuple[float, float] = (0.0, 0.0),
     **chosen: Any,
 ) -> SimulatedRig:
     """Return the recording of one rig.
@@ -152,8 +151,6 @@ def simulate_rig(
         ... but for the directions, if the probe presses along the z of its poses ...
     presses : int
         ... for the number of presses of tissue, if given ...
-    slope : tuple of float
-        ... for the surface, which sinks away by these shares of the way to each side ...
     **chosen
         ... and for these fields of :class:`RigTruth`.
     """
@@ -182,10 +179,6 @@ def simulate_rig(
     # Lifting slowly to a shallower depth may leave the tissue for a moment, too.
     truth = replace(truth, leaves=truth.leaves or bool(np.mean(force == 0.0) > 0.1))
     across, turn = np.concatenate(plan.across), np.concatenate(plan.turn)
-    if truth.displacement_axis.size > 1:
-        normal = mount.into - np.array(slope) @ sideways_of(mount.into)
-        truth = replace(truth, normal=normal / np.linalg.norm(normal))
-        depth = depth + across @ np.array(slope)
     motion = _Motion(times, depth, across, turn, force)
     return SimulatedRig(_measure(truth, mount, motion, draw), truth)
 
@@ -256,7 +249,6 @@ def _draw_rig(seed: int, draw: Generator) -> tuple[RigTruth, _Mount]:
         rigid=_chance(draw, 0.55),
         tissue=_chance(draw, 0.93),
         leaves=_chance(draw, 0.93),
-        frequencies=(),
     )
     return truth, mount
 
@@ -282,7 +274,6 @@ def _draw_motion(truth: RigTruth, draw: Generator, presses: int) -> tuple[_Plan,
         strongest = _log_uniform(draw, 3.0, 15.0)
         for _ in range(int(draw.integers(2, 4))):
             _press_rigid(plan, draw, strongest)
-    frequencies: tuple[float, ...] = ()
     if tissue:
         usual = int(draw.integers(2, 5))
         for _ in range(presses or usual):
@@ -291,7 +282,7 @@ def _draw_motion(truth: RigTruth, draw: Generator, presses: int) -> tuple[_Plan,
             frequencies = (1.0, 4.0) if _chance(draw, 0.6) else (2.0,)
             _oscillate(plan, draw, deepest, frequencies, leaves)
     plan.move(draw.uniform(1.0, 3.0), kind=kind)
-    return plan, replace(truth, tissue=tissue, rigid=rigid, turns=turns, frequencies=frequencies)
+    return plan, replace(truth, tissue=tissue, rigid=rigid, turns=turns)
 
 
 def _turn(plan: _Plan, draw: Generator) -> None:
@@ -455,3 +446,104 @@ def _pose(
 
 def _stepped(values: Array, step: float) -> Array:
     return values if step == 0.0 else np.asarray(step * np.round(values / step))
+
+
+# What the findings are worth
+
+_AXIS_LIMIT = math.radians(2.0)
+#: The 95 % interval of an error in one direction, and of one in two, in deviations.
+_ONE, _TWO = 1.96, 2.4477
+#: A compliance whose deviation is above this share of it is stated as a bound.
+_BOUND = 0.04
+
+
+@dataclass
+class Judged:
+    """What the findings of one rig are worth.
+
+    Parameters
+    ----------
+    errors : dict
+        Error over deviation by subject, of stated findings; of an axis as a share of the 95 %.
+    misses : list of (str, str)
+        Stated findings that miss their goal, and what they say.
+    stated : dict
+        Whether each subject is stated.
+    unfounded : list of str
+        Stated although the recording does not show it.
+    """
+
+    seed: int
+    errors: dict[str, list[float]] = field(default_factory=dict)
+    misses: list[tuple[str, str]] = field(default_factory=list)
+    stated: dict[str, bool] = field(default_factory=dict)
+    unfounded: list[str] = field(default_factory=list)
+
+    def hold(self, finding: Finding, true: float, limit: float = math.inf) -> None:
+        """Hold a stated number against the truth and the largest error that is allowed."""
+        if not finding.claim or not isinstance(finding.value, float) or not finding.deviation:
+            return
+        error = finding.value - true
+        self.errors[finding.subject] = [error / finding.deviation]
+        if abs(error) > limit:
+            self.misses.append((finding.subject, f"{finding.value:.4g} for {true:.4g}"))
+
+
+def judge(found: Survey, truth: RigTruth) -> Judged:
+    """Hold the findings of a rig against what is true of it."""
+    judged = Judged(truth.seed)
+    by_name = {finding.subject: finding for finding in found.findings}
+    judged.stated = {name: finding.claim for name, finding in by_name.items()}
+    for what, axis in (("force", truth.force_axis), ("displacement", truth.displacement_axis)):
+        _judge_axis(judged, by_name[f"{what} axis"], axis)
+    for what, usual, other, unit in (
+        ("force", "N", "g", truth.force_unit),
+        ("displacement", "m", "mm", truth.displacement_unit),
+    ):
+        finding = by_name[f"{what} unit"]
+        if finding.claim and finding.value != (usual if unit == 1.0 else other):
+            judged.misses.append((finding.subject, str(finding.value)))
+    _judge_numbers(judged, by_name, truth)
+    shows_delay = truth.rigid or truth.turns
+    shown = {"delay": shows_delay, "compliance": truth.rigid, "tool mass": truth.turns}
+    judged.unfounded = [name for name, is_so in shown.items() if by_name[name].claim and not is_so]
+    return judged
+
+
+def _judge_axis(judged: Judged, finding: Finding, axis: Array) -> None:
+    if not finding.claim:
+        return
+    assert finding.value is not None and not isinstance(finding.value, str)
+    value = np.atleast_1d(np.array(finding.value))
+    error = math.acos(min(max(float(value @ axis), -1.0), 1.0))
+    if error > _AXIS_LIMIT:
+        judged.misses.append((finding.subject, f"{math.degrees(error):.1f} degrees"))
+    if axis.size > 1 and finding.deviation:
+        judged.errors[finding.subject] = [error / finding.deviation / _TWO * _ONE]
+
+
+def _judge_numbers(judged: Judged, by_name: Mapping[str, Finding], truth: RigTruth) -> None:
+    steps = math.sqrt(12.0)
+    judged.hold(by_name["force noise"], math.hypot(truth.force_noise, truth.force_step / steps))
+    motion_noise = math.hypot(truth.displacement_noise, truth.displacement_step / steps)
+    judged.hold(by_name["displacement noise"], motion_noise)
+    judged.hold(by_name["delay"], truth.delay, 1e-3)
+    if by_name["tool mass"].value:
+        judged.hold(by_name["tool mass"], truth.mass, 0.02 * truth.mass)
+    centre = by_name["tool centre of mass"]
+    if centre.claim and centre.deviation:
+        errors = (np.array(centre.value) - truth.centre) / centre.deviation
+        judged.errors["tool centre of mass"] = errors.tolist()
+    compliance = by_name["compliance"]
+    if isinstance(compliance.value, float) and compliance.deviation:
+        # What is too small to measure is stated as a bound: only its interval counts.
+        is_bound = compliance.deviation > _BOUND * abs(compliance.value)
+        judged.hold(compliance, truth.compliance, math.inf if is_bound else 0.1 * truth.compliance)
+    axis, bias = by_name["force axis"], by_name["force bias"]
+    if not axis.claim or (truth.mass and not truth.turns):
+        return
+    along = np.atleast_1d(np.array(axis.value))
+    if bias.claim:
+        start, end = bias.seconds[0]
+        judged.hold(bias, float((truth.bias + truth.drift * 0.5 * (start + end)) @ along))
+    judged.hold(by_name["force drift"], float(truth.drift @ along))
