@@ -431,7 +431,7 @@ def test_results_of_the_recording_itself_are_refused(
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """So long that it is not replayed before a signal comes."""
-    scenario = ramp_scenario(strain_rate=0.5, max_strain=0.2, hold_s=100.0, seed=1)
+    scenario = ramp_scenario(strain_rate=0.5, max_strain=0.2, hold_s=20.0, seed=1)
     bag = tmp_path_factory.mktemp("long") / "bag"
     write_recording(simulate(scenario), bag)
     return bag

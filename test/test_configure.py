@@ -78,8 +78,10 @@ def run(*arguments: Any) -> int:
     return main([str(argument) for argument in arguments])
 
 
-def bag_rig() -> SimulatedRig:
-    return whole_rig(8, force_rate=100.0, displacement_rate=100.0, force_noise=0.003)
+def bag_rig(**chosen: Any) -> SimulatedRig:
+    return whole_rig(
+        10, presses=2, **chosen, force_rate=100.0, displacement_rate=100.0, force_noise=0.003
+    )
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +191,7 @@ def test_noise_alone_is_no_contact() -> None:
 # The command
 
 
-def test_the_file_replays_on_the_same_recording(
+def test_the_file_replays_on_presses_of_the_same_rig(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     truth = bag_rig().truth
@@ -203,7 +205,9 @@ def test_the_file_replays_on_the_same_recording(
     assert parameters.tool.mass == pytest.approx(truth.mass, rel=0.02)
     assert parameters.displacement.delay == pytest.approx(truth.delay, abs=1e-3)
     assert parameters.displacement.compliance == pytest.approx(truth.compliance, rel=0.1)
-    assert run("replay", bag, "--config", output, "--json") == 0
+    # The plate is left out: what is no tissue takes long to be told so.
+    presses = RigBag(bag_rig(rigid=False).streams).write(tmp_path / "presses")
+    assert run("replay", presses, "--config", output, "--json") == 0
     contacts = json.loads(capsys.readouterr().out)["contacts"]
     converged = [contact for contact in contacts if contact["converged"]]
     assert converged

@@ -38,7 +38,8 @@ from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.report.sentence import sentence
 from fden_ros.ros.inputs import DAMAGED
-from simulation.scenario import load_scenario
+from simulation.bag import write_recording
+from simulation.scenario import load_scenario, ramp_scenario
 from simulation.simulate import EXACT, simulate
 
 ROOT = Path(__file__).parent.parent
@@ -367,8 +368,8 @@ def test_every_fden_command_of_a_page_is_understood(page: Path) -> None:
 def test_the_commands_of_a_page_run_beside_the_files_that_they_name(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bag = tmp_path / "ramp_hold"
-    assert main(["bag", "ramp_hold", "-o", str(bag)]) == 0
+    bag = tmp_path / "presses"
+    write_recording(simulate(ramp_scenario(hold_s=1.0, rate_hz=200.0, sites=2)), bag)
     (mcap,) = bag.glob("*.mcap")
     files = {"press.mcap": mcap, "palpation.mcap": mcap, "palpation": bag, "press.csv": PRESS}
     files |= {"archive": bag}
