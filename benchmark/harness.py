@@ -35,6 +35,8 @@ Thing = TypeVar("Thing")
 
 #: Names the folder with measured tests where none is given.
 DATA_VARIABLE = "FDEN_DATA"
+#: Where no other number is asked for.
+PROCESSES = 2
 #: Columns of a table that goes into a file.
 _WIDTH = 200
 _INFINITY = math.inf
@@ -198,7 +200,9 @@ class Benchmark:
             parser.add_argument("--contacts", type=int, metavar="N", help=words)
             words = "number of the first of them, which is its seed (default: 0)"
             parser.add_argument("--first", type=int, default=0, metavar="N", help=words)
-            parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes")
+            parser.add_argument(
+                "--jobs", type=int, default=PROCESSES, metavar="N", help="processes"
+            )
         if self.parameters:
             words = "parameters of the identifier; geometry, messages and prior are its own"
             parser.add_argument("--parameters", type=Path, metavar="FILE", help=words)
@@ -250,7 +254,7 @@ def measured(
     function: Callable[..., Result],
     tasks: Sequence[tuple[Any, ...]],
     *shared: object,
-    jobs: int = 2,
+    jobs: int | None = None,
     what: str = "contacts",
 ) -> list[Result]:
     """Return what a function makes of all tasks, in their order.
@@ -263,12 +267,13 @@ def measured(
         The first arguments of each call.
     *shared
         The last arguments, the same for all.
-    jobs : int
-        Processes; 1: this one.
+    jobs : int, optional
+        Processes, by default :data:`PROCESSES`; 1: this one.
     what : str
         Beside the bar of progress.
     """
     results: dict[int, Result] = {}
+    jobs = jobs or PROCESSES
     with progress(what, len(tasks)) as show:
         if jobs == 1:
             for index, task in enumerate(tasks):
@@ -290,7 +295,7 @@ def by_case(
     function: Callable[..., Result],
     tasks: Sequence[tuple[Any, ...]],
     *shared: object,
-    jobs: int = 2,
+    jobs: int | None = None,
     what: str = "contacts",
 ) -> dict[Any, list[Result]]:
     """Return the same by the first argument of each task, which names its case."""

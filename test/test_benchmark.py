@@ -18,6 +18,7 @@ from property_helpers import counts, first
 from benchmark import (
     changes,
     classification,
+    harness,
     invariance,
     laws,
     presses,
@@ -43,6 +44,12 @@ def judged(error=(0.0, 0.0, 0.0), *, flags=Flag.NONE, converged=True, number=0, 
     spread = np.diag(np.square(sd))
     estimate = Estimate(0.0, 2.0, 0.2, spread, 0, 0, 1, everything, everything, 100)
     return Judged(converged, flags, np.array(error), np.array(sd), number, estimate)
+
+
+@pytest.fixture(autouse=True)
+def one_process(monkeypatch):
+    """Few trials take less time than processes take to begin."""
+    monkeypatch.setattr(harness, "PROCESSES", 1)
 
 
 # The command
@@ -136,9 +143,6 @@ def test_bound_of_a_ramp_below_the_boundary_strain_is_the_analytic_one():
     assert found[1] == found[2] == 0.0
 
 
-# Estimators of others
-
-
 # Small runs
 
 
@@ -220,9 +224,6 @@ def test_the_law_itself_is_predicted_within_its_interval(tmp_path, capsys):
     assert row["refused"][1] == 4
 
 
-# The paper's study
-
-
 # Changes
 
 SLIDE, INCLUSION = changes.CHANGES[:2]
@@ -281,7 +282,8 @@ def tables(tmp_path_factory):
     return folder
 
 
-def test_measured_tests_of_two_materials_are_told_apart(tables):
+def test_measured_tests_of_two_materials_are_told_apart_by_two_processes(tables, monkeypatch):
+    monkeypatch.setattr(harness, "PROCESSES", 2)
     assert told(read_tests(tables))["beef | silicone: errors"] == Share(0, 8)
 
 
