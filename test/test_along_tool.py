@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.rotation import Transform
-from fden_ros.core.streams.tool_path import ToolPath, ToolPathConfig
+from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.cdr import serialize
 from fden_ros.ros.decoding import fast_handler

@@ -24,7 +24,7 @@ from fden_ros.core.classification.classifier import (
     likelihood_of,
     log_evidence,
 )
-from fden_ros.core.classification.decision import Decider, DecisionConfig
+from fden_ros.core.classification.labelling import Decider, DecisionConfig
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.tissues.library import load_library
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.tool_weight import ToolWeight
+from fden_ros.core.streams.tool import ToolWeight
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.cdr import serialize
 from fden_ros.ros.decoding import fast_handler

@@ -9,8 +9,7 @@ import functools
 from dataclasses import dataclass, field
 
 from fden_ros.core.classification.classifier import TissueLibrary
-from fden_ros.core.classification.decision import DecisionConfig
-from fden_ros.core.classification.labelling import Labeller, Surroundings
+from fden_ros.core.classification.labelling import DecisionConfig, Labeller, Surroundings
 from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimator_config import EstimatorConfig

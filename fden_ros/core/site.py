@@ -14,7 +14,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
-from fden_ros.core.contact.rise import Rise
+from fden_ros.core.contact.surface import Rise
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.either_place import EitherPlace, Placed

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from fden_ros.core.classification.decision import DecisionConfig
+from fden_ros.core.classification.labelling import DecisionConfig
 from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig
@@ -23,8 +23,7 @@ from fden_ros.core.law.geometry import FlatPunch, Geometry, PassThrough, Sphere,
 from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.frames import FramesConfig
 from fden_ros.core.streams.synchronize import SynchronizeConfig
-from fden_ros.core.streams.tool_path import ToolPathConfig
-from fden_ros.core.streams.tool_weight import ToolWeight
+from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.table import Parameters
 from fden_ros.tissues.library import library_for

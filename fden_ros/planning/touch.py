@@ -12,7 +12,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.chunks import CHUNK_NS
+from fden_ros.core.contact.air import CHUNK_NS
 from fden_ros.core.contact.detector import (
     AMPLE_EVIDENCE,
     CLEAR_DEVIATIONS,

@@ -15,7 +15,7 @@ from mcap.records import Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
-from fden_ros.core.streams.tool_weight import Quaternion
+from fden_ros.core.streams.tool import Quaternion
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class, message_definition
 from fden_ros.recording.reader import Topic

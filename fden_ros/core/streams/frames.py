@@ -26,8 +26,7 @@ from fden_ros.core.streams.rotation import (
     slerp,
 )
 from fden_ros.core.streams.samples import Pair, Reason, Sample
-from fden_ros.core.streams.tool_path import ToolPath
-from fden_ros.core.streams.tool_weight import ToolWeight
+from fden_ros.core.streams.tool import ToolPath, ToolWeight
 
 #: Samples of a link are kept up to this number, the newest, while it is not known which links
 #: count.

@@ -28,7 +28,7 @@ from fden_ros.core.streams.samples import (
     Reason,
     Sample,
 )
-from fden_ros.core.streams.tool_path import ToolPath, ToolPathConfig
+from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
 #: The median of the magnitude of a normal variable, by which noise is measured, in standard
 #: deviations.
