@@ -57,16 +57,11 @@ def apparent_stiffness(
     time_scale : float
         tau [s].
     """
-    log_g, log_gn, order = mean.tolist()
-    reach = math.exp(log_gn) * abs(geometry.strain(compression))
-    log_time = math.log(time_scale)
-    log_value = log_g + max(reach - 1.0, 0.0) - order * log_time - math.lgamma(1.0 - order)
-    slopes = 1.0, reach if reach > 1.0 else 0.0, float(digamma(1.0 - order)) - log_time
-    gradient = np.array(slopes)
-    variance = max(float(gradient @ covariance @ gradient), 0.0)
+    strain = geometry.strain(compression)
+    log_value, variance = log_stiffness(mean, covariance, strain, time_scale)
     per_strain = geometry.strain_slope(compression) / (geometry.stress_per_force * geometry.length)
-    value = math.exp(min(log_value, _LARGEST_LOG)) * per_strain
-    return Stiffness(value, value * math.sqrt(variance))
+    value = math.exp(min(float(log_value), _LARGEST_LOG)) * per_strain
+    return Stiffness(value, value * math.sqrt(float(variance)))
 
 
 def log_stiffness(
