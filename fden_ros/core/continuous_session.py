@@ -45,14 +45,37 @@ _LEAST_AMPLITUDE = 1e-4
 _SILENT_TIME = 10.0
 
 
+class _MeanPosition:
+    """The mean of positions, where all are known."""
+
+    def __init__(self) -> None:
+        self._sum, self._count, self._is_known = (0.0, 0.0, 0.0), 0, True
+
+    def add(self, position: Position | None) -> None:
+        """Take a position [m]."""
+        if position is None:
+            self._is_known = False
+            return
+        x, y, z = (a + b for a, b in zip(self._sum, position, strict=True))
+        self._sum = (x, y, z)
+        self._count += 1
+
+    @property
+    def value(self) -> Position | None:
+        """The mean [m]; None where one is not known."""
+        if not (self._is_known and self._count):
+            return None
+        x, y, z = (value / self._count for value in self._sum)
+        return x, y, z
+
+
 class Window:
     """The samples of one window of the palpation."""
 
     def __init__(self) -> None:
         self.samples = self.stop_ns = self.start_ns = 0
         self.max_force = 0.0
-        self._sum = (0.0, 0.0, 0.0)
-        self._located = 0
+        self.position = _MeanPosition()
 
     def take(self, pair: Pair) -> None:
         """Take a sample."""
@@ -60,18 +83,7 @@ class Window:
         self.stop_ns = pair.stamp_ns
         self.samples += 1
         self.max_force = max(self.max_force, pair.force)
-        if pair.position is not None:
-            x, y, z = (a + b for a, b in zip(self._sum, pair.position, strict=True))
-            self._sum = (x, y, z)
-            self._located += 1
-
-    @property
-    def position(self) -> Position | None:
-        """Mean position [m]; None where one is not known."""
-        if not self._located or self._located < self.samples:
-            return None
-        x, y, z = (value / self._located for value in self._sum)
-        return x, y, z
+        self.position.add(pair.position)
 
 
 class Place:
@@ -86,8 +98,7 @@ class Place:
         self.flags = Flag.ORIGIN_UNCERTAIN
         self.rejected = 0
         self.found: Palpated | None = None
-        self._sum = (0.0, 0.0, 0.0)
-        self._windows = 0
+        self.position = _MeanPosition()
 
     def take(self, window: Window, found: Palpated | None) -> None:
         """Take a window of this place."""
@@ -95,18 +106,7 @@ class Place:
         self.samples += window.samples
         self.max_force = max(self.max_force, window.max_force)
         self.found = found if found is not None else self.found
-        self._windows += 1
-        if window.position is not None:
-            x, y, z = (a + b for a, b in zip(self._sum, window.position, strict=True))
-            self._sum = (x, y, z)
-
-    @property
-    def position(self) -> Position | None:
-        """Mean position of its windows [m]."""
-        if self.first is None:
-            return None
-        x, y, z = (value / self._windows for value in self._sum)
-        return x, y, z
+        self.position.add(window.position.value)
 
 
 class ContinuousSession:
@@ -231,11 +231,11 @@ class ContinuousSession:
     def _follow(self, window: Window, found: Palpated | None, stamp_ns: int) -> list[Output]:
         """Give a window to its place; return the summary of one that the probe has left."""
         outputs: list[Output] = []
-        place = self._place
-        if place is None or self._is_elsewhere(place, window.position):
+        place, position = self._place, window.position.value
+        if place is None or self._is_elsewhere(place, position):
             outputs = self._leave(stamp_ns, complete=True)
             self.place_count += 1
-            place = self._place = Place(self.place_count, window.start_ns, window.position)
+            place = self._place = Place(self.place_count, window.start_ns, position)
             place.rejected = self._rejected.total()
         place.take(window, found)
         return outputs
@@ -334,7 +334,7 @@ class ContinuousSession:
             | (Flag.INPUT_REJECTED if count else Flag.NONE),
             converged=False,
             complete=complete,
-            position=place.position,
+            position=place.position.value,
             order_source=order_source(estimate, self._config.estimator),
             estimate=estimate,
             max_strain=0.0,

@@ -14,16 +14,15 @@ import functools
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.input_warnings import input_warnings, unusual
+from fden_ros.core.input_warnings import Direction, input_warnings, unusual
 from fden_ros.core.outputs import Failure, Flag, Output, TissueState, failure_of
 from fden_ros.core.plausibility import stands_against
-from fden_ros.core.streams.direction import Direction
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
@@ -32,62 +31,6 @@ from fden_ros.core.streams.synchronize import Synchronizer
 
 #: Failures are kept up to this number, the newest.
 _FAILURES_KEPT = 20
-
-
-class Session(Protocol):
-    """What a probe does, from pairs to outputs."""
-
-    @property
-    def site_count(self) -> int:
-        """Sites so far."""
-
-    @property
-    def contact_count(self) -> int:
-        """Contacts so far."""
-
-    @property
-    def rig(self) -> RigKnowledge:
-        """What is known of the rig."""
-
-    @property
-    def in_contact(self) -> bool:
-        """Whether the probe presses: then it can be neither tared nor reset."""
-
-    @property
-    def place(self) -> tuple[int, int]:
-        """Numbers of the present site and contact; 0: there is none."""
-
-    @property
-    def air_events(self) -> tuple[int, int]:
-        """How often the force fell below its value in the air, and how often it drifted."""
-
-    @property
-    def warnings(self) -> dict[str, int]:
-        """What was odd about the contacts, in words, and how often."""
-
-    def take(self, pair: Pair) -> Iterable[Output]:
-        """Take a pair; give what comes of it."""
-
-    def see_gap(self, before_ns: int, *, is_long: bool) -> Iterable[Output]:
-        """Take note that samples are missing since a stamp."""
-
-    def break_off(self, stamp_ns: int) -> Iterable[Output]:
-        """Give the summary of a contact whose samples end at a stamp."""
-
-    def finish(self, stamp_ns: int) -> Iterable[Output]:
-        """Give what is left to say where no more samples come."""
-
-    def fail(self, stamp_ns: int) -> Iterable[Output]:
-        """End site and contact after an exception."""
-
-    def zero(self) -> float | str:
-        """Measure the force in the air anew; return what it was [N], or why it is not known."""
-
-    def forget(self, *, keeps_contact: bool = False) -> None:
-        """Forget what was learned but of the rig; ids are kept."""
-
-    def forget_rig(self) -> None:
-        """Let the next site begin with what is stated of the rig."""
 
 
 class Pipeline:
@@ -134,7 +77,7 @@ class Pipeline:
         self._direction = Direction()
         self.problems, self.standing_flags = _problems(config)
         self._restart_streams()
-        self._session: Session
+        self._session: ContactSession | ContinuousSession
         if config.is_continuous:
             self._session = ContinuousSession(config, self.rejected)
         else:

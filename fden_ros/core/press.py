@@ -67,44 +67,6 @@ class Common:
     sums: BlockSums
 
 
-class _Moduli:
-    """The complex moduli of one contact, where the probe oscillates."""
-
-    def __init__(self, config: PipelineConfig, start_ns: int, ids: tuple[int, int]) -> None:
-        self._geometry, self._start_ns, self._ids = config.geometry, start_ns, ids
-        frequencies = config.dither_frequencies
-        self._meter = (
-            ComplexModulusMeter(frequencies, config.dither_periods) if frequencies else None
-        )
-
-    @property
-    def is_on(self) -> bool:
-        """Whether frequencies are stated."""
-        return self._meter is not None
-
-    def reset(self) -> None:
-        """Begin anew: an oscillation cannot be followed over missing samples."""
-        if self._meter is not None:
-            self._meter.reset()
-
-    def measure(self, sample: ContactSample, origin: float) -> list[DynamicModulus]:
-        """Return those that end with a sample; `origin`: of the strain, as compression [1]."""
-        if self._meter is None:
-            return []
-        strain = self._geometry.strain(sample.compression - origin)
-        elapsed = (sample.stamp_ns - self._start_ns) / NANOSECONDS
-        return [
-            DynamicModulus(
-                stamp_ns=sample.stamp_ns,
-                start_ns=self._start_ns + round(modulus.start * NANOSECONDS),
-                site_id=self._ids[0],
-                contact_id=self._ids[1],
-                modulus=modulus,
-            )
-            for modulus in self._meter.add(elapsed, strain, sample.stress)
-        ]
-
-
 class Press:
     """One contact.
 
@@ -139,7 +101,8 @@ class Press:
         self._behind: deque[Pair] = deque()  # samples that are not taken yet
         self._pace = 1
         self._phase = PhaseMeter()
-        self._moduli = _Moduli(config, self.start_ns, (site.site_id, contact_id))
+        frequencies, periods = config.dither_frequencies, config.dither_periods
+        self._meter = ComplexModulusMeter(frequencies, periods) if frequencies else None
         #: The largest so far [1, Pa, N]; the stress is that at the largest force.
         self._max_strain = self._max_stress = self._max_force = 0.0
         self._deepest: float | None = None  # compression from the nominal origin [1]
@@ -207,16 +170,27 @@ class Press:
         return itertools.chain(outputs, self._close_block(pair.stamp_ns, is_silent=is_silent))
 
     def _measure(self, sample: ContactSample) -> list[DynamicModulus]:
-        """Return the complex moduli that end with a sample."""
-        if not self._moduli.is_on:
+        """Return the complex moduli that end with a sample, where the probe oscillates."""
+        if self._meter is None:
             return []
         if sample.is_free or self.has_ended or self.flags & WITHHELD:
             # A modulus carries no flag.
-            self._moduli.reset()
+            self._meter.reset()
             return []
         estimate = self.site.estimate
         origin = estimate.strain_origin if estimate is not None else 0.0
-        return self._moduli.measure(sample, origin)
+        strain = self._config.geometry.strain(sample.compression - origin)
+        elapsed = (sample.stamp_ns - self.start_ns) / NANOSECONDS
+        return [
+            DynamicModulus(
+                stamp_ns=sample.stamp_ns,
+                start_ns=self.start_ns + round(modulus.start * NANOSECONDS),
+                site_id=self.site.site_id,
+                contact_id=self.contact_id,
+                modulus=modulus,
+            )
+            for modulus in self._meter.add(elapsed, strain, sample.stress)
+        ]
 
     def _count(self, force: float) -> None:
         """Count a sample of net force [N]."""
@@ -294,7 +268,8 @@ class Press:
         self._see_missing()
         self.flags |= Flag.GAP
         self.site.flags |= Flag.GAP
-        self._moduli.reset()
+        if self._meter is not None:
+            self._meter.reset()
 
     def _see_missing(self) -> None:
         """Flag it if the force's sensor was at its end, or stuck, where samples are missing."""

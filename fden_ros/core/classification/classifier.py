@@ -35,7 +35,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -332,18 +331,6 @@ def _is_observable(
         if before > 0.0 and direction @ left @ direction > _OBSERVABLE_SHARE * before:
             return False
     return True
-
-
-def combined(likelihoods: Sequence[Likelihood]) -> Likelihood:
-    """Return what independent contacts with one place say together.
-
-    Contacts that the pipeline counts to one site are not independent estimates: the last one
-    holds those before it already.
-    """
-    total = likelihoods[0]
-    for likelihood in likelihoods[1:]:
-        total = total + likelihood
-    return total
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

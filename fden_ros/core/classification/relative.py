@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
 from fden_ros.core.arrays import Array
@@ -180,23 +179,6 @@ def _belongs(squares: Array, variances: Array, foreign: float) -> Array:
     )
     result: Array = 1.0 / (1.0 + odds)
     return result
-
-
-def neighbours(positions: Array, index: int, distance: float) -> NDArray[np.intp]:
-    """Return which places lie within `distance` of place `index`; all others where that is 0.
-
-    Parameters
-    ----------
-    positions : ndarray, shape (n, d)
-        [m]
-    index : int
-    distance : float
-        [m]
-    """
-    apart = np.linalg.norm(positions - positions[index], axis=1)
-    near = apart <= distance if distance > 0.0 else np.ones(len(apart), dtype=bool)
-    near[index] = False
-    return np.flatnonzero(near)
 
 
 def stack(places: Sequence[LogStiffness]) -> LogStiffness:

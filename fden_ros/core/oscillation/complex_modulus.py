@@ -25,7 +25,6 @@ steps nor a filled window are assumed. The deviations take the residuals as whit
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -239,10 +238,3 @@ def _with_slope(results: list[ComplexModulus]) -> list[ComplexModulus]:
     slope = float(weights @ (place * np.log(magnitude))) / information
     slope_sd = math.sqrt(1.0 / information)
     return [one._replace(slope=slope, slope_sd=slope_sd) for one in results]
-
-
-def modulus_of_springpot(
-    angular_frequency: float, stiffness: float, fractional_order: float
-) -> complex:
-    """Return G (j omega)^alpha [Pa] (paper, eq. MIModel)."""
-    return stiffness * cmath.exp(fractional_order * (math.log(angular_frequency) + 0.5j * math.pi))
