@@ -3,6 +3,6 @@
 
 """The paper's experiments on anyone's data: dynamic, creep, nonlinearity.
 
-Each module derives its method; :func:`fden_ros.experiments.files.fit_file` reads CSV files, as
+Each module derives its method; :func:`fden_ros.experiments.kinds.fit_file` reads CSV files, as
 ``fden fit`` does.
 """

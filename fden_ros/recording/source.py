@@ -20,7 +20,14 @@ from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
 from fden_ros.recording.topics import find_topic
 from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, NumberOrVector, stream_of
+from fden_ros.ros.inputs import (
+    DAMAGED,
+    TRANSFORM_TOPICS,
+    Inputs,
+    NumberOrVector,
+    measured_inputs,
+    stream_of,
+)
 from fden_ros.ros.messages import stamp_ns
 
 _ALWAYS = ("force", "displacement")
@@ -87,13 +94,12 @@ class BagSource:
         self._parameters = parameters
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
-        # The surface first: what carries it could be taken for the displacement.
-        measures_surface = takes_surface(parameters)
-        wanted = ["surface"] if measures_surface else []
+        # The surface and the like first: what carries them could be taken for the displacement.
+        wanted = measured_inputs(parameters)
         wanted += ["force"] if moves_probe(parameters) else _ALWAYS
         for what in wanted:
-            self._fields[what] = getattr(selection, f"{what}_field")
-            self.topics[what] = self._find(what, getattr(selection, f"{what}_topic"))
+            self._fields[what] = getattr(selection, f"{what}_field", None)
+            self.topics[what] = self._find(what, getattr(selection, f"{what}_topic", None))
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
@@ -139,7 +145,7 @@ class BagSource:
         names = {what: topic.name + fields[what] for what, topic in self.topics.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
-        order = (*_ALWAYS, "surface", *TRANSFORM_TOPICS)
+        order = (*_ALWAYS, *measured_inputs(self._parameters), *TRANSFORM_TOPICS)
         return {what.lstrip("/"): names[what] for what in order if what in names}
 
     @property

@@ -90,7 +90,7 @@ def sensible_topics(candidates: list[Topic], what: str) -> list[Topic]:
     for keep in (
         lambda t: not _words(t) & _WANTED,
         lambda t: t.type_name != joints,
-        lambda t: _words(t) & _WORDS[what],
+        lambda t: _words(t) & _WORDS.get(what, {what}),
     ):
         candidates = [t for t in candidates if keep(t)] or candidates
         if len(candidates) == 1:

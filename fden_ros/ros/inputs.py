@@ -52,6 +52,13 @@ TRANSFORM_TOPICS = ("/tf", "/tf_static")
 DAMAGED = "damaged"
 
 
+def measured_inputs(parameters: Parameters) -> list[str]:
+    """Return the inputs that parameters ask for beside force, displacement and transforms."""
+    always = ("force", "displacement", *TRANSFORM_TOPICS)
+    others = [name for name in INPUT_MESSAGES if name not in always]
+    return [name for name in others if getattr(parameters, name).message != "none"]
+
+
 def stream_of(name: str) -> str:
     """Return the stream that rejected messages of an input are counted under."""
     return "transform" if name in TRANSFORM_TOPICS else name
