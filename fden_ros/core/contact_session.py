@@ -26,7 +26,7 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
-from fden_ros.core.streams.samples import Pair, PathNoise
+from fden_ros.core.streams.samples import Pair
 
 
 class ContactSession:
@@ -38,7 +38,7 @@ class ContactSession:
     rejected : collections.Counter
         Counts of rejected samples so far.
     path_noise : callable
-        Returns the noise of the motion so far.
+        Returns the noise of the motion so far [m^2 s].
     flags : Flag
         What stands against every estimate.
 
@@ -54,7 +54,7 @@ class ContactSession:
         self,
         config: PipelineConfig,
         rejected: Counter[str],
-        path_noise: Callable[[], PathNoise],
+        path_noise: Callable[[], float],
         flags: Flag,
     ) -> None:
         self.site_count = self.contact_count = 0

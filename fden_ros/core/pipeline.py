@@ -26,7 +26,7 @@ from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, PathNoise, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 from fden_ros.core.streams.synchronize import Synchronizer
 
 #: Failures are kept up to this number, the newest.
@@ -291,7 +291,7 @@ class Pipeline:
         self._put_out(self._session.fail(stamp_ns))
 
 
-def _path_noise(pipeline: Pipeline) -> PathNoise:
+def _path_noise(pipeline: Pipeline) -> float:
     return pipeline._synchronizer.path_noise()
 
 

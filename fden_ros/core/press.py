@@ -36,7 +36,7 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.site import Learned, Site
 from fden_ros.core.streams.guard import force_at_limit
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, PathNoise
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A first contact that stays below this multiple of the release force is faint.
 _FAINT = 4.0
@@ -124,7 +124,7 @@ class Press:
 
     # Samples
 
-    def begin(self, noise: PathNoise) -> Iterator[Output]:
+    def begin(self, noise: float) -> Iterator[Output]:
         """Begin on the site; the samples from before the detection are made up for."""
         samples, common = self.onset.samples, self._common
         if not self.has_failed:

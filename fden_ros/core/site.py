@@ -32,7 +32,6 @@ from fden_ros.core.outputs import WITHHELD, Flag
 from fden_ros.core.streams.samples import (
     NANOSECONDS,
     Pair,
-    PathNoise,
     Position,
     lateral_distance,
 )
@@ -295,10 +294,11 @@ class Site:
         if not is_followed and not _begins_at_origin(first, self._config):
             self.withdraw()
 
-    def touch(self, onset: Onset, release_force: float, noise: PathNoise) -> None:
+    def touch(self, onset: Onset, release_force: float, noise: float) -> None:
         """Let the tissue relax until a touch, and start the estimator.
 
-        `noise` is that of displacement and surface.
+        `noise` is that of displacement and surface: variance per sample times the time between
+        samples [m^2 s].
         """
         config, first = self._config, onset.samples[0]
         scale = config.geometry.stress_per_force
@@ -488,7 +488,7 @@ def _begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
 
 def prepare(config: PipelineConfig) -> None:
     """Import and compute what takes a moment: not only at the first touch."""
-    _new_estimator(config, 1.0, 1.0, PathNoise(), RigKnowledge.stated(config.estimator))
+    _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
 
 
 def dips(duration_ns: int) -> bool:
@@ -500,13 +500,13 @@ def _new_estimator(
     config: PipelineConfig,
     noise_sd: float,
     origin_sd: float,
-    noise: PathNoise,
+    noise: float,
     rig: RigKnowledge,
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
-        path_noise = noise.scaled(geometry.length)
-        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, path_noise, rig)
+        variance = noise / geometry.length**2
+        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance, rig)
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

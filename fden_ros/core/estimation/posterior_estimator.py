@@ -32,7 +32,6 @@ from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, Lifetime
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import StressMoments
-from fden_ros.core.streams.samples import PathNoise
 
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
 #: standard deviations off.
@@ -50,7 +49,6 @@ _LEAST_FACTOR = 0.05
 _ROUNDING = 1e-12
 #: Logarithm beyond which a number is as good as infinite [1].
 _LARGEST_LOG = 300.0
-_NOISELESS = PathNoise()
 
 
 class PosteriorEstimator:
@@ -64,8 +62,8 @@ class PosteriorEstimator:
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
         Standard deviation of the strain origin [1]; 0: known.
-    path_noise : PathNoise
-        Of the compression [1].
+    path_variance : float
+        Of the compression per sample, times the time between samples [s].
     rig : RigKnowledge, optional
         What earlier contacts have told; without it what the configuration states.
     """
@@ -76,7 +74,7 @@ class PosteriorEstimator:
         geometry: Geometry,
         noise_sd: float,
         origin_sd: float = 0.0,
-        path_noise: PathNoise = _NOISELESS,
+        path_variance: float = 0.0,
         rig: RigKnowledge | None = None,
     ) -> None:
         known = rig or RigKnowledge.stated(config)
@@ -91,7 +89,7 @@ class PosteriorEstimator:
             drift_sd=0.0,
             rig=known,
         )
-        self._path_variance = path_noise.total
+        self._path_variance = path_variance
         self._time = self._deepest = self._compression_sd = 0.0
         self._press: PressPosterior | None = None
         self._moments, self._moments_at = StressMoments(), 0.0

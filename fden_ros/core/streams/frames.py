@@ -46,7 +46,7 @@ class FramesConfig:
     force_axis, displacement_axis : Vector
         Unit vectors in `base`.
     moves_probe : bool
-        The displacement is the way of `probe` in `base`.
+        The displacement is that of `probe` in `base`.
     tool : ToolWeight, optional
         Its weight is taken off the force.
     """
@@ -97,7 +97,7 @@ class Frames:
     on_pair : callable
         Called with the force's sample and each pair whose force and displacement are in the base.
     path : ToolPath, optional
-        The displacement is the way along the probe's axis.
+        The displacement is along the probe's axis.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Frames:
         self._chain: tuple[str, ...] | None = None
         #: By a frame, its ancestors below the one that it has in common with the base, and the
         #: base's.
-        self._ways: dict[str, tuple[list[str], list[str]]] = {}
+        self._chains: dict[str, tuple[list[str], list[str]]] = {}
         self._unresolved: deque[tuple[Sample, Pair]] = deque()
         self._since_ns = 0
         #: The newest displacements, one between any two transforms.
@@ -215,15 +215,15 @@ class Frames:
         if self._chain is not None or self._force_frame is None:
             return
         base = self._ancestors(self._config.base)
-        ways: dict[str, tuple[list[str], list[str]]] = {}
+        chains: dict[str, tuple[list[str], list[str]]] = {}
         for frame in self._wanted():
             own = self._ancestors(frame)
             common = next((ancestor for ancestor in own if ancestor in base), None)
             if common is None:
                 return
-            ways[frame] = own[: own.index(common)], base[: base.index(common)]
-        frames = dict.fromkeys(f for way in ways.values() for part in way for f in part)
-        self._ways = ways
+            chains[frame] = own[: own.index(common)], base[: base.index(common)]
+        frames = dict.fromkeys(f for chain in chains.values() for part in chain for f in part)
+        self._chains = chains
         self._chain = tuple(frame for frame in frames if frame in self._links)
         for place, child in enumerate(self._chain):
             self._begin(self._links[child], place)
@@ -296,12 +296,12 @@ class Frames:
 
     def _in_base(self, frame: str, moving: dict[str, Transform]) -> Transform:
         """Return where a frame is in the base."""
-        own, base = (self._up(way, moving) for way in self._ways[frame])
+        own, base = (self._up(chain, moving) for chain in self._chains[frame])
         return base.inverse().then(own)
 
-    def _up(self, way: list[str], moving: dict[str, Transform]) -> Transform:
+    def _up(self, chain: list[str], moving: dict[str, Transform]) -> Transform:
         found = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        for child in way:
+        for child in chain:
             link = moving[child] if child in moving else self._statics[child][1]
             found = link.then(found)
         return found
@@ -316,9 +316,9 @@ def chain_up(frame: str, parent_of: Callable[[str], str | None]) -> list[str]:
 
 
 def between(around: Around) -> Transform:
-    """Return place and turn at an instant: linear along the way, the turn at a constant rate."""
+    """Return place and turn at an instant: the place linear, the turn at a constant rate."""
     position, before, after = around.position, around.before.turn, around.after.turn
     assert position is not None and before is not None and after is not None
     if around.after is around.before:
         return Transform(position, before)
-    return Transform(position, slerp(before, after, around.share))
+    return Transform(position, slerp(before, after, around.fraction))

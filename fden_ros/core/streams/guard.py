@@ -74,7 +74,7 @@ _GAIN = 1.0 / 32.0
 _SPIKE_CHANGES = 12.0
 #: A change enters the mean change as at most 4 times the mean, so that a spike does not move it.
 _MOST_GROWTH = 4.0
-#: A turn of a frame counts as the way of a point this far from it [m].
+#: A turn of a frame counts as the motion of a point this far from it [m].
 _LEVER = 0.1
 #: Mean step and mean change are used for tests once they rest on 32 samples.
 _USUAL_SAMPLES = 32

@@ -34,34 +34,34 @@ class Around(NamedTuple):
 
     before: Sample
     after: Sample
-    share: float  #: of the way from the one to the other [1]
+    fraction: float  #: of the time from the one to the other [1]
 
     @property
     def value(self) -> float:
         """Value at the instant, linear in between."""
-        before, after, share = self
+        before, after, fraction = self
         if after is before:
             return before.value
-        return before.value + share * (after.value - before.value)
+        return before.value + fraction * (after.value - before.value)
 
     @property
     def load(self) -> float:
         """Load at the instant, linear in between."""
-        before, after, share = self
+        before, after, fraction = self
         if after is before:
             return before.load
-        return before.load + share * (after.load - before.load)
+        return before.load + fraction * (after.load - before.load)
 
     @property
     def position(self) -> Position | None:
         """Position at the instant, linear in between; None where one of the two is not known."""
-        before, after, share = self
+        before, after, fraction = self
         if after is before:
             return before.position
         if before.position is None or after.position is None:
             return None
         (x0, y0, z0), (x1, y1, z1) = before.position, after.position
-        return x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0)
+        return x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0), z0 + fraction * (z1 - z0)
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ class Join(Generic[Payload]):
             self._reject_oldest(self._limits.gap)
             return
         self._leading.popleft()
-        share = (lead.stamp_ns - before.stamp_ns) / gap_ns
-        self._on_match(lead, payload, Around(before, after, share))
+        fraction = (lead.stamp_ns - before.stamp_ns) / gap_ns
+        self._on_match(lead, payload, Around(before, after, fraction))
 
     def _join_epoch(self, lead: Sample, follower: Sample) -> None:
         """Let the leading stream join an epoch that only the other entered, after a window."""

@@ -101,12 +101,12 @@ def angle(a: Quaternion, b: Quaternion) -> float:
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
-def slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
-    """Return the rotation at a share of the shorter way from `a` to `b`, at a constant rate."""
+def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
+    """Return the rotation at a fraction of the shorter turn between two, at a constant rate."""
     product = sum(p * q for p, q in zip(a, b, strict=True))
     sign = -1.0 if product < 0.0 else 1.0
     product = min(abs(product), 1.0)
-    first, second = 1.0 - share, share
+    first, second = 1.0 - fraction, fraction
     if 1.0 - product > _ALIKE:
         between = math.acos(product)
         first, second = (math.sin(part * between) / math.sin(between) for part in (first, second))

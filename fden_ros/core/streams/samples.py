@@ -64,33 +64,6 @@ class Pair(NamedTuple):
     surface: float = 0.0  #: place of the surface that was taken off the displacement [m]
 
 
-class ReadingNoise(NamedTuple):
-    """Noise of the readings of a place."""
-
-    white: float = 0.0  #: variance per sample times the time between samples [m^2 s]
-    step: float = 0.0  #: in which they come, where the noise is lost in it [m]; 0: else
-
-    def scaled(self, length: float) -> ReadingNoise:
-        """Return it in units of a `length` [m]."""
-        return ReadingNoise(self.white / length**2, self.step / length)
-
-
-class PathNoise(NamedTuple):
-    """Noise of a motion."""
-
-    displacement: ReadingNoise = ReadingNoise()
-    surface: ReadingNoise = ReadingNoise()  #: of what is taken off it: the surface's place
-
-    @property
-    def total(self) -> float:
-        """Variance of the difference per sample times the time between samples [m^2 s]."""
-        return self.displacement.white + self.surface.white
-
-    def scaled(self, length: float) -> PathNoise:
-        """Return it of compressions of a `length` [m]."""
-        return PathNoise(self.displacement.scaled(length), self.surface.scaled(length))
-
-
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:
     """Return the distance of two positions perpendicular to the unit vector `axis` [m]."""
     offset = [q - p for p, q in zip(a, b, strict=True)]
@@ -136,7 +109,7 @@ class Sink(Protocol):
         return
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Take a place of the tissue's surface, along the way of the displacement [m]."""
+        """Take a place of the tissue's surface, along the displacement [m]."""
         return
 
     def reject(self, stream: str, reason: str) -> None:

@@ -22,9 +22,7 @@ from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import (
     NANOSECONDS,
     Pair,
-    PathNoise,
     Position,
-    ReadingNoise,
     Reason,
     Sample,
 )
@@ -62,7 +60,7 @@ class SynchronizeConfig:
     frames : FramesConfig, optional
         A force waits for the transforms around it too, whose stamps lag like the displacement's.
     tool_path : ToolPathConfig, optional
-        The displacement is the probe's way along its own axis.
+        The displacement is the probe's along its own axis.
     """
 
     displacement_delay: float = 0.0
@@ -159,16 +157,17 @@ class Synchronizer:
         in_frames = self.frames.waiting if self.frames is not None else 0
         return self._displacements.waiting + self._surfaces.waiting + in_frames
 
-    def path_noise(self) -> PathNoise:
-        """Return the noise of displacement and surface.
+    def path_noise(self) -> float:
+        """Return the noise of the motion: variance per sample times the time between [m^2 s].
 
-        From the distances of the last 256 samples from the lines between their neighbours, or from
-        the steps in which they come; 0 while there are fewer than 32. Transforms add theirs.
+        From the distances of the last 256 samples of displacement, surface and transforms from the
+        lines between their neighbours, or from the steps in which they come; 0 while there are
+        fewer than 32.
         """
-        noise = _noise_of(self._passed.samples)
+        streams = [self._passed, self._surfaces_passed]
         if self.frames is not None:
-            noise = ReadingNoise(noise.white + _noise_of(self.frames.passed.samples).white)
-        return PathNoise(noise, _noise_of(self._surfaces_passed.samples))
+            streams.append(self.frames.passed)
+        return sum(_noise_of(passed.samples) for passed in streams)
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -209,7 +208,7 @@ class Synchronizer:
         )
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Add a place of the tissue's surface, along the way of the displacement [m]."""
+        """Add a place of the tissue's surface, along the displacement [m]."""
         if self._config.takes_surface:
             self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
 
@@ -260,17 +259,15 @@ class Synchronizer:
         self._on_pair(pair)
 
 
-def _noise_of(samples: deque[Sample]) -> ReadingNoise:
+def _noise_of(samples: deque[Sample]) -> float:
     if len(samples) < NOISE_SAMPLES // 8:
-        return ReadingNoise()
+        return 0.0
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
     value = np.array([sample.value for sample in samples])
     step = np.diff(time) / NANOSECONDS
-    share = step[:-1] / (step[:-1] + step[1:])
-    apart = value[1:-1] - (1.0 - share) * value[:-2] - share * value[2:]
-    scale = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-    deviation = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
-    resolution = samples[-1].resolution
-    rounding = _ROUNDING_VARIANCE * resolution**2
-    white = max(deviation**2, rounding) * float(np.median(step))
-    return ReadingNoise(white, resolution if rounding > deviation**2 else 0.0)
+    fraction = step[:-1] / (step[:-1] + step[1:])
+    apart = value[1:-1] - (1.0 - fraction) * value[:-2] - fraction * value[2:]
+    scale = np.sqrt(1.0 + fraction**2 + (1.0 - fraction) ** 2)
+    sd = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+    rounding = _ROUNDING_VARIANCE * samples[-1].resolution ** 2
+    return max(sd**2, rounding) * float(np.median(step))
