@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every experiment gives back the parameters of its own closed form, and honest intervals."""
+"""Every experiment gives back its parameters with honest intervals; the command, or one line."""
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import gamma
 
+from fden_ros.cli import main
 from fden_ros.errors import InputError
 from fden_ros.experiments.creep import fit_creep
 from fden_ros.experiments.dynamic import fit_complex_modulus
@@ -179,3 +181,65 @@ def test_shallow_data_say_that_they_do_not_determine_gn():
 def test_data_that_cannot_be_are_refused_with_the_reason(fit, words):
     with pytest.raises(InputError, match=words):
         fit()
+
+
+# The command
+
+
+def fit_object(capsys, *arguments):
+    assert main(["fit", *map(str, arguments), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_command_prints_what_stands_beside(tmp_path, capsys):
+    path = write(tmp_path / "dynamic.csv", **DATA["dynamic"][2][0])
+    assert main(["fit", "dynamic", str(path)]) == 0
+    table = capsys.readouterr().out
+    assert "by the slope of |G*|" in table and "by the phase" in table
+    found = fit_object(capsys, "dynamic", path)
+    assert found["g_n"] is None and found["slopes"]["loss"] == pytest.approx(0.131)
+
+
+def test_options_reach_the_fit(tmp_path, capsys):
+    path = write(tmp_path / "creep.csv", time_s=TIMES, strain=creep_strain(20.0))
+    found = fit_object(capsys, "creep", path, "--stress", 20, "--from", 1.5)
+    assert (found["alpha"], found["g"]) == pytest.approx((0.131, 545.0), rel=1e-6)
+    assert found["samples"] == np.count_nonzero(TIMES >= 1.5)
+
+
+def test_pairs_without_alpha_follow_the_papers_convention_and_say_so(tmp_path, capsys):
+    x = np.linspace(0.03, 0.35, 9)
+    path = write(tmp_path / "pairs.csv", stress_pa=MODEL.phi(x), strain_coefficient=x)
+    plain = fit_object(capsys, "nonlinearity", path)
+    corrected = fit_object(capsys, "nonlinearity", path, "--alpha", 0.131)
+    assert plain["g"] == pytest.approx(545.0, rel=1e-6)
+    assert "without --alpha" in plain["warnings"][0]
+    assert corrected["g"] == pytest.approx(545.0 / gamma(1.131), rel=1e-6)
+
+
+GOOD = "time_s,strain,stress_pa\n1,0.10,50\n2,0.11,50\n3,0.12,50\n"
+
+BAD = {
+    "empty": ("creep", "", "is empty"),
+    "names only": ("creep", "time_s,strain,stress_pa\n", "no rows"),
+    "one row": ("creep", "time_s,strain,stress_pa\n1,0.1,50\n", "has 1 row; a creep fit needs"),
+    "missing column": ("creep", GOOD.replace("strain,", "x,"), "column strain"),
+    "text": ("creep", GOOD.replace("0.11", "soft"), "line 3: strain 'soft' is not a number"),
+    "hole": ("creep", GOOD.replace("0.11", ""), "line 3: strain is empty"),
+    "unsorted": ("creep", GOOD.replace("\n3,", "\n1.5,"), "line 4: time_s 1.5 does not come"),
+    "negative": ("creep", GOOD.replace("0.11", "-0.11"), "line 3: strain is -0.11; it must be"),
+    "two stresses": ("creep", GOOD.replace("0.12,50", "0.12,90"), "one stress"),
+    "no stress": ("creep", "time_s,strain\n1,0.1\n2,0.11\n", "give --stress PA"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_file_gets_one_clear_line_and_exit_code_1(tmp_path, capsys, case):
+    kind, text, words = BAD[case]
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    assert main(["fit", kind, str(path)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert words in captured.err and str(path) in captured.err
