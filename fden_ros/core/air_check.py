@@ -25,7 +25,7 @@ _LEAST_SAMPLES = 12
 #: It is judged 1 s after the release [ns], and 0.15 s after it was averaged [ns]: a slow contact
 #: that begins before is known by then.
 _JUDGED_AFTER_NS, _AVERAGED_BEFORE_NS = NANOSECONDS, 150_000_000
-#: It contradicts the air before the contact beyond this many stated standard deviations [1].
+#: It contradicts the air before the contact beyond this many stated standard deviations.
 _CONTRADICTION = 5.0
 #: Of the summary of a contact that is withdrawn.
 _NO_LABEL: dict[str, Any] = {"classes": None, "decided": None, "comparison": None}

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fden_ros.core.outputs import Phase
 from fden_ros.core.streams.samples import NANOSECONDS
 
-#: A block is complete at this part of its duration [1], so that jitter does not add a sample.
+#: A block is complete at this part of its duration, so that jitter does not add a sample.
 _COMPLETE = 0.95
 #: The probe holds while the compression changes by less than this per second [1/s] ...
 _HOLDING_RATE = 0.005
@@ -125,10 +125,6 @@ class PhaseMeter:
 
     def __init__(self) -> None:
         self._recent: deque[tuple[int, float]] = deque(maxlen=_RATE_BLOCKS)
-
-    def clear(self) -> None:
-        """Forget the blocks of the last contact."""
-        self._recent.clear()
 
     def add(self, stamp_ns: int, compression: float) -> Phase:
         """Take the mean compression of a block that ended at `stamp_ns`; return the phase."""

@@ -39,7 +39,7 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
 
-#: Least amplitude, as a share of the geometry's length [1].
+#: Least amplitude, as a part of the geometry's length.
 _LEAST_AMPLITUDE = 1e-4
 #: Time without an oscillation [s] after which it is missed.
 _SILENT_TIME = 10.0
@@ -120,8 +120,8 @@ class ContinuousSession:
 
     Attributes
     ----------
-    place_count : int
-        Number of the newest place.
+    site_count : int
+        Places so far: number of the newest.
     rig : RigKnowledge
         What is stated of the rig: nothing is learned.
     """
@@ -132,7 +132,7 @@ class ContinuousSession:
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected
-        self.place_count = 0
+        self.site_count = 0
         self.rig = RigKnowledge.stated(config.estimator)
         self._place: Place | None = None
         # A sphere's modulus would need its depth.
@@ -171,16 +171,14 @@ class ContinuousSession:
         return "contact.mode is continuous: the force's zero plays no part"
 
     @property
-    def site_count(self) -> int:
+    def contact_count(self) -> int:
         """Places so far."""
-        return self.place_count
-
-    contact_count = site_count
+        return self.site_count
 
     @property
     def place(self) -> tuple[int, int]:
         """Number of the present place, as a site and as a contact; 0: there is none."""
-        return self.place_count, self.place_count
+        return self.site_count, self.site_count
 
     @property
     def warnings(self) -> dict[str, int]:
@@ -234,8 +232,8 @@ class ContinuousSession:
         place, position = self._place, window.position.value
         if place is None or self._is_elsewhere(place, position):
             outputs = self._leave(stamp_ns, complete=True)
-            self.place_count += 1
-            place = self._place = Place(self.place_count, window.start_ns, position)
+            self.site_count += 1
+            place = self._place = Place(self.site_count, window.start_ns, position)
             place.rejected = self._rejected.total()
         place.take(window, found)
         return outputs
@@ -291,8 +289,8 @@ class ContinuousSession:
             stamp_ns=stamp_ns,
             status=Status.CONVERGING,
             flags=own | estimate_flags(estimate),
-            site_id=self.place_count,
-            contact_id=self.place_count,
+            site_id=self.site_count,
+            contact_id=self.site_count,
             phase=self._phase.add(stamp_ns, displacement / self._config.geometry.length),
             order_source=order_source(estimate, self._config.estimator),
             estimate=estimate,
@@ -309,8 +307,8 @@ class ContinuousSession:
         return DynamicModulus(
             stamp_ns=stamp_ns,
             start_ns=window.start_ns,
-            site_id=self.place_count,
-            contact_id=self.place_count,
+            site_id=self.site_count,
+            contact_id=self.site_count,
             modulus=modulus._replace(
                 mean_strain=0.0,
                 strain_amplitude=modulus.strain_amplitude / self._config.geometry.length,

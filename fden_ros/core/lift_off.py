@@ -15,10 +15,10 @@ from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.stress_memory import StressMemory
 
-#: Multiple of the release force beyond which the probe meets the tissue [1]; it leaves it below 1,
+#: Multiple of the release force beyond which the probe meets the tissue; it leaves it below 1,
 #: so that noise does neither.
 _CLEAR = 2.0
-#: A probe has moved back, or in again, when it has by this part of its compression [1].
+#: A probe has moved back, or in again, when it has by this part of its compression.
 _RETREAT = 0.02
 
 

@@ -10,7 +10,6 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 
 from __future__ import annotations
 
-import functools
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -84,7 +83,7 @@ class Pipeline:
             self._session = ContactSession(
                 config,
                 self.rejected,
-                functools.partial(_path_noise, self),
+                lambda: self._synchronizer.path_noise(),
                 self.standing_flags,
             )
         self._begin_epoch(0)
@@ -289,10 +288,6 @@ class Pipeline:
         self.failure_count += 1
         self.failures.append(failure_of(error, stamp_ns, *self._session.place))
         self._put_out(self._session.fail(stamp_ns))
-
-
-def _path_noise(pipeline: Pipeline) -> float:
-    return pipeline._synchronizer.path_noise()
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:

@@ -44,11 +44,11 @@ _DIP_TIME = 0.5
 ORIGIN_WIDENING = 3.0
 #: The force where a touch is found is the mean of this number of samples.
 _DETECTED = 3
-#: A probe is dragged beyond this multiple of the distance of two sites [1], so that noise of the
+#: A probe is dragged beyond this multiple of the distance of two sites, so that noise of the
 #: position drags none.
 _DRAGGED = 2.0
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
-#: many standard deviations [1]: undisturbed rigs reach 1.8, a friction six times as large 2.7.
+#: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
 
 

@@ -56,7 +56,7 @@ _LEAST_INFORMATION = 0.1
 _OBSERVABLE_SHARE = 0.25
 #: A class that the data favour over another by odds of 20 is told from it, in any direction.
 _SPEAKING_ODDS = 20.0
-#: Variances in units of the prior's [1] below this are rounding, and may be negative.
+#: Variances in units of the prior's below this are rounding, and may be negative.
 _LEAST_VARIANCE = 1e-15
 
 

@@ -124,7 +124,7 @@ class Decider:
 
 #: While converged, every tenth block is classified.
 _CLASSIFY_EVERY = 10
-#: A probability that moved by more than this since the last answer makes a new one [1].
+#: A probability that moved by more than this since the last answer makes a new one.
 _PROBABILITY_CHANGE = 0.01
 
 

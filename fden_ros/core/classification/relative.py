@@ -34,9 +34,9 @@ LEAST_SURROUNDINGS = 4
 _FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
 #: Tissue that varies less is not believed.
 _LEAST_SD = 0.02
-#: Standard deviation of a normal variable over the median of its magnitude [1].
+#: Standard deviation of a normal variable over the median of its magnitude.
 _MEDIAN_TO_SD = 1.4826
-#: Turns of the fixed point for mean, spread and share [1]: after half as many nothing moves by
+#: Turns of the fixed point for mean, spread and share: after half as many nothing moves by
 #: more than 5 %.
 _ITERATIONS = 30
 #: The interval of the logarithm of a ratio ends here, so that its exponential does not overflow.
@@ -75,8 +75,6 @@ class Comparison:
         ln of how many times stiffer than the mean of the surroundings, and its error.
     degrees_of_freedom : float
         Of Student's t.
-    natural_sd : float
-        How much l varies within the surroundings, errors taken out.
     count : float
         How many places of the surroundings count.
     """
@@ -84,7 +82,6 @@ class Comparison:
     log_ratio: float
     log_ratio_sd: float
     degrees_of_freedom: float
-    natural_sd: float
     count: float
 
     @property
@@ -104,11 +101,6 @@ class Comparison:
         """Return the probability that the place is more than `ratio` times stiffer."""
         off = (self.log_ratio - math.log(ratio)) / self.log_ratio_sd
         return float(stdtr(self.degrees_of_freedom, off))
-
-    @property
-    def deviations(self) -> float:
-        """How many standard deviations, natural variation and errors together, it lies off."""
-        return self.log_ratio / math.hypot(self.log_ratio_sd, self.natural_sd)
 
     def classes(self, ratio: float) -> ClassProbabilities:
         """Return the probabilities of being softer, alike and stiffer by `ratio`."""
@@ -163,9 +155,7 @@ def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | Non
     if count < LEAST_SURROUNDINGS - 1:
         return None
     error = float(place.variance) + 1.0 / float((belongs / (natural + variances)).sum())
-    return Comparison(
-        float(place.value) - mean, math.sqrt(error), count - 1.0, math.sqrt(natural), count
-    )
+    return Comparison(float(place.value) - mean, math.sqrt(error), count - 1.0, count)
 
 
 def _belongs(squares: Array, variances: Array, foreign: float) -> Array:

@@ -191,7 +191,7 @@ _COLOUR_DEVIATIONS = 4.0
 #: A trend of the force in the air counts as drift from 4 of its standard deviations.
 _DRIFT_DEVIATIONS = 4.0
 
-#: Standard deviation of what is rounded off, in steps [1]; noise of less than 0.6 steps, that of
+#: Standard deviation of what is rounded off, in steps; noise of less than 0.6 steps, that of
 #: the rounding included, does not make it white.
 _ROUNDING, _DITHER = 12.0**-0.5, 0.6
 

@@ -24,7 +24,7 @@ from fden_ros.core.contact.surface import FIRST_WINDOW, Rise, Surface, find_surf
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 #: A probe has come to the surface through the air when its way there is more than this many
-#: deviations of the surface [1], and than this many usual steps of the displacement [1]: noise
+#: deviations of the surface, and than this many usual steps of the displacement: noise
 #: alone reaches six.
 _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
@@ -33,7 +33,7 @@ _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 _MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
 _LASTING_TIME, _SHALLOW = 0.15, 0.1
 #: The force rises by itself where a line in time explains it better than one in the way does, by
-#: this chi-squared [1].
+#: this chi-squared.
 _BY_ITSELF = 4.0
 
 

@@ -23,12 +23,12 @@ from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
 
-#: Growths over the depth at which exponentials are compared with the line [1], a factor of the
+#: Growths over the depth at which exponentials are compared with the line, a factor of the
 #: root of two apart: a line bends less than the first of them, and the steepest is beyond what
 #: the noise hides.
 GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
-#: than the exponential of the tissue found does [1], which is what tells a touch from a drift. Of
+#: than the exponential of the tissue found does, which is what tells a touch from a drift. Of
 #: 60 simulated touches whose linear part was hidden none was above; of 99 whose linear part was
 #: seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0

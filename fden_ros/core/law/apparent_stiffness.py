@@ -23,7 +23,7 @@ from scipy.special import digamma, gammaln
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import Geometry
 
-#: ln E beyond this [1] is of no tissue: the value stays there, so that it can be published.
+#: ln E beyond this is of no tissue: the value stays there, so that it can be published.
 _LARGEST_LOG = 200.0
 
 

@@ -30,10 +30,10 @@ from fden_ros.core.arrays import Array
 
 Number = TypeVar("Number", float, Array)
 
-#: Exponent Gn |x| - 1 [1] beyond which phi is continued by its tangent: e^60 is no tissue, and an
+#: Exponent Gn |x| - 1 beyond which phi is continued by its tangent: e^60 is no tissue, and an
 #: overflow would poison the filter.
 MAX_EXPONENT = 60.0
-#: Logarithm [1] beyond which a double overflows, with a margin: such a fit's step is not taken.
+#: Logarithm beyond which a double overflows, with a margin: such a fit's step is not taken.
 _LARGEST_LOG = 700.0
 
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Exponentials [1] and their distance in ln lambda [1]: half the distance changes a response by
+#: Exponentials and their distance in ln lambda: half the distance changes a response by
 #: 5e-6 of it.
 COUNT, SPACING = 32, 0.77
 #: The slowest rate [1/s]: memory of eleven days.
@@ -39,12 +39,12 @@ SLOWEST = 1e-6
 #: Rates of the exponentials [1/s], shape (COUNT,).
 RATES: Array = SLOWEST * np.exp(SPACING * np.arange(COUNT))
 RATES.flags.writeable = False
-#: Orders alpha [1] that the weights are made for.
+#: Orders alpha that the weights are made for.
 LOWEST_ORDER, HIGHEST_ORDER = 0.003, 0.9
 _STEP = 1e-6
 #: Shortest step between samples [s]: shorter ones tell nothing by these rates.
 SHORTEST_STEP = 1e-5
-#: Below this value of rate times step [1], m_2 is taken from its series.
+#: Below this value of rate times step, m_2 is taken from its series.
 _SERIES_LIMIT = 1e-4
 
 

@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 ComplexArray = NDArray[np.complex128]
 
-#: Coefficients of the trend [1]: a parabola takes up the relaxation of a hold over a window.
+#: Coefficients of the trend: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3
-#: Samples in a period [1]: fewer leave the phasor to chance.
+#: Samples in a period: fewer leave the phasor to chance.
 _SAMPLES_PER_PERIOD = 8
 
 

@@ -22,20 +22,20 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Share of its weight that a window keeps when the next one comes [1], a model each: memories of
+#: Part of its weight that a window keeps when the next one comes, a model each: memories of
 #: 33, 6, 2.5 windows, and of the newest alone.
 _DISCOUNTS = np.array([0.97, 0.84, 0.6, 0.2])
-#: Share of the scatter's weight that remains at each window [1]: a memory of 20 windows.
+#: Part of the scatter's weight that remains at each window: a memory of 20 windows.
 _SCATTER_DISCOUNT = 0.95
-#: Share of the evidence that remains at each window [1], and the least weight of a model [1].
+#: Part of the evidence that remains at each window, and the least weight of a model.
 _EVIDENCE_DISCOUNT, _LEAST_WEIGHT = 0.85, 0.005
-#: Degrees of freedom [1] with which the scatter of the first window is believed, and multiple of
-#: its white noise that is expected [1]: what is not white is most of it.
+#: Degrees of freedom with which the scatter of the first window is believed, and multiple of
+#: its white noise that is expected: what is not white is most of it.
 _FIRST_FREEDOM, _COLOUR = 1.0, 3.0
-#: A window enters the scatter as at most this normalised square [1] beyond that of the model it
+#: A window enters the scatter as at most this normalised square beyond that of the model it
 #: surprises least: an edge that is crossed is no noise for all time.
 _MOST_SQUARE = 5.0
-#: Least degrees of freedom [1] for a deviation, after four windows: a t has a variance above 2.
+#: Least degrees of freedom for a standard deviation, after four windows: a t has a variance above 2.
 _LEAST_FREEDOM = 3.5
 
 

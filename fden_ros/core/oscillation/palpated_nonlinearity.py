@@ -29,23 +29,23 @@ from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.oscillation.complex_modulus import Phasors
 from fden_ros.core.oscillation.palpation import Palpated
 
-#: Harmonics that are looked at [1].
+#: Harmonics that are looked at.
 HARMONICS = (1.0, 2.0, 3.0)
-#: z [1] by the ratios of the second and the third harmonic to the first, less (j n)^alpha.
+#: z by the ratios of the second and the third harmonic to the first, less (j n)^alpha.
 _Z = np.linspace(0.0, 4.0, 801)
 _SECOND = np.concatenate([[0.0], ive(2, _Z[1:]) / ive(1, _Z[1:])])
 _THIRD = np.concatenate([[0.0], ive(3, _Z[1:]) / ive(1, _Z[1:])])
-#: A larger z [1] is of no palpation; nor is more force times amplitude, squared [N^2 m^2].
+#: A larger z is of no palpation; nor is more force times amplitude, squared [N^2 m^2].
 _LARGEST, _MOST_INFORMATION = 3.5, 1e100
-#: z is told from this many of its deviations on [1]; what the law says of the third harmonic and
+#: z is told from this many of its deviations on; what the law says of the third harmonic and
 #: of the second's phase may be off by this many of theirs, which are at most these shares of it.
 _PRESENT, _OFF = 6.0, 3.0
 _MOST_THIRD, _MOST_PHASE = 0.25, 0.2
 #: A stroke that passes the boundary unseen makes z too small by at most twice this share of z
-#: times what the third harmonic may be off, in shares of itself [1]; computed from phi.
+#: times what the third harmonic may be off, in shares of itself; computed from phi.
 _UNSEEN = 0.1
-#: Share of its weight that a window keeps when the next one comes [1], and least degrees of
-#: freedom for a deviation [1].
+#: Part of its weight that a window keeps when the next one comes, and least degrees of
+#: freedom for a standard deviation.
 _KEPT, _LEAST_FREEDOM = 0.97, 6.0
 
 

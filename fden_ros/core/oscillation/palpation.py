@@ -28,13 +28,13 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertain
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 
-#: k' lies above 0 by this many standard deviations [1] where the probe is on something.
+#: k' lies above 0 by this many standard deviations where the probe is on something.
 _PRESENT = 5.0
-#: alpha lies beyond what can be represented by this many standard deviations [1].
+#: alpha lies beyond what can be represented by this many standard deviations.
 _BEYOND = 3.0
-#: Orders alpha [1] that palpation may show, wider than the range 0.02 to 0.6 of a given one.
+#: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
-#: Least standard deviation of a given alpha [1], so that it can be divided by.
+#: Least standard deviation of a given alpha, so that it can be divided by.
 _LEAST_ORDER_SD = 1e-6
 
 

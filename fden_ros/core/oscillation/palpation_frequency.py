@@ -22,9 +22,9 @@ _PERIODS = 3.0
 _POINTS = 2048
 #: The peak of a Hann window is 4 steps of its length wide.
 _HALF_WIDTH = 2.0
-#: The velocity of a palpation has this share of its power [1] in one peak.
+#: The velocity of a palpation has this share of its power in one peak.
 _LEAST_SHARE = 0.5
-#: Another frequency is taken when it differs by this share [1]: two periods are still told from
+#: Another frequency is taken when it differs by this share: two periods are still told from
 #: the trend.
 _CHANGE = 0.04
 

@@ -15,10 +15,10 @@ from fden_ros.core.oscillation.palpated_nonlinearity import HARMONICS, PalpatedN
 from fden_ros.core.oscillation.palpation import Palpated, palpated, with_nonlinearity
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
-#: Periods of a window [1], and harmonics that are fitted beside the trend: with one period, or
+#: Periods of a window, and harmonics that are fitted beside the trend: with one period, or
 #: without the second harmonic, the harmonics of a nonlinear tissue pass for trend.
 _PERIODS, _HARMONICS = 2, (1.0, 2.0)
-#: What a window told is current for this many windows [1].
+#: What a window says is current for this many windows.
 _CURRENT = 2.5
 
 

@@ -11,9 +11,9 @@ from collections import Counter
 from fden_ros.core.streams.rotation import Quaternion, angle
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
 
-#: A change is a whole number of steps when it is within this share of a step of it [1].
+#: A change is a whole number of steps when it is within this share of a step of it.
 _TOLERANCE = 0.01
-#: Smaller changes, relative to the value or to the largest change, are rounding [1].
+#: Smaller changes, relative to the value or to the largest change, are rounding.
 _ROUNDING = 1e-9
 #: A signal that changes by the same amount in 4 samples in a row is a ramp without noise.
 _RAMP = 4
@@ -82,8 +82,8 @@ _USUAL_SAMPLES = 32
 #: and 5 times longer than its longest run before ...
 _STUCK_SAMPLES = 5
 _STUCK_TIMES = 5
-#: ... unless it comes in steps that its usual change is no 4 of: such a force stands still between
-#: two steps.
+#: ... unless its usual change is less than 4 of the steps in which it comes: such a force stands
+#: still between two steps.
 _FINE_STEPS = 4.0
 #: A step between samples enters its mean as at most 4 times the mean: a pause is not usual.
 _MOST_STEP_GROWTH = 4.0
@@ -159,11 +159,6 @@ class StreamGuard:
         self.largest = 0.0  #: magnitude that was rejected as out of range
         self.too_large = 0  #: samples that were
         self.too_close = 0  #: samples within 10 us of the last that are not copies of it
-
-    @property
-    def is_stuck(self) -> bool:
-        """Whether the signal repeats a value 5 times longer than it did before."""
-        return self._values.is_stuck
 
     @property
     def resolution(self) -> float:

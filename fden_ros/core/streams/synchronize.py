@@ -31,7 +31,7 @@ from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 #: The median of the magnitude of a normal variable, by which noise is measured, in standard
 #: deviations.
 _MEDIAN_OF_NORMAL = 0.6745
-#: Variance of what is rounded off, in squares of a step [1]: four times that of a single value,
+#: Variance of what is rounded off, in squares of a step: four times that of a single value,
 #: since it stays over several samples while the probe moves (six in a press at 4 mm/s by an
 #: encoder of 50 um at 500 Hz).
 _ROUNDING_VARIANCE = 4.0 / 12.0
