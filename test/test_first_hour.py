@@ -66,6 +66,8 @@ def assert_signs(file: Path, layout: str) -> None:
 
 def deviations(contact: dict[str, Any], truth: Truth) -> dict[str, float]:
     """Return the errors of what a contact claims, in its deviations."""
+    if not contact["converged_parameters"]:
+        return {}
     values = {
         "linear_stiffness": (np.log(contact["g"]), contact["g_sd"] / contact["g"]),
         "nonlinear_stiffness": (np.log(contact["g_n"]), contact["g_n_sd"] / contact["g_n"]),

@@ -8,17 +8,20 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pipeline_helpers import LIVER_PARAMETERS
 
 from fden_ros.cli import main
 from fden_ros.control.live_tissue import LiveTissue, Refusal
+from fden_ros.core import Pipeline
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import check
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
+from fden_ros.ros.status import PipelineProblems
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
@@ -85,6 +88,32 @@ def test_wrong_unit_is_never_converged_and_said_with_its_factor(
     estimates = [o.estimate for o in flagged if isinstance(o, TissueState)]
     assert estimates and not any(e.converged for e in estimates if e is not None)
     assert all(o.classes is None for o in flagged if isinstance(o, Classification))
+
+
+@pytest.mark.parametrize(
+    ("force", "displacement", "words"),
+    [
+        (1.0, 1.0, None),
+        (-1.0, 1.0, "does it have the wrong sign (force.axis"),
+        (1.0, -1.0, "does the displacement have the wrong sign"),
+        (-1.0, -1.0, "do both have the wrong sign"),
+    ],
+)
+def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(
+    force: float, displacement: float, words: str | None
+) -> None:
+    """As the node looks, once a second, and as a replay says at the end."""
+    pipeline = Pipeline(pipeline_config(check(PROBE)), lambda _output: None)
+    problems = PipelineProblems(pipeline)
+    said: list[str] = []
+    for k, (time, newtons, mm) in enumerate(np.loadtxt(PRESS, delimiter=",", skiprows=1)):
+        stamp = round(1e9 * (1.0 + time))
+        pipeline.add_displacement(stamp, displacement * 1e-3 * mm)
+        pipeline.add_force(stamp, force * newtons)
+        said += problems.look().warnings if k % 200 == 199 else ()
+    said = [one for one in [*said, *pipeline.warnings] if "fell below its value in the air" in one]
+    assert all(words is not None and words in one for one in said), said
+    assert bool(said) == (words is not None)
 
 
 def test_slow_recording_is_identified() -> None:

@@ -17,9 +17,9 @@ from fden_ros.configure.session import Contact, Lines, Session
 from fden_ros.configure.signs import LEAST_RATIO
 from fden_ros.core.arrays import Array
 
-#: An axis is claimed from a standard deviation of its direction of this size on [rad]: 2 degrees
-#: are then 2.45 deviations, the 95 % of an error in two directions.
-LARGEST_SD = math.radians(2.0) / 2.45
+#: An axis is claimed from a standard deviation of its direction of this size on [rad]: 5 degrees,
+#: 0.4 % of force or depth, are then 2.45 deviations, the 95 % of an error in two directions.
+LARGEST_SD = math.radians(5.0) / 2.45
 #: Force and motion of a contact go together from this correlation on.
 _TOGETHER = 0.5
 #: Force and motion of a contact are compared by their changes over this part of it.
