@@ -64,7 +64,7 @@ def test_lesions_among_the_surroundings_do_not_hide_a_lesion():
     compared = compare(place(math.log(4.0), 0.02), around([*healthy, *lesions], 0.02))
     assert compared.ratio == pytest.approx(4.0, rel=0.12)
     assert compared.count == pytest.approx(24.0, abs=4.0)
-    assert compared.deviations > 6.0
+    assert compared.log_ratio > 6.0 * math.hypot(compared.log_ratio_sd, 0.1)
 
 
 def test_too_few_surroundings_make_no_comparison():

@@ -35,7 +35,8 @@ _FIRST_FREEDOM, _COLOUR = 1.0, 3.0
 #: A window enters the scatter as at most this normalised square beyond that of the model it
 #: surprises least: an edge that is crossed is no noise for all time.
 _MOST_SQUARE = 5.0
-#: Least degrees of freedom for a standard deviation, after four windows: a t has a variance above 2.
+#: Least degrees of freedom for a standard deviation, after four windows: a t has a variance above
+#: 2.
 _LEAST_FREEDOM = 3.5
 
 
