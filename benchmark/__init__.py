@@ -22,4 +22,5 @@ BENCHMARKS: dict[str, str] = {
     "changes": "inclusions and slides under the probe: how soon they are told; false ones",
     "classification": "probabilities that mean what they say, the unknown, real tissue",
     "plan": "what a plan expects of a press, beside what the identifier says after it",
+    "region": "presses until what is stiffer is found, by proposals and by a raster",
 }

@@ -8,8 +8,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import re
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,17 +16,11 @@ from fden_ros.commands.inputs import add_config_options, as_argument, parameters
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from fden_ros.parameters import Parameters
-    from fden_ros.planning.motion import Sensors
     from fden_ros.planning.plan import Limits, Plan
     from fden_ros.planning.tissue import TissueBelief
 
 _NOT_POSSIBLE = 3
 _TARGETS = ("G", "Gn", "alpha")
-#: What ``fden configure`` writes of the streams, and the factor to SI units.
-_MEASURED = re.compile(r"# (force|displacement) (noise|rate): ([\d.e+-]+)(?: ± \S+)? (\w+)")
-_UNITS = {"N": 1.0, "Hz": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "rad": 1.0}
-
 DESCRIPTION = """\
 Plan the next press: how deep, how fast, how long; with the deviations that the identifier will
 state after it, the probability that these are what you want, or why that is not possible.
@@ -38,6 +30,7 @@ EPILOG = """\
 examples:
   fden plan --config probe.yaml --target G=0.1,Gn=0.1
   fden plan --config probe.yaml --config liver.yaml --target Gn=0.05 --max-force 2 --plot plan.png
+  fden plan --map palpation.json --region 0,0,0.06,0.06 --plot map.png
   fden replay press.csv --config probe.yaml --json > press.json
       then: fden plan --config probe.yaml --after press.json
 
@@ -68,10 +61,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             f"--max-{name}", type=positive, metavar=unit, help=f"at most (default: {usual})"
         )
     sensors = parser.add_argument_group("sensors (default: as fden configure has measured them)")
-    sensors.add_argument("--noise", type=positive, metavar="N", help="of the force, per sample")
-    sensors.add_argument("--rate", type=positive, metavar="Hz", help="of the force")
     sensors.add_argument(
-        "--displacement-noise", type=positive, metavar="m", help="of the displacement, per sample"
+        "--noise", type=positive, default=0.0, metavar="N", help="of the force, per sample"
+    )
+    sensors.add_argument("--rate", type=positive, default=0.0, metavar="Hz", help="of the force")
+    sensors.add_argument(
+        "--displacement-noise",
+        type=positive,
+        default=0.0,
+        metavar="m",
+        help="of the displacement, per sample",
     )
     parser.add_argument(
         "--after",
@@ -80,13 +79,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="go on from the last contact of what fden replay --json has printed",
     )
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw deviations against depth and time"
+        "--map",
+        type=Path,
+        metavar="RESULTS",
+        help="where to press next, from the places of what fden replay --json has printed",
+    )
+    parser.add_argument(
+        "--region",
+        type=as_argument(_region),
+        metavar="X0,Y0,X1,Y1",
+        help="corners of the region of --map [m] (default: around its places)",
+    )
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="draw deviations against depth and time, or the map",
     )
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan and print; return the exit code."""
+    if args.map is not None:
+        return _run_map(args)
+    from fden_ros.offline.sensors import sensors_of
     from fden_ros.parameters import pipeline_config
     from fden_ros.planning.plan import Search, Target
 
@@ -95,7 +112,9 @@ def run(args: argparse.Namespace) -> int:
     if not config.geometry.is_stated:
         raise InputError("state probe and tissue (geometry): without it no press can be planned")
     tissue = _tissue(args.after) if args.after else None
-    sensors = _sensors(args, parameters)
+    sensors = sensors_of(
+        args.config or [], parameters, args.noise, args.rate, args.displacement_noise
+    )
     target = Target(args.target) if args.target else None
     search = Search(config, sensors, target, _limits(args, config), tissue)
     plan = search.plan()
@@ -109,6 +128,39 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(plan.line())
     return 0 if plan.is_worth_it else _NOT_POSSIBLE
+
+
+def _run_map(args: argparse.Namespace) -> int:
+    """Say where to press next in a region; return the exit code."""
+    from fden_ros.planning.region import Presses, Region
+
+    presses = Presses.of(_rows(args.map))
+    if not presses.logs.size:
+        raise InputError(f"{args.map} has no contact with a place and a stiffness in N/m")
+    region = Region(*args.region) if args.region else Region.around(presses)
+    found = region.propose(presses)
+    if args.plot is not None and found.known is not None:
+        from fden_ros.report.region_picture import draw_region
+        from fden_ros.report.style import save
+
+        def draw(figure: Any) -> None:
+            draw_region(figure, region, presses, found)
+
+        write(args.plot, lambda path: save(draw, path))
+    if args.json:
+        known = found.known
+        print_json(
+            {
+                "places": found.places.tolist(),
+                "done": found.is_done,
+                "expected_overlap": known.overlap if known is not None else None,
+                "expected_overlap_sd": known.overlap_sd if known is not None else None,
+                "line": found.line(),
+            }
+        )
+    else:
+        print(found.line())
+    return 0
 
 
 def plan_object(plan: Plan) -> dict[str, Any]:
@@ -149,39 +201,46 @@ def _limits(args: argparse.Namespace, config: Any) -> Limits:
     from fden_ros.planning.plan import Limits
 
     stated = {name: getattr(args, f"max_{name}") for name in ("depth", "force", "speed", "time")}
-    return replace(Limits.usual(config), **{k: v for k, v in stated.items() if v is not None})
+    return Limits.usual(config).stated(**stated)
 
 
-def _sensors(args: argparse.Namespace, parameters: Parameters) -> Sensors:
-    from fden_ros.planning.motion import Sensors
+def _region(text: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    try:
+        x0, y0, x1, y1 = map(float, text.split(","))
+    except ValueError:
+        raise InputError(f"{text!r} is not four numbers X0,Y0,X1,Y1 [m]") from None
+    if not (x0 < x1 and y0 < y1):
+        raise InputError(f"{text!r} has no area: X0 < X1 and Y0 < Y1")
+    return (x0, y0), (x1, y1)
 
-    found = {"force noise": parameters.force.noise}
-    for path in args.config or []:
-        for stream, what, number, unit in _MEASURED.findall(path.read_text(encoding="utf-8")):
-            found[f"{stream} {what}"] = float(number) * _UNITS.get(unit, 1.0)
-    noise, rate = args.noise or found["force noise"], args.rate or found.get("force rate", 0.0)
-    if not noise or not rate:
+
+def _contacts(path: Path) -> list[dict[str, Any]]:
+    try:
+        found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["contacts"]
+        return found
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            "noise and rate of the force are not known: state --noise (standard deviation per "
-            "sample, N) and --rate (Hz), or give the file that fden configure writes"
-        )
-    return Sensors(rate, noise, args.displacement_noise or found.get("displacement noise", 0.0))
+            f"{path} cannot be read as the output of fden replay --json: {error}"
+        ) from None
+
+
+def _rows(path: Path) -> list[tuple[float, float, float, float]]:
+    """Return x, y, N/m and its deviation of each contact of results."""
+    return [
+        (*one["position"][:2], one["apparent_stiffness"], one["apparent_stiffness_sd"])
+        for one in _contacts(path)
+        if one.get("position") and one.get("apparent_stiffness")
+    ]
 
 
 def _tissue(path: Path) -> TissueBelief:
     """Return what the results of a replay tell of the tissue at their last place."""
     from fden_ros.planning.tissue import TissueBelief
 
-    try:
-        contacts = json.loads(path.read_text(encoding="utf-8"))["contacts"]
-        known = [one for one in contacts if one["modes"]]
-        if not known:
-            raise InputError(f"{path} has no contact with an estimate")
-        return TissueBelief.of(known[-1]["modes"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{path} cannot be read as the output of fden replay --json: {error}"
-        ) from None
+    known = [one["modes"] for one in _contacts(path) if one.get("modes")]
+    if not known:
+        raise InputError(f"{path} has no contact with an estimate")
+    return TissueBelief.of(known[-1])
 
 
 COMMAND = Command("plan", "which press to make next", DESCRIPTION, EPILOG, add_arguments, run)

@@ -68,6 +68,10 @@ class Limits:
         depth = config.geometry.length * config.geometry.compression(_USUAL_STRAIN)
         return cls(depth, min(config.synchronize.force_limit, config.plausibility.most_force))
 
+    def stated(self, **limits: float | None) -> Limits:
+        """Return these with what is stated of depth, force, speed and time, and is not 0."""
+        return replace(self, **{name: value for name, value in limits.items() if value})
+
 
 @dataclass(frozen=True)
 class Target:

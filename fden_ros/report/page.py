@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from typing import Any
 
@@ -19,9 +19,11 @@ from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
+from fden_ros.planning.region import Presses, Region
 from fden_ros.report import plots
 from fden_ros.report.numbers import DASH, law, order, parameter, result, stiffness
 from fden_ros.report.path_picture import draw_path
+from fden_ros.report.region_picture import draw_region
 from fden_ros.report.sentence import sentence
 from fden_ros.report.style import draw
 from fden_ros.report.table import label_words, status_words
@@ -29,6 +31,8 @@ from fden_ros.report.table import label_words, status_words
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
 _OPEN_CONTACTS = 8
+#: Places from which a map is drawn [1].
+_LEAST_OF_REGION = 9
 #: Of the picture of a path [inch].
 _PATH_SIZE = (10.8, 5.0)
 
@@ -64,6 +68,7 @@ def page(session: Session) -> str:
         site_map=(
             plots.site_map(session) if any(s.position for s in summaries) and not is_path else None
         ),
+        region=None if is_path else _region(summaries),
         is_path=is_path,
         rows=[_row(summary, on_path=is_path) for summary in summaries],
         time_scale=f"{session.parameters.estimate.time_scale:g}",
@@ -79,6 +84,16 @@ def _comparison(session: Session, *, is_path: bool) -> str | None:
     if is_path:
         return draw(functools.partial(draw_path, summaries=summaries), _PATH_SIZE)
     return plots.comparison(session) if any(s.estimate for s in summaries) else None
+
+
+def _region(summaries: Sequence[ContactSummary]) -> str | None:
+    """Return the map of what is stiffer, where a region was pressed."""
+    presses = Presses.found(summaries)
+    if len(presses.logs) < _LEAST_OF_REGION or not presses.is_spread:
+        return None
+    region = Region.around(presses)
+    found = region.propose(presses)
+    return draw(lambda figure: draw_region(figure, region, presses, found), _PATH_SIZE)
 
 
 def _facts(session: Session) -> Iterator[tuple[str, str]]:

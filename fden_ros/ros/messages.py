@@ -13,7 +13,13 @@ from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
 from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import PUBLISHED, Estimate, LawError, ParameterSet
+from fden_ros.core.estimation.estimate import (
+    PUBLISHED,
+    Estimate,
+    LawError,
+    Member,
+    ParameterSet,
+)
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
@@ -31,6 +37,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.planning.tissue import TissueBelief
 
 
 def stamp_ns(stamp: Time) -> int:
@@ -114,6 +121,10 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
         message.position_frame_id = summary.position_frame
     if summary.estimate is not None:
         _fill_parameters(message, summary.estimate, summary.order_source)
+        members = TissueBelief.found(summary.estimate).members
+        message.mode_weights = [member.weight for member in members]
+        message.mode_means = np.concatenate([member.mean for member in members])
+        message.mode_covariances = np.concatenate([m.covariance.ravel() for m in members])
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_classes(message, summary)
     _fill_rig(message, summary.rig)
@@ -221,7 +232,9 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         complete=message.complete,
         position=(position.x, position.y, position.z) if message.position_valid else None,
         order_source=OrderSource(message.alpha_source),
-        estimate=_estimate_of(message, message.sample_count) if message.alpha_source else None,
+        estimate=_estimate_of(message, message.sample_count)._replace(modes=_modes_of(message))
+        if message.alpha_source
+        else None,
         max_strain=message.max_strain,
         max_stress=message.max_stress,
         max_force=message.max_force,
@@ -239,6 +252,12 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         position_frame=message.position_frame_id,
         apparent_stiffness=_apparent_stiffness_of(message),
     )
+
+
+def _modes_of(message: PalpationSummary) -> tuple[Member, ...]:
+    means = np.array(message.mode_means).reshape(-1, 3)
+    covariances = np.array(message.mode_covariances).reshape(-1, 3, 3)
+    return tuple(map(Member, message.mode_weights, means, covariances))
 
 
 def _apparent_stiffness_of(
