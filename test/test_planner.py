@@ -17,7 +17,7 @@ from fden_msgs.msg import PalpationSummary
 from fden_msgs.srv import NextPresses
 from geometry_msgs.msg import Point
 from live_helpers import node_process
-from ros_helpers import Bench, Remote, active, play
+from ros_helpers import Remote
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
@@ -27,7 +27,7 @@ from fden_ros.planning.motion import Sensors
 from fden_ros.planning.plan import Target, plan
 from fden_ros.planning.region import Presses, Region
 from fden_ros.planning.tissue import TissueBelief
-from fden_ros.ros.messages import to_stamp
+from fden_ros.ros.messages import summary_message, to_stamp
 from fden_ros.ros.topics import latched
 
 BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
@@ -52,27 +52,27 @@ def ask(remote: Remote, **fields: Any) -> Any:
     return remote.wait_for(future.done, "a plan") and future.result()
 
 
-def test_the_motion_is_that_of_python_after_what_the_identifier_has_found(tmp_path: Path) -> None:
-    parameters = read_parameter_file(FILE)
-    estimate = replay(BAG, parameters).summaries[-1].estimate
-    assert estimate is not None
+def test_the_motion_is_that_of_python_after_what_was_found(tmp_path: Path) -> None:
+    contact = replay(BAG, parameters := read_parameter_file(FILE)).summaries[-1]
+    assert contact.estimate is not None
     target = Target((0.02, 0.02, 0.01))
-    known = TissueBelief.found(estimate)
+    known = TissueBelief.found(contact.estimate)
     expected = plan(pipeline_config(parameters), SENSORS, target, tissue=known)
-    with Bench() as bench, active(file=FILE), planner(tmp_path) as remote:
-        ask(remote)
-        bench.wait_until_connected()
-        play(BAG)
-        bench.wait_for(lambda: len(bench.summaries) >= 2, "the contacts")
+    with planner(tmp_path) as remote:
+        before = ask(remote)
+        pressed = remote.node.create_publisher(
+            PalpationSummary, "/identifier/palpation", latched(100)
+        )
+        pressed.publish(summary_message(contact, "sensor"))
         found = remote.wait_for(
             lambda: (a := ask(remote, target=[0.02, 0.02, 0.01])).header.stamp.sec and a, "it"
         )
         began = time.monotonic()
-        found = ask(remote, target=[0.02, 0.02, 0.01])
-        print(f"answered in {1e3 * (time.monotonic() - began):.0f} ms")
         shallow = ask(remote, max_depth=1e-3)
+        print(f"answered in {1e3 * (time.monotonic() - began):.0f} ms")
+    assert before.message.startswith(("press to", "not possible"))
+    np.testing.assert_allclose(found.deviations, expected.deviations, rtol=1e-6)
     assert found.message == expected.line()
-    np.testing.assert_allclose(found.deviations, expected.deviations)
     assert found.depth == expected.motion.depth and found.presses == expected.presses
     assert shallow.depth <= 1e-3
 

@@ -122,9 +122,10 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     if summary.estimate is not None:
         _fill_parameters(message, summary.estimate, summary.order_source)
         members = TissueBelief.found(summary.estimate).members
-        message.mode_weights = [member.weight for member in members]
-        message.mode_means = np.concatenate([member.mean for member in members])
-        message.mode_covariances = np.concatenate([m.covariance.ravel() for m in members])
+        message.mode_weights = [float(m.weight) for m in members]
+        message.mode_means = np.concatenate([m.mean for m in members]).tolist()
+        covariances = np.concatenate([m.covariance.ravel() for m in members])
+        message.mode_covariances = covariances.tolist()
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_classes(message, summary)
     _fill_rig(message, summary.rig)
