@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +23,7 @@ from ros_helpers import Remote
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
+from fden_ros.cli import main
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import pipeline_config, read_parameter_file
 from fden_ros.planning.motion import Sensors
@@ -126,3 +129,24 @@ def test_places_are_those_of_python_and_the_map_is_published(tmp_path: Path) -> 
     inside = np.array([(p.x, p.y) for p in lines[-1].points]).mean(axis=0)
     assert np.linalg.norm(inside - [0.04, 0.02]) < 6e-3
     assert not bad.success and "no area" in bad.message
+
+
+def test_the_command_names_the_place_that_python_names(tmp_path: Path, capsys: Any) -> None:
+    region = Region((0.0, 0.0), (0.06, 0.06))
+    places = region.propose(Presses.of([]), 16).places
+    contacts = [
+        {
+            "position": [*place, 0.0],
+            "apparent_stiffness": math.exp(log),
+            "apparent_stiffness_sd": 0.05 * math.exp(log),
+        }
+        for place, log in zip(places.tolist(), field(places), strict=True)
+    ]
+    results, picture = tmp_path / "palpation.json", tmp_path / "map.png"
+    results.write_text(json.dumps({"contacts": contacts}), encoding="utf-8")
+    arguments = ["plan", "--map", str(results), "--region", "0,0,0.06,0.06", "--json"]
+    assert main([*arguments, "--plot", str(picture)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    expected = region.propose(Presses(places, field(places), np.full(16, 0.05)))
+    np.testing.assert_allclose(found["places"], expected.places, atol=1e-6)
+    assert not found["done"] and picture.stat().st_size > 10_000
