@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from fden_ros.core.config import PipelineConfig
@@ -83,7 +84,7 @@ class Pipeline:
             self._session = ContactSession(
                 config,
                 self.rejected,
-                lambda: self._synchronizer.path_noise(),
+                partial(_path_noise, self),
                 self.standing_flags,
             )
         self._begin_epoch(0)
@@ -288,6 +289,11 @@ class Pipeline:
         self.failure_count += 1
         self.failures.append(failure_of(error, stamp_ns, *self._session.place))
         self._put_out(self._session.fail(stamp_ns))
+
+
+def _path_noise(pipeline: Pipeline) -> float:
+    """Return the noise of the motion so far, of the streams as they are by then."""
+    return pipeline._synchronizer.path_noise()
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:

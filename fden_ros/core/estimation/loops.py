@@ -213,9 +213,14 @@ def eliminate(systems: Array) -> None:
 
 
 def _at(array: Array | NDArray[np.int32] | None) -> ctypes.c_void_p | None:
-    """Return the address of an array's numbers, which lie one behind the other."""
+    """Return the address of an array's numbers, which lie one behind the other.
+
+    It keeps the array: one that was made for the call alone would else be freed before it.
+    """
     if array is None:
         return None
     if not array.flags.c_contiguous or array.dtype.char not in "di":
         raise ValueError("the compiled loops take contiguous arrays of float64 and int32")
-    return ctypes.c_void_p(array.__array_interface__["data"][0])
+    address = ctypes.c_void_p(array.__array_interface__["data"][0])
+    address.array = array  # type: ignore[attr-defined]
+    return address
