@@ -23,4 +23,6 @@ BENCHMARKS: dict[str, str] = {
     "classification": "probabilities that mean what they say, the unknown, real tissue",
     "plan": "what a plan expects of a press, beside what the identifier says after it",
     "region": "presses until what is stiffer is found, by proposals and by a raster",
+    "replay": "a sample beside a filter's step; speed of replay beside decoding",
+    "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
 }

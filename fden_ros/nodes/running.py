@@ -33,6 +33,8 @@ _Node = TypeVar("_Node", bound=Node)
 
 #: How soon a signal is seen when nothing else happens [s].
 _SPIN_TIMEOUT = 0.1
+#: A thread that computes hands over to messages after this time [s]: Python's is 5 ms.
+_SWITCH_INTERVAL = 0.0005
 _LOG_LEVELS = ("debug", "info", "warn", "error", "fatal", "unset")
 
 
@@ -62,6 +64,7 @@ def run_node(
         Refuse a parameter file that has no section for this node, and take its topics.
     """
     noted = note_signals()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         node = _made(make, list(sys.argv if arguments is None else arguments), needs_section)
         return _run(node, start, finish, lambda: bool(noted))

@@ -1,0 +1,446 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node beside a bare relay on real DDS: losses, CPU, latency, memory, and where it saturates.
+
+A source publishes force and displacement (sensor-data QoS), a sink hears what comes out, each in a
+process of its own. In between stand, each in a process and a namespace of its own, the *node*, and
+a *relay*: a plain node with the same inputs that publishes a message of the same size as often,
+and computes nothing, the limit that Python and ROS set. Both wait from the beginning; the source
+speaks to one at a time. They take turns over five rounds, so that what else the machine does meets
+both: the goals are on the median of the rounds' ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.harness import Benchmark, Goal, Report, Table, at_most
+from fden_ros.core.arrays import Array
+from fden_ros.errors import InputError
+from fden_ros.progress import progress
+
+EPILOG = """\
+examples:
+  fden benchmark node --quick               under a minute
+  fden benchmark node -o results            ten minutes for node and relay each
+  fden benchmark node --seconds 60 --rates 2000 7000
+
+The figures hold for a machine that does nothing else. CPU in cores, latency in ms from stamp to
+arrival at the sink, memory in MB: medians of the turns. *Told*: of the lost pairs those that the
+process itself counted.
+"""
+
+_SECONDS, _QUICK_SECONDS = 600.0, 12.0
+_ROUNDS = 5
+_SATURATION_SECONDS, _QUICK_SATURATION_SECONDS = 20.0, 3.0
+#: Left out at the beginning of a turn [s].
+_WARM_UP = 0.5
+#: Between two turns, and before and after a count of what was lost: diagnostics come once a
+#: second [s].
+_PAUSE, _COUNTING_PAUSE = 0.2, 1.5
+#: Memory counts from then on [s].
+_MEMORY_FROM = 60
+#: The press begins at this time of its recording [s]: the air before it is short.
+_PRESS_FROM = 1.9
+_BLOCK = 10
+_STAMP = struct.Struct("<iI")
+_BODY = 4
+_CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
+_QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
+
+NODE, RELAY = "node", "relay"
+_NAMESPACES = {NODE: "/node", RELAY: "/relay"}
+_USUAL_RATE = 1000.0
+
+
+class Turn(NamedTuple):
+    """One stretch of messages for one of those in the middle."""
+
+    what: str
+    rate: float  #: of each stream [Hz]
+    seconds: float
+    pause: float = _PAUSE  #: before it [s]
+
+
+class _Watched(NamedTuple):
+    """What was seen of a process during a turn."""
+
+    sent: int
+    begin_ns: int
+    end_ns: int
+    cpu: float  #: cores
+    memory_mb: list[float]  #: resident, once a second
+
+
+def _more(parser: argparse.ArgumentParser) -> None:
+    words = f"for each at 1 kHz, in {_ROUNDS} turns (default: {_SECONDS:g})"
+    parser.add_argument("--seconds", type=float, metavar="S", help=words)
+    words = "where to look for saturation, shortly (default: 2000 4000)"
+    parser.add_argument(
+        "--rates", type=float, nargs="*", default=(2000.0, 4000.0), metavar="HZ", help=words
+    )
+
+
+def run(args: argparse.Namespace) -> Report:
+    """Measure; the exit code does not depend on what comes out."""
+    seconds = args.seconds or (_QUICK_SECONDS if args.quick else _SECONDS)
+    short = _QUICK_SATURATION_SECONDS if args.quick else _SATURATION_SECONDS
+    plan = _ROUNDS * [Turn(what, _USUAL_RATE, seconds / _ROUNDS) for what in (NODE, RELAY)]
+    plan += [Turn(what, r, short, _COUNTING_PAUSE) for r in args.rates for what in (NODE, RELAY)]
+    with progress("measuring", len(plan)) as show:
+        rows = measure(plan, show)
+    title = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the end"
+    shown = {name: row | {"memory": row["memory"][-1]} for name, row in rows.items()}
+    return Report(goals_of(rows), {"turns": Table(title, shown)})
+
+
+def goals_of(rows: dict[str, dict[str, Any]]) -> list[Goal]:
+    """Hold the node against the relay."""
+    node, relay = (rows[_name(what, _USUAL_RATE)] for what in (NODE, RELAY))
+
+    def ratio(key: str) -> float:
+        return float(np.median(np.array(node[key]) / np.array(relay[key])))
+
+    later = node["memory"][_MEMORY_FROM:]
+    grown = max(later) - later[0] if len(later) > 10 else float("nan")
+    goals = [
+        at_most("pairs lost at 1 kHz", float(node["lost"]), 0.0),
+        at_most("CPU over relay's", ratio("CPU"), 1.5),
+        at_most("p99 latency over relay's", ratio("p99"), 1.5),
+        at_most("p99 latency [ms]", float(np.median(node["p99"])), 5.0),
+        at_most("p99.9 latency [ms]", float(np.median(node["p99.9"])), 10.0),
+        at_most("memory grown after a minute [MB]", grown, 2.0),
+    ]
+    for name, row in rows.items():
+        if name.startswith(NODE) and row is not node:
+            unsaid = max(row["lost"] - row["told"], 0)
+            goals.append(at_most(f"pairs lost silently, {name}", float(unsaid), 0.0))
+    return goals
+
+
+def _name(what: str, rate: float) -> str:
+    return f"{what}, {rate:g} Hz"
+
+
+# The turns
+
+
+def measure(
+    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None
+) -> dict[str, dict[str, Any]]:
+    """Run source, sink and what is between them; return the figures of each at each rate."""
+    environment = dict(os.environ)
+    environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    environment.setdefault("ROS_DOMAIN_ID", str(40 + os.getpid() % 50))
+    root = str(Path(__file__).resolve().parents[1])
+    environment["PYTHONPATH"] = os.pathsep.join([root, environment.get("PYTHONPATH", "")])
+    me = [sys.executable, "-m", "benchmark.node"]
+    turns = json.dumps([(_NAMESPACES[t.what], t.rate, t.seconds, t.pause) for t in plan])
+    with contextlib.ExitStack() as stack:
+        sink = stack.enter_context(_process([*me, "sink"], environment))
+        tested: dict[str, Any] = {}
+        for what in dict.fromkeys(turn.what for turn in plan):
+            own = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier"]
+            command = [*own, *_node_arguments()] if what == NODE else [*me, "relay"]
+            tested[what] = stack.enter_context(_process(command, environment))
+        sender = stack.enter_context(_process([*me, "source", "--turns", turns], environment))
+        watched = []
+        for turn in plan:
+            watched.append(_watch(turn, tested[turn.what].pid, sender))
+            show(len(watched))
+        _ended(sender)
+        for what, process in tested.items():
+            # The relay leaves nothing to tidy up.
+            process.send_signal(signal.SIGINT if what == NODE else signal.SIGKILL)
+            _ended(process)
+        sink.send_signal(signal.SIGINT)
+        heard = json.loads(_ended(sink))
+    return {
+        _name(what, rate): _row(
+            [w for t, w in zip(plan, watched, strict=True) if (t.what, t.rate) == (what, rate)],
+            heard["arrivals"][what],
+            heard["counts"][what],
+        )
+        for what, rate in dict.fromkeys((turn.what, turn.rate) for turn in plan)
+    }
+
+
+def _watch(turn: Turn, pid: int, sender: Any) -> _Watched:
+    """Wait for a turn, and return what the process took for it."""
+    begin_ns = json.loads(sender.stdout.readline())["begin_ns"]
+    memory = [_memory_mb(pid)]
+    time.sleep(_WARM_UP)
+    begin, before = time.monotonic(), _cpu_seconds(pid)
+    while (left := begin + turn.seconds - _WARM_UP - 0.2 - time.monotonic()) > 0.0:
+        time.sleep(min(1.0, left))
+        memory.append(_memory_mb(pid))
+    cpu = (_cpu_seconds(pid) - before) / (time.monotonic() - begin)
+    done = json.loads(sender.stdout.readline())
+    return _Watched(done["sent"], begin_ns, done["end_ns"], cpu, memory)
+
+
+def _row(turns: Sequence[_Watched], arrived: Any, counts: Any) -> dict[str, Any]:
+    """Return what the turns of one kind come to; lists are over the turns, or seconds."""
+    before = _counted_at(counts, turns[0].begin_ns)
+    after = _counted_at(counts, turns[-1].end_ns + round(0.9e9 * _COUNTING_PAUSE))
+    came = {name: count - before.get(name, 0) for name, count in after.items()}
+    arrivals = np.array(arrived, dtype=np.int64).reshape(-1, 2)
+    latencies = [_latency_ms(arrivals, turn) for turn in turns]
+    sent = sum(turn.sent for turn in turns)
+    return {
+        "sent": sent,
+        "lost": max(sent - came.get("pairs", 0) - came.get("rejected", 0), 0),
+        "told": came.get("lost", 0),
+        "published": sum(latency.size for latency in latencies),
+        "CPU": [turn.cpu for turn in turns],
+        **{
+            name: [float(np.percentile(latency, q)) for latency in latencies]
+            for name, q in _QUANTILES.items()
+        },
+        "memory": [memory for turn in turns for memory in turn.memory_mb],
+    }
+
+
+def _counted_at(told: Sequence[tuple[int, dict[str, int]]], time_ns: int) -> dict[str, int]:
+    """Return what a process had counted at a time, by its last diagnostics before."""
+    return next((counts for heard_ns, counts in reversed(told) if heard_ns <= time_ns), {})
+
+
+def _latency_ms(arrivals: NDArray[np.int64], turn: _Watched) -> Array:
+    """Return the time from stamp to arrival of what belongs to a turn [ms]."""
+    stamps = arrivals[:, 0]
+    own = (stamps > turn.begin_ns + _WARM_UP * 1e9) & (stamps < turn.end_ns)
+    # A stale state is stamped 1 ns after the state that it takes back.
+    own[1:] &= np.diff(stamps) != 1
+    latency: Array = 1e-6 * (arrivals[own, 1] - stamps[own])
+    return latency if latency.size else np.array([np.nan])
+
+
+def _node_arguments() -> list[str]:
+    parameters = {
+        "autostart": "true",
+        # Each turn is a site of its own, on which the estimator learns: one turn ends in contact.
+        "site.timeout": "0.05",
+        "geometry.area": "3.14159e-4",
+        "geometry.thickness": "0.02",
+        "alpha.learn": "false",
+        "prior.alpha_sd": "0.0",
+    }
+    pairs = [("-p", f"{name}:={value}") for name, value in parameters.items()]
+    namespace = ("-r", f"__ns:={_NAMESPACES[NODE]}")
+    return ["--ros-args", *namespace, *(word for pair in pairs for word in pair)]
+
+
+@contextlib.contextmanager
+def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[Any]:
+    with tempfile.TemporaryFile("w+") as errors:
+        process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True
+        )
+        try:
+            yield process
+            if process.returncode > 0:
+                errors.seek(0)
+                words = " ".join(errors.read().split())[-300:]
+                raise InputError(f"{command[2:4]} ended with {process.returncode}: {words}")
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+def _ended(process: Any) -> str:
+    """Wait for a process; return its last line."""
+    output, _ = process.communicate(timeout=60.0)
+    lines = str(output).strip().splitlines()
+    return lines[-1] if lines else "{}"
+
+
+def _cpu_seconds(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS
+
+
+def _memory_mb(pid: int) -> float:
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) / 1024.0 for line in status if line.startswith("VmRSS"))
+
+
+# The processes
+
+
+def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
+    """Publish presses in one namespace after the other, stamped as they are sent."""
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import JointState
+
+    from fden_ros.recording.cdr import serialize
+    from simulation.scenario import ramp_scenario
+    from simulation.simulate import simulate
+
+    recording = simulate(ramp_scenario(strain_rate=0.15, max_strain=0.27, hold_s=1.0, seed=1))
+    first = round(_USUAL_RATE * _PRESS_FROM)
+    values = [
+        [struct.pack("<d", value) for value in np.roll(stream.value, -first).tolist()]
+        for stream in (recording.force, recording.displacement)
+    ]
+    wrench, joint = WrenchStamped(), JointState(name=["probe"], position=[0.0])
+    wrench.header.frame_id = joint.header.frame_id = "tool"
+    wrench.wrench.force.z = joint.position[0] = 1234.5
+    templates = [bytearray(serialize(wrench)), bytearray(serialize(joint))]
+    places = [bytes(t).index(struct.pack("<d", 1234.5)) for t in templates]
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("source")
+    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publishers = {
+        namespace: [
+            node.create_publisher(WrenchStamped, f"{namespace}/force", qos),
+            node.create_publisher(JointState, f"{namespace}/displacement", qos),
+        ]
+        for namespace in dict.fromkeys(turn[0] for turn in turns)
+    }
+    while not all(p.get_subscription_count() for pair in publishers.values() for p in pair):
+        time.sleep(0.02)
+    time.sleep(_COUNTING_PAUSE)
+    for namespace, rate, seconds, pause in turns:
+        time.sleep(pause)
+        print(json.dumps({"begin_ns": time.time_ns()}), flush=True)
+        begin, count = time.monotonic(), round(rate * seconds)
+        for k in range(count):
+            ahead = begin + k / rate - time.monotonic()
+            if ahead > 0.0:
+                time.sleep(ahead)
+            stamp = _STAMP.pack(*divmod(time.time_ns(), 1_000_000_000))
+            for which in (1, 0):
+                data, place, own = templates[which], places[which], values[which]
+                data[_BODY : _BODY + 8] = stamp
+                data[place : place + 8] = own[int(k * _USUAL_RATE / rate) % len(own)]
+                publishers[namespace][which].publish(bytes(data))
+        print(json.dumps({"sent": count, "end_ns": time.time_ns()}), flush=True)
+    # What is still under way, and the last diagnostics.
+    time.sleep(_COUNTING_PAUSE)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def _relay() -> None:
+    """Take the same messages, publish one of the same kind as often, compute nothing, for ever."""
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from fden_msgs.msg import TissueEstimate
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import JointState
+
+    from fden_ros.nodes.running import make_executor, spin
+    from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("identifier", namespace=_NAMESPACES[RELAY])
+    estimates = node.create_publisher(TissueEstimate, "~/estimate", OUTPUT_TOPICS[0].profile(0.01))
+    diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    estimate = TissueEstimate()
+    counts = [0, 0]
+
+    def on_force(message: Any) -> None:
+        counts[0] += 1
+        if counts[0] % _BLOCK == 0:
+            estimate.header = message.header
+            estimates.publish(estimate)
+
+    def on_displacement(message: Any) -> None:
+        counts[1] += 1
+
+    def tell() -> None:
+        pairs = KeyValue(key="pairs", value=str(min(counts)))
+        diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(name=RELAY, values=[pairs])]))
+
+    node.create_subscription(WrenchStamped, "force", on_force, INPUT_QOS)
+    node.create_subscription(JointState, "displacement", on_displacement, INPUT_QOS)
+    node.create_timer(1.0, tell)
+    executor = make_executor()
+    executor.add_node(node)
+    spin(executor, lambda: False)
+
+
+def _sink() -> None:
+    """Hear the results: when they came, and what was counted."""
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from fden_msgs.msg import TissueEstimate
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from rclpy.signals import SignalHandlerOptions
+
+    from fden_ros.nodes.running import make_executor, spin
+
+    stopped: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda caught, _: stopped.append(caught))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("sink")
+    arrivals: dict[str, list[tuple[int, int]]] = {what: [] for what in _NAMESPACES}
+    counts: dict[str, list[tuple[int, dict[str, int]]]] = {what: [] for what in _NAMESPACES}
+
+    def hear(what: str) -> Callable[[bytes], None]:
+        def on_estimate(data: bytes) -> None:
+            now = time.time_ns()
+            seconds, nanoseconds = _STAMP.unpack_from(data, _BODY)
+            arrivals[what].append((seconds * 1_000_000_000 + nanoseconds, now))
+
+        return on_estimate
+
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        status = message.status[0]
+        found = {entry.key: entry.value for entry in status.values}
+        counted = {key: int(found[key]) for key in ("pairs", "rejected") if key in found}
+        lost = [int(value) for key, value in found.items() if key.startswith("lost.")]
+        what = RELAY if status.name == RELAY else NODE
+        counts[what].append((time.time_ns(), counted | {"lost": max(lost, default=0)}))
+
+    qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+    for what, namespace in _NAMESPACES.items():
+        topic = f"{namespace}/identifier/estimate"
+        node.create_subscription(TissueEstimate, topic, hear(what), qos, raw=True)
+    node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, qos)
+    executor = make_executor()
+    executor.add_node(node)
+    spin(executor, lambda: bool(stopped))
+    print(json.dumps({"arrivals": arrivals, "counts": counts}), flush=True)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def main() -> None:
+    """Be one of the processes of a run."""
+    parser = argparse.ArgumentParser(prog="python -m benchmark.node")
+    parser.add_argument("role", choices=("source", "relay", "sink"))
+    parser.add_argument("--turns", type=json.loads, default=[])
+    args = parser.parse_args()
+    {"source": lambda: _source(args.turns), "relay": _relay, "sink": _sink}[args.role]()
+
+
+BENCHMARK = Benchmark(run, EPILOG, more=_more)
+
+if __name__ == "__main__":
+    main()
