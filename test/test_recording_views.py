@@ -31,7 +31,12 @@ TYPES = {f"{NODE}/{topic.name}": type_name(topic.message_type) for topic in OUTP
     "/force": "geometry_msgs/msg/WrenchStamped",
     "/displacement": type_name(DISPLACEMENT_MESSAGES[Parameters().displacement.message]),
 }
+PLANNER_TYPES = {
+    "/planner/region_map": "sensor_msgs/msg/PointCloud2",
+    "/planner/boundary": "visualization_msgs/msg/Marker",
+}
 DISPLAYS = {
+    "Marker": "visualization_msgs/msg/Marker",
     "MarkerArray": "visualization_msgs/msg/MarkerArray",
     "PointCloud2": "sensor_msgs/msg/PointCloud2",
     "Pose": "geometry_msgs/msg/PoseStamped",
@@ -79,11 +84,11 @@ def test_every_path_of_the_foxglove_layout_exists(layout: dict[str, Any]) -> Non
 def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
     manager = yaml.safe_load((CONFIG / "identifier.rviz").read_text())["Visualization Manager"]
     shown = [d for d in manager["Displays"] if "Topic" in d]
-    assert len(shown) == 4
+    assert len(shown) == 6
     for display in shown:
         kind, topic = display["Class"].rpartition("/")[2], display["Topic"]["Value"]
         # RViz shows the probe where it is published as a pose; a joint has no place.
-        types = TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
+        types = TYPES | PLANNER_TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
         # Below the namespace of RViz itself, as rcl expands a name.
         for namespace in ("/", "/left"):
             name = expand_topic_name(topic, "rviz", namespace)
