@@ -14,7 +14,6 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -24,7 +23,7 @@ from std_msgs.msg import Float64, String
 from fden_ros.control.force_control import ForceControlConfig, ForceController
 from fden_ros.control.live_tissue import Refusal
 from fden_ros.errors import InputError
-from fden_ros.nodes.running import run_node
+from fden_ros.nodes.running import declared, run_node
 from fden_ros.ros.topics import latched
 from fden_ros.tissue_feed import TissueFeed
 
@@ -64,12 +63,7 @@ class ForceControllerNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("force_controller", **options)
-        values = {
-            name: self.declare_parameter(
-                name, default, ParameterDescriptor(description=meaning, read_only=True)
-            ).value
-            for name, default, meaning in PARAMETERS
-        }
+        values = declared(self, PARAMETERS)
         self._values = values
         self._controller = ForceController(
             ForceControlConfig(

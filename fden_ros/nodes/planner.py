@@ -20,7 +20,6 @@ import numpy as np
 from fden_msgs.msg import PalpationSummary
 from fden_msgs.srv import NextPresses
 from geometry_msgs.msg import Point
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
@@ -28,7 +27,7 @@ from visualization_msgs.msg import Marker
 
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.errors import InputError
-from fden_ros.nodes.running import run_node
+from fden_ros.nodes.running import declared, run_node
 from fden_ros.offline.sensors import sensors_of
 from fden_ros.parameters import pipeline_config, read_parameter_files
 from fden_ros.planning.motion import FREQUENCY
@@ -56,12 +55,7 @@ class Planner(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("planner", **options)
-        values = {
-            name: self.declare_parameter(
-                name, default, ParameterDescriptor(description=meaning, read_only=True)
-            ).value
-            for name, default, meaning in PARAMETERS
-        }
+        values = declared(self, PARAMETERS)
         name = str(values["identifier"])
         name = name if name.startswith("/") else f"{self.get_namespace().rstrip('/')}/{name}"
         files = [Path(path) for path in values["parameters"] if path]

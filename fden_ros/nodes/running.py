@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Run a node until SIGINT or SIGTERM; what is wrong at its start comes in one line."""
+"""Run a node until SIGINT or SIGTERM, with its parameters; what is wrong comes in one line."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import rclpy
 import yaml
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.context import Context
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -36,6 +37,16 @@ _SPIN_TIMEOUT = 0.1
 #: A thread that computes hands over to messages after this time [s]: Python's is 5 ms.
 _SWITCH_INTERVAL = 0.0005
 _LOG_LEVELS = ("debug", "info", "warn", "error", "fatal", "unset")
+
+
+def declared(node: Node, parameters: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
+    """Declare a node's read-only parameters: name, default, meaning; return their values."""
+    return {
+        name: node.declare_parameter(
+            name, default, ParameterDescriptor(description=meaning, read_only=True)
+        ).value
+        for name, default, meaning in parameters
+    }
 
 
 def run_node(

@@ -14,14 +14,13 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from fden_ros.errors import InputError
-from fden_ros.nodes.running import run_node
+from fden_ros.nodes.running import declared, run_node
 from fden_ros.ros.messages import to_stamp
 from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
@@ -65,12 +64,7 @@ class TissueSimulator(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("tissue_simulator", **options)
-        values = {
-            name: self.declare_parameter(
-                name, default, ParameterDescriptor(description=meaning, read_only=True)
-            ).value
-            for name, default, meaning in PARAMETERS
-        }
+        values = declared(self, PARAMETERS)
         self._rig = Rig(_rig_config(values))
         self._surface = float(values["surface"])
         self._delay_ns = round(values["displacement.delay"] * 1e9)
