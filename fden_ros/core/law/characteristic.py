@@ -118,16 +118,23 @@ def log_phi(strain: Array, log_linear_stiffness: float, log_nonlinear_stiffness:
     ln G + ln x up to 1/Gn and ln G + Gn x - 1 - ln Gn beyond (paper, eqs. parameter4 and
     parameter5).
     """
-    result: Array = np.log(phi(strain, 1.0, math.exp(log_nonlinear_stiffness)))
-    return result + log_linear_stiffness
+    scaled = math.exp(log_nonlinear_stiffness) * strain
+    inside = np.log(np.minimum(scaled, 1.0))
+    excess = np.maximum(scaled - 1.0, 0.0)
+    beyond = np.minimum(excess, MAX_EXPONENT)
+    result: Array = log_linear_stiffness - log_nonlinear_stiffness + inside + beyond
+    return result + np.log1p(excess - beyond)
 
 
 def log_strain(
     log_values: Array, log_linear_stiffness: float, log_nonlinear_stiffness: float
 ) -> Array:
     """Return ln x at which ln phi takes given values: the inverse of :func:`log_phi`."""
-    values = np.exp(np.minimum(log_values - log_linear_stiffness, _LARGEST_LOG))
-    result: Array = np.log(strain_of_phi(values, 1.0, math.exp(log_nonlinear_stiffness)))
+    excess = log_values - log_linear_stiffness + log_nonlinear_stiffness
+    beyond = np.maximum(excess, 0.0)
+    on_tangent = np.expm1(np.clip(beyond - MAX_EXPONENT, 0.0, _LARGEST_LOG))
+    exponent = np.minimum(beyond, MAX_EXPONENT) + on_tangent
+    result: Array = np.minimum(excess, 0.0) + np.log1p(exponent) - log_nonlinear_stiffness
     return result
 
 
