@@ -10,7 +10,7 @@ import importlib
 
 import pytest
 
-from fden_ros.cli import COMMANDS, DESCRIPTION, main
+from fden_ros.cli import COMMANDS, main
 from fden_ros.commands.command import number
 
 
@@ -19,11 +19,10 @@ def test_every_command_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as ended:
         main([name, "--help"])
     shown = capsys.readouterr().out
-    command = importlib.import_module(f"fden_ros.commands.{name}").COMMAND
+    command = importlib.import_module(f"fden_ros.commands.{name}")
     assert ended.value.code == 0
-    assert command.name == name and command.description in shown and command.epilog in shown
-    assert command.epilog.startswith("examples:\n") and f"fden {name}" in command.epilog
-    assert f"fden {name}" in DESCRIPTION
+    assert command.DESCRIPTION in shown and command.EPILOG in shown
+    assert command.EPILOG.startswith("examples:\n") and f"fden {name}" in command.EPILOG
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -159,8 +159,8 @@ def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path: Pa
 
 def test_the_table_has_a_row_a_contact(tmp_path: Path, session: Session) -> None:
     table = tmp_path / "contacts.csv"
-    arguments = ("report", str(POSE), "--config", str(POSE / "identifier.yaml"))
-    assert main([*arguments, "--csv", str(table)]) == 0
+    arguments = ("batch", str(POSE), "--config", str(POSE / "identifier.yaml"))
+    assert main([*arguments, "--workers", "1", "-o", str(table)]) == 0
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["contact_id"]) for row in rows] == [1, 2]

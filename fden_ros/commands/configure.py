@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import Command, add_json, print_json, write
+from fden_ros.commands.command import add_json, print_json, write
 from fden_ros.commands.inputs import add_selection_options, selection_of
 from fden_ros.errors import InputError
 
@@ -301,13 +301,3 @@ def _brief_lines(stated: Sequence[Finding]) -> list[str]:
             quantity, _, what = finding.subject.partition(" ")
             said.setdefault(quantity, []).append(f"{what} {value_text(finding)}".strip())
     return [f"{quantity}: {', '.join(values)}" for quantity, values in said.items()]
-
-
-COMMAND = Command(
-    "configure",
-    "propose a parameter file from recordings of an unknown probe",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command, add_json, print_json
+from fden_ros.commands.command import add_json, print_json
 from fden_ros.commands.inputs import (
     add_input_options,
     add_recording,
@@ -142,8 +142,3 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         console.print(escape(words))
     for warning in result.warnings:
         console.print(f"[yellow]warning:[/yellow] {escape(warning)}")
-
-
-COMMAND = Command(
-    "replay", "estimate from a recorded bag", DESCRIPTION, EPILOG, add_arguments, run
-)

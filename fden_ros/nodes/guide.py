@@ -20,9 +20,9 @@ from fden_ros.configure.robots import Robot, robot_selection
 from fden_ros.configure.survey import Survey, steps_for
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
-from fden_ros.recording.reader import Topic
+from fden_ros.recording.reader import Topic, topic_named
 from fden_ros.recording.source import Selection
-from fden_ros.recording.topics import USABLE_TYPES, sensible_topics
+from fden_ros.recording.topics import find_topic
 from fden_ros.ros.plain_node import plain_node, spin_for
 
 #: Best effort hears every publisher; the queue holds what comes while a survey is made.
@@ -163,20 +163,8 @@ class _Guide:
         chosen: dict[str, Topic] = {}
         for what in ("force", "displacement"):
             name = getattr(selection, f"{what}_topic")
-            named = [topic for topic in present if topic.name in (name, f"/{name}")]
-            candidates = [
-                topic
-                for topic in present
-                if topic.type_name in USABLE_TYPES[what]
-                and topic.message_count
-                and topic not in chosen.values()
-            ]
-            found = named if name else sensible_topics(candidates, what)
-            if len(found) != 1:
-                listed = ", ".join(f"{t.name} ({t.type_name})" for t in found or present)
-                raise InputError(
-                    f"which topic is the {what}? There are {listed or 'none'}; name it with "
-                    f"--{what}-topic"
-                )
-            chosen[what] = found[0]
+            if name is not None and getattr(selection, f"{what}_field") is not None:
+                chosen[what] = topic_named("the robot", present, name)
+            else:
+                chosen[what] = find_topic("the robot", present, name, what, chosen.values())
         return chosen

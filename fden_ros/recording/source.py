@@ -121,7 +121,8 @@ class BagSource:
     def _find(self, what: str, topic: str | None) -> Topic:
         if self._fields[what] is not None and topic is not None:
             return self.reader.topic(topic)
-        return find_topic(self.reader, topic, what, self.topics.values())
+        present, where = self.reader.topics, str(self.reader.path)
+        return find_topic(where, present, topic, what, self.topics.values())
 
     @property
     def force(self) -> Topic:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 
 from fden_ros.errors import InputError
-from fden_ros.recording.reader import BagReader, Topic
+from fden_ros.recording.reader import Topic, topic_named
 from fden_ros.ros.inputs import INPUT_MESSAGES
 from fden_ros.ros.status import type_name
 
@@ -31,7 +31,7 @@ _WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "ref
 
 
 def find_topic(
-    reader: BagReader, name: str | None, what: str, others: Collection[Topic] = ()
+    where: str, present: Sequence[Topic], name: str | None, what: str, others: Collection[Topic]
 ) -> Topic:
     """Return the topic called `name`, or the only sensible one for `what`.
 
@@ -42,7 +42,9 @@ def find_topic(
 
     Parameters
     ----------
-    reader : BagReader
+    where : str
+        What has the topics, for the line that says what is wrong.
+    present : sequence of Topic
     name : str or None
     what : str
         ``force``, ``displacement`` or ``surface``.
@@ -56,7 +58,7 @@ def find_topic(
     """
     usable = USABLE_TYPES[what]
     if name is not None:
-        topic = reader.topic(name)
+        topic = topic_named(where, present, name)
         if topic.type_name not in usable:
             raise InputError(
                 f"{name} carries {topic.type_name}, which holds no {what} by itself: name the "
@@ -64,24 +66,20 @@ def find_topic(
             )
         return topic
     candidates = [
-        t for t in reader.topics if t.type_name in usable and t.message_count and t not in others
+        t for t in present if t.type_name in usable and t.message_count and t not in others
     ]
-    chosen = sensible_topics(candidates, what)
+    chosen = _sensible(candidates, what)
     if len(chosen) == 1:
         return chosen[0]
-    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or reader.topics) or "none"
+    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or present) or "none"
     problem = "several topics could carry" if chosen else "no topic can carry"
     hint = f"name it with --{what}-topic"
-    if (
-        what == "displacement"
-        and not chosen
-        and any(t.type_name == _TRANSFORMS for t in reader.topics)
-    ):
+    if what == "displacement" and not chosen and any(t.type_name == _TRANSFORMS for t in present):
         hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
-    raise InputError(f"{reader.path}: {problem} the {what}: {listed}; {hint}")
+    raise InputError(f"{where}: {problem} the {what}: {listed}; {hint}")
 
 
-def sensible_topics(candidates: list[Topic], what: str) -> list[Topic]:
+def _sensible(candidates: list[Topic], what: str) -> list[Topic]:
     """Return those of the topics that most likely carry `what`; see :func:`find_topic`."""
     joints = "sensor_msgs/msg/JointState"
     named = [t for t in candidates if t.name.rsplit("/", 1)[-1] == what]

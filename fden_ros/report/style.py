@@ -85,10 +85,10 @@ def draw(plot: Plot, size: tuple[float, float] = PANEL) -> str:
     return _for_page(buffer.getvalue())
 
 
-def save(plot: Plot, path: str | Path, size: tuple[float, float] = WIDE) -> None:
+def save(plot: Plot, path: str | Path) -> None:
     """Save what `plot` draws as PNG, SVG or PDF, by the ending of `path`."""
     with mpl.rc_context(_STYLE):
-        _drawn(plot, size).savefig(path, dpi=110)
+        _drawn(plot, WIDE).savefig(path, dpi=110)
 
 
 def _drawn(plot: Plot, size: tuple[float, float]) -> Figure:
@@ -117,9 +117,9 @@ def _for_page(svg: str) -> str:
 # What is drawn on axes
 
 
-def band(axes: Axes, x: Array, low: Array, high: Array, colour: str = ESTIMATE) -> None:
+def band(axes: Axes, x: Array, low: Array, high: Array) -> None:
     """Fill between the ends of an interval."""
-    axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0, label=_BAND)
+    axes.fill_between(x, low, high, color=ESTIMATE, alpha=0.25, linewidth=0, label=_BAND)
 
 
 def intervals(
