@@ -23,18 +23,15 @@ from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
 from fden_ros.recording.source import TRANSFORMS, BagSource, Selection
 from fden_ros.recording.table import TableReader, looks_like_a_table, stated_columns
-from fden_ros.recording.topics import USABLE_TYPES
+from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.messages import stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
 MESSAGES = {
-    "geometry_msgs/msg/WrenchStamped": "wrench",
-    "sensor_msgs/msg/JointState": "joint_state",
-    "geometry_msgs/msg/PoseStamped": "pose",
-    "geometry_msgs/msg/TransformStamped": "transform",
-    "geometry_msgs/msg/PointStamped": "point",
-    TRANSFORMS: "tf",
-}
+    type_name: value
+    for name in ("force", "displacement")
+    for value, type_name in TYPE_NAMES[name].items()
+} | {TRANSFORMS: "tf"}
 #: Field of each that is a vector; of joints all count.
 _VECTORS = {
     "wrench": "wrench.force",
@@ -102,7 +99,7 @@ def read(
     if chosen.columns is not None or looks_like_a_table(path):
         return _read_table(Path(path), chosen)
     topics = BagReader(path).topics
-    carriers = [t for t in topics if t.type_name in USABLE_TYPES["displacement"]]
+    carriers = [t for t in topics if t.type_name in TYPE_NAMES["displacement"].values()]
     has_way = any(t.message_count for t in carriers) or chosen.displacement_topic is not None
     has_transforms = any(topic.type_name == TRANSFORMS for topic in topics)
     if frames is not None or (has_transforms and not has_way):

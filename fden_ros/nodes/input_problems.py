@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +14,9 @@ from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Reason
-from fden_ros.ros.inputs import INPUT_MESSAGES, TRANSFORM_TOPICS, Inputs
-from fden_ros.ros.status import type_name
+from fden_ros.ros.inputs import TRANSFORM_TOPICS, TYPE_NAMES, Inputs
+from fden_ros.ros.messages import type_name
 
-#: By the name of an input, the type that each value of its parameter ``message`` stands for.
-_KINDS: Mapping[str, Mapping[str, str]] = {
-    what: {name: type_name(kind) for name, kind in kinds.items()}
-    for what, kinds in INPUT_MESSAGES.items()
-}
 #: What a subscription can ask for that not every publisher offers: the weaker and the stronger.
 _POLICIES = (
     ("reliability", ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
@@ -91,7 +85,7 @@ class ListenedTo:
 
     def _other_type(self, kind: str, expected: str) -> str:
         found = f"{self.subscription.topic_name} is published as {kind}, expected {expected}"
-        mend = f"{self._set(kind)}, or " if kind in _KINDS[self.what].values() else ""
+        mend = f"{self._set(kind)}, or " if kind in TYPE_NAMES[self.what].values() else ""
         return f"{found}: {mend}remap it, {self._remap('TOPIC')}"
 
     def _incompatible(self, offered: Any) -> list[str]:
@@ -110,7 +104,7 @@ class ListenedTo:
         return f"-r {self.what}:={topic} (launch: {self.what}_topic:={topic})"
 
     def _set(self, kind: str) -> str:
-        value = next(name for name, known in _KINDS[self.what].items() if known == kind)
+        value = next(name for name, known in TYPE_NAMES[self.what].items() if known == kind)
         return f"set {self.what}.message to {value}"
 
 
@@ -186,7 +180,7 @@ def clock_problem(node: Node) -> str | None:
 
 def _published(node: Node, what: str) -> dict[str, str]:
     """Return other topics, and their types, that could be the input `what`."""
-    kinds = set(_KINDS[what].values())
+    kinds = set(TYPE_NAMES[what].values())
     own = {subscription.topic_name for subscription in node.subscriptions}
     return {
         name: kind

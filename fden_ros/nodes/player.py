@@ -20,11 +20,11 @@ from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import RELIABLE, Qos
 from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.recording.topics import USABLE_TYPES
+from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.plain_node import plain_node
 
 #: Types that carry force or displacement.
-INPUT_TYPES = frozenset((*USABLE_TYPES["force"], *USABLE_TYPES["displacement"]))
+INPUT_TYPES = {*TYPE_NAMES["force"].values(), *TYPE_NAMES["displacement"].values()}
 _POLL_S = 0.02
 _WAIT_TIMEOUT_S = 30.0
 # What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:

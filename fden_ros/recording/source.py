@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,14 +18,13 @@ from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
 from fden_ros.recording.topics import find_topic
-from fden_ros.ros.decoding import UnusualError, fast_handler
+from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
     TRANSFORM_TOPICS,
     Inputs,
     NumberOrVector,
     measured_inputs,
-    stream_of,
 )
 from fden_ros.ros.messages import stamp_ns
 
@@ -181,34 +179,12 @@ class BagSource:
             yield done
 
     def _handler(self, what: str, topic: Topic) -> Callable[[RawMessage], None]:
-        from rclpy.serialization import deserialize_message
-
         field, inputs = self._fields[what], self._inputs
         assert inputs is not None
         if field is not None:
             return _FieldHandler(what, topic, FieldPath(field), inputs, self.note)
-        kind = message_class(topic.type_name)
-
-        def handle(message: RawMessage) -> None:
-            try:
-                sample = deserialize_message(message.data, kind)
-            except Exception:
-                # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(stream_of(what), DAMAGED)
-                return
-            inputs.add(what, sample)
-
-        fast = fast_handler(what, topic.type_name, inputs)
-        if fast is None:
-            return handle
-
-        def handle_fast(message: RawMessage) -> None:
-            try:
-                fast(message.data)
-            except (UnusualError, struct.error):
-                handle(message)
-
-        return handle_fast
+        handle = handler_of(what, message_class(topic.type_name), inputs)
+        return lambda message: handle(message.data)
 
     def note(self, text: str) -> None:
         """Add a warning, once."""

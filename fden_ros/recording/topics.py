@@ -6,17 +6,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 from fden_ros.errors import InputError
 from fden_ros.recording.reader import Topic, topic_named
-from fden_ros.ros.inputs import INPUT_MESSAGES
-from fden_ros.ros.status import type_name
-
-#: By the name of an input, the types of the messages that hold it.
-USABLE_TYPES: Mapping[str, Sequence[str]] = {
-    what: [type_name(kind) for kind in kinds.values()] for what, kinds in INPUT_MESSAGES.items()
-}
+from fden_ros.ros.inputs import TYPE_NAMES
 
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
@@ -56,7 +50,7 @@ def find_topic(
     InputError
         If there is none, several, or one of a type that cannot be read; the line lists them.
     """
-    usable = USABLE_TYPES[what]
+    usable = TYPE_NAMES[what].values()
     if name is not None:
         topic = topic_named(where, present, name)
         if topic.type_name not in usable:

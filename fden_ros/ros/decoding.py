@@ -15,8 +15,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
+from rclpy.serialization import deserialize_message
+
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs, Places
+from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, Places, stream_of
+from fden_ros.ros.messages import type_name
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -34,6 +37,37 @@ Handler = Callable[[bytes], None]
 
 class UnusualError(Exception):
     """The bytes are not as expected: the message's class has to decode them."""
+
+
+def handler_of(what: str, kind: type, inputs: Inputs) -> Handler:
+    """Return what feeds the bytes of a message to `inputs`, or counts them as damaged.
+
+    Parameters
+    ----------
+    what : str
+        Name of the input.
+    kind : type
+        Class of its messages.
+    inputs : Inputs
+    """
+    fast = fast_handler(what, type_name(kind), inputs)
+
+    def handle(data: bytes) -> None:
+        try:
+            if fast is not None:
+                fast(data)
+                return
+        except (UnusualError, struct.error):
+            pass
+        try:
+            message = deserialize_message(data, kind)
+        except Exception:
+            # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+            inputs.reject(stream_of(what), DAMAGED)
+            return
+        inputs.add(what, message)
+
+    return handle
 
 
 def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:

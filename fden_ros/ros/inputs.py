@@ -26,7 +26,7 @@ from fden_ros.parameters import (
     tool_weight,
     unit_vector,
 )
-from fden_ros.ros.messages import stamp_ns
+from fden_ros.ros.messages import stamp_ns, type_name
 
 FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
 DISPLACEMENT_MESSAGES: dict[str, type] = {
@@ -43,6 +43,12 @@ INPUT_MESSAGES: Mapping[str, Mapping[str, type]] = {
     "surface": DISPLACEMENT_MESSAGES,
     "/tf": {"transforms": TFMessage},
     "/tf_static": {"transforms": TFMessage},
+}
+
+#: By the name of an input, the type that each value of its parameter ``message`` stands for.
+TYPE_NAMES: Mapping[str, Mapping[str, str]] = {
+    name: {value: type_name(kind) for value, kind in kinds.items()}
+    for name, kinds in INPUT_MESSAGES.items()
 }
 
 #: Of transforms, by names that are the same in every namespace.
