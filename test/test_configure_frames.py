@@ -66,6 +66,6 @@ def test_a_way_is_composed_along_the_tree() -> None:
         rotation = one.transform.rotation
         rotation.x, rotation.y, rotation.z, rotation.w = (float(part) for part in turn)
         tree.add(TFMessage(transforms=[one]))
-    way = tree.way("a", "c", np.array([1_000_000_000], dtype=np.int64))
-    assert np.allclose(way.places, [[1.0, 1.0, 0.0]])
-    assert np.allclose(way.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
+    path = tree.path("a", "c", np.array([1_000_000_000], dtype=np.int64))
+    assert np.allclose(path.places, [[1.0, 1.0, 0.0]])
+    assert np.allclose(path.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])

@@ -46,4 +46,4 @@ def test_without_topics_it_says_which_it_would_need(
 ) -> None:
     monkeypatch.setattr(guide, "_TOPICS_WITHIN", 0.5)
     assert run("configure", "--live") == 1
-    assert "which topic is the force? There are" in capsys.readouterr().err
+    assert "no topic can carry the force: " in capsys.readouterr().err

@@ -42,13 +42,13 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--surface-topic", metavar="T", help="topic of the surface, where surface.message is set"
     )
-    for what in ("force", "displacement", "surface"):
+    for stream in ("force", "displacement", "surface"):
         group.add_argument(
-            f"--{what}-field",
+            f"--{stream}-field",
             type=as_argument(_field_path),
             metavar="PATH",
-            help=f"field of that topic's messages, of any type, that is the {what}: a number, or "
-            f"a vector, projected on {what}.axis (wrench.torque.z, data[2])",
+            help=f"field of that topic's messages, of any type, that is the {stream}: a number, "
+            f"or a vector, projected on {stream}.axis (wrench.torque.z, data[2])",
         )
     group.add_argument(
         "--columns",

@@ -132,7 +132,7 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         return
     console = Console()
     console.print(contact_table(result.summaries))
-    used = ", ".join(f"{what} from {name}" for what, name in result.inputs.items())
+    used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())
     console.print(
         f"{result.samples} samples, {sum(result.rejected.values())} rejected; {escape(used)}"
     )

@@ -151,12 +151,12 @@ class Player:
             When a topic still lacks subscribers; it says which, and whether one is incompatible.
         """
         deadline = time.monotonic() + timeout_s
-        told = ""
+        said = ""
         while lacking := self._lacking():
             topics, why = ", ".join(lacking), self._incompatible(lacking)
-            if on_wait is not None and topics + why != told:
-                told = topics + why
-                on_wait(told)
+            if on_wait is not None and topics + why != said:
+                said = topics + why
+                on_wait(said)
             if self._stop.wait(_POLL_S):
                 return
             if time.monotonic() > deadline:

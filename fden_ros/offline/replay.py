@@ -24,7 +24,7 @@ from fden_ros.recording.source import Selection, open_source
 
 _LOGGER = logging.getLogger(__name__)
 
-#: A progress bar is told of this many messages at once.
+#: A progress bar moves by this many messages at once.
 _PROGRESS_STEP = 500
 
 
@@ -200,7 +200,7 @@ def _modes_object(estimate: Estimate | None) -> list[dict[str, Any]]:
 
 
 def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:
-    """Return the shares of the variances of ln G and ln Gn by their sources."""
+    """Return which part of the variances of ln G and ln Gn comes from each source."""
     if budget is None:
         return None
     return {

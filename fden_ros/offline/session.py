@@ -34,7 +34,7 @@ from fden_ros.recording.truth import read_truth
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60
 _STATES_A_CONTACT = 1500
-#: The share of white innovations that a test takes for white.
+#: So many of white innovations are taken for white by a test [1].
 _CONFIDENCE = 0.99
 
 

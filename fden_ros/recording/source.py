@@ -95,9 +95,9 @@ class BagSource:
         # The surface and the like first: what carries them could be taken for the displacement.
         wanted = measured_inputs(parameters)
         wanted += ["force"] if moves_probe(parameters) else _ALWAYS
-        for what in wanted:
-            self._fields[what] = getattr(selection, f"{what}_field", None)
-            self.topics[what] = self._find(what, getattr(selection, f"{what}_topic", None))
+        for stream in wanted:
+            self._fields[stream] = getattr(selection, f"{stream}_field", None)
+            self.topics[stream] = self._find(stream, getattr(selection, f"{stream}_topic", None))
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
@@ -106,21 +106,21 @@ class BagSource:
 
     def _find_transforms(self) -> None:
         for topic in self.reader.topics:
-            what = "/" + topic.name.rpartition("/")[2]
-            if what in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
-                self._fields[what] = None
-                self.topics[what] = topic
+            stream = "/" + topic.name.rpartition("/")[2]
+            if stream in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
+                self._fields[stream] = None
+                self.topics[stream] = topic
         if not set(self.topics) & set(TRANSFORM_TOPICS):
             raise InputError(
                 f"{self.reader.path}: frames.base is set, but the bag has no transforms: record "
                 "/tf and /tf_static too, or unset frames.base"
             )
 
-    def _find(self, what: str, topic: str | None) -> Topic:
-        if self._fields[what] is not None and topic is not None:
+    def _find(self, stream: str, topic: str | None) -> Topic:
+        if self._fields[stream] is not None and topic is not None:
             return self.reader.topic(topic)
         present, where = self.reader.topics, str(self.reader.path)
-        return find_topic(where, present, topic, what, self.topics.values())
+        return find_topic(where, present, topic, stream, self.topics.values())
 
     @property
     def force(self) -> Topic:
@@ -140,12 +140,12 @@ class BagSource:
     @property
     def inputs(self) -> dict[str, str]:
         """Topic of each quantity, with the field where one is configured."""
-        fields = {what: f" {field}" if field else "" for what, field in self._fields.items()}
-        names = {what: topic.name + fields[what] for what, topic in self.topics.items()}
+        fields = {stream: f" {field}" if field else "" for stream, field in self._fields.items()}
+        names = {stream: topic.name + fields[stream] for stream, topic in self.topics.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
         order = (*_ALWAYS, *measured_inputs(self._parameters), *TRANSFORM_TOPICS)
-        return {what.lstrip("/"): names[what] for what in order if what in names}
+        return {stream.lstrip("/"): names[stream] for stream in order if stream in names}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -170,20 +170,20 @@ class BagSource:
         """
         self._inputs = Inputs(self._parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
-        for what, topic in self.topics.items():
-            handlers.setdefault(topic.name, []).append(self._handler(what, topic))
+        for stream, topic in self.topics.items():
+            handlers.setdefault(topic.name, []).append(self._handler(stream, topic))
         for done, message in enumerate(self.reader.messages(handlers), start=1):
             before(message.log_time_ns, message)
             for handle in handlers[message.topic]:
                 handle(message)
             yield done
 
-    def _handler(self, what: str, topic: Topic) -> Callable[[RawMessage], None]:
-        field, inputs = self._fields[what], self._inputs
+    def _handler(self, stream: str, topic: Topic) -> Callable[[RawMessage], None]:
+        field, inputs = self._fields[stream], self._inputs
         assert inputs is not None
         if field is not None:
-            return _FieldHandler(what, topic, FieldPath(field), inputs, self.note)
-        handle = handler_of(what, message_class(topic.type_name), inputs)
+            return _FieldHandler(stream, topic, FieldPath(field), inputs, self.note)
+        handle = handler_of(stream, message_class(topic.type_name), inputs)
         return lambda message: handle(message.data)
 
     def note(self, text: str) -> None:
@@ -197,13 +197,13 @@ class _FieldHandler:
 
     def __init__(
         self,
-        what: str,
+        stream: str,
         topic: Topic,
         path: FieldPath,
         inputs: Inputs,
         note: Callable[[str], None],
     ) -> None:
-        self._what, self._topic, self._path = what, topic, path
+        self._stream, self._topic, self._path = stream, topic, path
         self._inputs, self._note = inputs, note
         self._decode = decoder_of(topic)
         self._seen = False
@@ -212,16 +212,16 @@ class _FieldHandler:
         try:
             sample = self._decode(message.data)
         except Exception:
-            self._inputs.reject(self._what, DAMAGED)
+            self._inputs.reject(self._stream, DAMAGED)
             return
         value = self._value(sample)
         stamp = self._stamp(sample, message.log_time_ns)
         frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
-        if self._what == "force":
+        if self._stream == "force":
             self._inputs.add_force_value(frame, stamp, value)
         else:
             turn = self._path.orientation_beside(sample)
-            self._inputs.places[self._what].add_value(frame, stamp, value, turn)
+            self._inputs.places[self._stream].add_value(frame, stamp, value, turn)
 
     def _value(self, sample: Any) -> NumberOrVector | None:
         try:
@@ -234,7 +234,7 @@ class _FieldHandler:
         if value is None and not self._seen:
             raise InputError(
                 f"{self._topic.name}: {self._path.text} is neither a number nor a vector: "
-                f"choose another field with --{self._what}-field"
+                f"choose another field with --{self._stream}-field"
             )
         self._seen = True
         return value
@@ -298,7 +298,7 @@ class TableSource:
             "displacement": self._columns.displacement,
             "surface": self._columns.surface,
         }
-        return {what: f"column {column.name}" for what, column in columns.items() if column}
+        return {stream: f"column {column.name}" for stream, column in columns.items() if column}
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from fden_ros.core.arrays import Array
 _ASTRAY = 20.0
 #: Intervals are shown up to this many times their value, and down to its inverse.
 _INTERVAL = 3.0
-#: Share of the way between the limits that is left free at each end.
+#: Part of the distance between the limits that is left free at each end.
 _MARGIN = 0.08
 
 

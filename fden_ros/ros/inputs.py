@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The only way from measurements into the pipeline: projection, signs, frames, the tool's weight.
+"""From measurements to the pipeline: projection, signs, frames, the tool's weight.
 
 Live messages, those of a bag, fields of messages of any type and the rows of a table all come
 through :class:`Inputs`, so that the same measurement is the same sample everywhere.
@@ -349,7 +349,7 @@ class Inputs:
             load = self._tool.load(turn) if self._tool is not None else 0.0
             turn = normalised(turn)
         except ValueError:
-            # Without an orientation neither the weight nor the way along the tool is known.
+            # Without an orientation neither the weight nor the path along the tool is known.
             self._sink.reject("displacement", Reason.MISSING_FIELD)
             return
         if self._is_along_tool:

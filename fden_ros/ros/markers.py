@@ -155,10 +155,10 @@ def cloud_of_points(points: np.ndarray, header: Header) -> PointCloud2:
 
 def colour_of(linear_stiffness: float, log_sd: float) -> ColorRGBA:
     """Return the colour of G [Pa s^alpha] whose logarithm has a deviation."""
-    share = math.log(linear_stiffness / _SOFTEST) / math.log(_STIFFEST / _SOFTEST)
+    place = math.log(linear_stiffness / _SOFTEST) / math.log(_STIFFEST / _SOFTEST)
     places = np.linspace(0.0, 1.0, len(_COLOURS))
     red, green, blue = (
-        float(np.interp(share, places, _COLOURS[:, channel])) for channel in range(3)
+        float(np.interp(place, places, _COLOURS[:, channel])) for channel in range(3)
     )
     opacity = max(1.0 / (1.0 + (log_sd / _HALF_TRANSPARENT) ** 2), _LEAST_OPACITY)
     return ColorRGBA(r=red, g=green, b=blue, a=float(opacity))
