@@ -233,11 +233,10 @@ def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Re
         )
     turned = tree.path(base, force.frame or probe, np.array(force.stamps, dtype=np.int64)).turns
     values = [tuple(value) for value in turned.apply(np.array(force.values, dtype=float))]
-    in_base = replace(force, frame=base)
-    in_base.stamps, in_base.values = force.stamps, values
+    force.values = values
     return Reading(
         path,
-        _streams(str(path), in_base, moved.stamps, moved.places),
+        _streams(str(path), force, moved.stamps, moved.places),
         selection,
         {"force": force.topic.name, "displacement": f"{probe} in {base}"},
         {"force": force.topic.type_name, "displacement": TRANSFORMS},

@@ -33,7 +33,8 @@ from fden_ros.recording.truth import read_truth
 
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60
-_STATES_A_CONTACT = 1500
+#: More points than a curve needs: a series has this many, or half of it at least.
+_STATES_A_CONTACT = 700
 #: So many of white innovations are taken for white by a test [1].
 _CONFIDENCE = 0.99
 

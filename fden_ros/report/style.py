@@ -66,7 +66,6 @@ _STYLE = {
 #: Sizes of a picture [inch]: one of several side by side, and one as wide as the page.
 PANEL, WIDE = (5.2, 2.9), (10.8, 3.4)
 G_LABEL, GN_LABEL = "G [Pa s^α]", "Gn"
-_POINTS = 350
 #: Logarithms beyond this are drawn as this.
 _LARGEST_LOG = 600.0
 #: Half width of bands and intervals, in standard deviations.
@@ -202,10 +201,3 @@ def exp(logs: Array) -> Array:
     """Return e^logs, without an overflow."""
     result: Array = np.exp(np.minimum(logs, _LARGEST_LOG))
     return result
-
-
-def thinned(count: int) -> Array:
-    """Return the indices of at most so many points as a curve needs, the last among them."""
-    step = max(1, -(-count // _POINTS))
-    indices: Array = np.unique(np.append(np.arange(0, count, step), count - 1))
-    return indices
