@@ -25,7 +25,10 @@ from simulation.bag import PARAMETER_FILE
 
 BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_pose"
 FORCE, POSE = "/tool/wrench", "/arm/measured_cp"
-FIELDS = Selection(FORCE, POSE, "wrench.force", "pose.position")
+FIELDS = Selection(
+    {"force": FORCE, "displacement": POSE},
+    {"force": "wrench.force", "displacement": "pose.position"},
+)
 
 
 def own_parameters(**changes: Any) -> Parameters:

@@ -100,7 +100,7 @@ def read(
         return _read_table(Path(path), chosen)
     topics = BagReader(path).topics
     carriers = [t for t in topics if t.type_name in TYPE_NAMES["displacement"].values()]
-    has_way = any(t.message_count for t in carriers) or chosen.displacement_topic is not None
+    has_way = any(t.message_count for t in carriers) or "displacement" in chosen.topics
     has_transforms = any(topic.type_name == TRANSFORMS for topic in topics)
     if frames is not None or (has_transforms and not has_way):
         return _read_transforms(Path(path), chosen, frames)
@@ -194,7 +194,7 @@ class Column:
 def _read_bag(path: Path, selection: Selection) -> Reading:
     source = BagSource(path, check({}), selection)
     columns = {
-        stream: Column(topic, getattr(selection, f"{stream}_field"), stream)
+        stream: Column(topic, selection.fields.get(stream), stream)
         for stream, topic in source.topics.items()
     }
 
@@ -214,7 +214,7 @@ def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Re
     """Return a recording whose displacement stands in transforms, the force turned with them."""
     any_frames = {"frames.base": "base", "frames.probe": "probe", "displacement.message": "tf"}
     source = BagSource(path, check(any_frames), selection)
-    force = Column(source.force, selection.force_field, "force")
+    force = Column(source.force, selection.fields.get("force"), "force")
     tree = FrameTree(str(path))
 
     def take(message: RawMessage) -> None:

@@ -117,12 +117,13 @@ def robot_selection(
     InputError
         If none of the topics is the robot's, or those of several arms.
     """
-    chosen: dict[str, Any] = {}
+    names, fields = dict(selection.topics), dict(selection.fields)
     for stream, quantity in robot.quantities.items():
-        topic, field = (getattr(selection, f"{stream}_{part}") for part in ("topic", "field"))
-        chosen[f"{stream}_field"] = field or (None if topic else quantity.field or None)
-        chosen[f"{stream}_topic"] = topic or _topic(robot, stream, where, topics)
-    return Selection(**chosen)
+        if stream not in names:
+            names[stream] = _topic(robot, stream, where, topics)
+            if quantity.field:
+                fields.setdefault(stream, quantity.field)
+    return Selection(names, fields)
 
 
 def _topic(robot: Robot, stream: str, where: str, present: Sequence[Topic]) -> str:

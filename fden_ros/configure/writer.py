@@ -152,16 +152,13 @@ def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> 
 def _chosen(reading: Reading) -> list[str]:
     """Return the options that say what in a recording was read, where they are needed."""
     chosen: Selection = reading.selection
-    options = {
-        "--force-topic": chosen.force_topic,
-        "--displacement-topic": chosen.displacement_topic,
-        "--force-field": chosen.force_field,
-        "--displacement-field": chosen.displacement_field,
-        "--rows": "=".join(chosen.where) if chosen.where else None,
-    }
+    options = {f"--{stream}-topic": name for stream, name in chosen.topics.items()}
+    options |= {f"--{stream}-field": path for stream, path in chosen.fields.items()}
+    if chosen.where is not None:
+        options["--rows"] = "=".join(chosen.where)
     if chosen.columns is not None and str(chosen.columns) != _said(reading):
         options["--columns"] = str(chosen.columns)
-    return [word for option, value in options.items() if value for word in (option, value)]
+    return [word for option, value in options.items() for word in (option, value)]
 
 
 def _said(reading: Reading) -> str | None:

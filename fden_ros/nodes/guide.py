@@ -81,7 +81,7 @@ class _Guide:
     def run(self) -> tuple[Reading, Survey]:
         topics = self._find_topics()
         for stream, topic in topics.items():
-            field = getattr(self._selection, f"{stream}_field")
+            field = self._selection.fields.get(stream)
             self._columns[stream] = Column(topic, field, stream)
             self._say(f"{stream} from {topic.name} ({topic.type_name.replace('/msg/', '/')})")
         for topic in {topic.name: topic for topic in topics.values()}.values():
@@ -162,8 +162,8 @@ class _Guide:
             self._selection = selection
         chosen: dict[str, Topic] = {}
         for stream in ("force", "displacement"):
-            name = getattr(selection, f"{stream}_topic")
-            if name is not None and getattr(selection, f"{stream}_field") is not None:
+            name = selection.topics.get(stream)
+            if name is not None and stream in selection.fields:
                 chosen[stream] = topic_named("the robot", present, name)
             else:
                 chosen[stream] = find_topic("the robot", present, name, stream, chosen.values())

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
@@ -82,18 +81,12 @@ class Player:
             self.bag.topic(old)
             self._names[old] = new
         self._publishers: dict[tuple[str, str], Any] = {}
-        self._stop = threading.Event()
         self._opened = ExitStack()
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What cannot be played or may not have arrived, a line each."""
         return tuple(self._warnings)
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """The topics that are played, with their names in the bag."""
-        return self._topics
 
     @property
     def message_count(self) -> int:
@@ -126,10 +119,6 @@ class Player:
         """Destroy the node; latched messages vanish with it."""
         self._opened.close()
 
-    def stop(self) -> None:
-        """End waiting and playing, from any thread."""
-        self._stop.set()
-
     def wait_for_subscribers(
         self,
         timeout_s: float = _WAIT_TIMEOUT_S,
@@ -157,8 +146,7 @@ class Player:
             if on_wait is not None and topics + why != said:
                 said = topics + why
                 on_wait(said)
-            if self._stop.wait(_POLL_S):
-                return
+            time.sleep(_POLL_S)
             if time.monotonic() > deadline:
                 raise InputError(
                     f"{topics}: no subscriber after {timeout_s:g} s: "
@@ -186,8 +174,6 @@ class Player:
         sent = 0
         for message in self.bag.messages([topic.name for topic in self._topics]):
             self._sleep_until(began, message.log_time_ns - start_ns, sent)
-            if self._stop.is_set():
-                break
             self._publishers[message.topic, message.type_name].publish(message.data)
             sent += 1
             if on_progress is not None:
@@ -244,7 +230,7 @@ class Player:
             due = began + sent / _FASTEST_HZ
         delay = due - time.monotonic()
         if delay > 0.0:
-            self._stop.wait(delay)
+            time.sleep(delay)
 
     def _select(self) -> tuple[Topic, ...]:
         selected = []

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -38,20 +38,16 @@ SELECTION_LINE = "# Recording: "
 
 @dataclass(frozen=True)
 class Selection:
-    """Where in a recording force, displacement and surface are; what is None is found.
+    """Where in a recording force, displacement and the like are; what is not named is found.
 
     A field is one of that topic's messages, of whatever type they are: a number, or a vector that
     is projected on the configured axis.
     """
 
-    force_topic: str | None = None
-    displacement_topic: str | None = None
-    force_field: str | None = None
-    displacement_field: str | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)  #: by the name of the input
+    fields: Mapping[str, str] = field(default_factory=dict)
     columns: Columns | None = None  #: of a table
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
-    surface_topic: str | None = None
-    surface_field: str | None = None
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -96,8 +92,8 @@ class BagSource:
         wanted = measured_inputs(parameters)
         wanted += ["force"] if moves_probe(parameters) else _ALWAYS
         for stream in wanted:
-            self._fields[stream] = getattr(selection, f"{stream}_field", None)
-            self.topics[stream] = self._find(stream, getattr(selection, f"{stream}_topic", None))
+            self._fields[stream] = selection.fields.get(stream)
+            self.topics[stream] = self._find(stream, selection.topics.get(stream))
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
