@@ -409,7 +409,7 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
         place = message.position
         assert contact["frame"] == "arm_base"
         assert contact["position"] == [place.x, place.y, place.z]
-    ends = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in summaries]
+    ends = [m.end.sec * 10**9 + m.end.nanosec for m in summaries]
     assert ends == [contact["end_ns"] for contact in result["contacts"]]
     delays = [
         time - m.header.stamp.sec * 10**9 - m.header.stamp.nanosec

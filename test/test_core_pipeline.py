@@ -41,6 +41,10 @@ FIRM = RampHold(0.3, 0.26, 0.3)
 #: Three presses of one place, 0.9 s apart: sooner than `site.timeout`.
 THREE = (Palpation(0.3, 0.26, 0.3, presses=3, lift_m=0.002, pause_s=0.3),)
 #: The release is seen after this, two chunks of 20 ms and one sample at most [ns].
+#: A summary comes within this time after the release, unless samples end before.
+SUMMARY_NS = 600_000_000
+#: Block by which the first solution of a contact is used.
+SOLVED = 20
 RELEASE_NS = 64_000_000
 
 
@@ -151,7 +155,8 @@ def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> No
         # A contact begins with what was known at the end of the one before.
         first = states_in(result, after.contact_id)[0]
         assert sd_of(first) == pytest.approx(sd_of(before), rel=0.1)
-        assert first.status is Status.CONVERGED
+        # It says so once its own data do: the first solution is used after 0.14 s.
+        assert states_in(result, after.contact_id)[SOLVED].status is Status.CONVERGED
 
 
 def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
@@ -274,7 +279,7 @@ def test_without_a_reset_the_second_contact_begins_with_what_the_first_has_taugh
 @pytest.mark.parametrize("name", FORGETTING)
 def test_nothing_that_was_learned_passes_a_reset(name: str) -> None:
     result = FORGETTING[name]()
-    first, second = (states_in(result, contact_id)[0] for contact_id in (1, 2))
+    first, second = (states_in(result, contact_id)[SOLVED] for contact_id in (1, 2))
     assert sd_of(second) == pytest.approx(sd_of(first), rel=0.1)
     assert first.status is second.status is Status.CONVERGING
     assert ids(result.summaries[:2]) == [(1, 1), (2, 2)]
@@ -316,7 +321,7 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
     open_contact = 0
     for before, output in itertools.pairwise(outputs):
         if isinstance(output, TissueState):
-            assert output.stamp_ns > before.stamp_ns
+            assert output.stamp_ns > before.stamp_ns - isinstance(before, ContactSummary)
         elif isinstance(output, Classification):
             # A label follows the state that it was made from.
             assert isinstance(before, TissueState) and before.stamp_ns == output.stamp_ns
@@ -327,8 +332,8 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
             assert output.contact_id == open_contact + 1
             open_contact = output.contact_id
             # The end is where the force was gone, before that was certain.
-            assert before.stamp_ns - RELEASE_NS < output.end_ns <= before.stamp_ns
-            assert output.stamp_ns == output.end_ns > output.start_ns
+            assert output.stamp_ns - SUMMARY_NS < output.end_ns <= before.stamp_ns
+            assert output.stamp_ns > output.end_ns > output.start_ns
     assert open_contact == 3
     assert ids(outputs) == sorted(ids(outputs))
     # A contact begins undetermined, before its first label, and ends with the summary's.

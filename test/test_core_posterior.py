@@ -23,7 +23,7 @@ from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample, block_points
+from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample, points_after
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Posterior, Solution
@@ -239,7 +239,7 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
             for sample in zip(*(a[first : first + 5].tolist() for a in press[:3]), strict=True)
         ]
         before = kalman.covariance.diagonal().copy()
-        update = kalman.step(block_points(block, last))
+        update = kalman.step(points_after([block], last))
         assert np.all(kalman.covariance.diagonal() <= before)
         last = block[-1].time
         assert abs(update.innovation) < 5.0 * math.sqrt(update.variance)
@@ -249,7 +249,7 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
     ratio = kalman.covariance.diagonal()[:3] / anew.covariance.diagonal()[:3]
     assert np.all(np.abs(np.log(ratio)) < 0.3)
     with pytest.raises(FloatingPointError, match="not finite"):
-        kalman.step(block_points([Sample(last + 0.01, 0.2, math.nan)], last))
+        kalman.step(points_after([[Sample(last + 0.01, 0.2, math.nan)]], last))
 
 
 def test_the_walks_gain_variance_by_the_square_of_their_scales() -> None:

@@ -97,9 +97,10 @@ class AirAfter:
 class _Ended(NamedTuple):
     """A contact that the air after it may still contradict."""
 
-    summary: ContactSummary
+    end_ns: int  #: stamp of the release
     site: Site
     air: AirAfter
+    summary: ContactSummary | None = None  #: None: it is not there yet
 
 
 class Verdict(NamedTuple):
@@ -142,19 +143,24 @@ class AirCheck:
         if self._ended is not None:
             self._ended.site.teach_nothing()
 
-    def watch(self, summary: ContactSummary, site: Site, onset: Onset) -> None:
+    def watch(self, end_ns: int, site: Site, onset: Onset) -> None:
         """Begin with a contact that has ended with its release."""
         if self._config.contact.measure_bias:
             drift_sd = self._config.estimator.uncertainty.force_drift_sd
-            self._ended = _Ended(summary, site, AirAfter(onset, drift_sd))
+            self._ended = _Ended(end_ns, site, AirAfter(onset, drift_sd))
+
+    def see(self, summary: ContactSummary) -> None:
+        """Take note of the contact's summary: only now it can be judged."""
+        if self._ended is not None:
+            self._ended = self._ended._replace(summary=summary)
 
     def hear(self, pair: Pair) -> Verdict:
         """Take a pair in the air; return what is found, once it can be."""
         if self._ended is None:
             return _NOTHING
-        summary, _, air = self._ended
+        air = self._ended.air
         air.average(pair)
-        earliest_ns = summary.end_ns + _JUDGED_AFTER_NS
+        earliest_ns = self._ended.end_ns + _JUDGED_AFTER_NS
         if pair.stamp_ns <= max(earliest_ns, air.end_ns + _AVERAGED_BEFORE_NS):
             return _NOTHING
         return self.judge(pair.stamp_ns)
@@ -165,7 +171,7 @@ class AirCheck:
         `before_ns`: when the next contact began.
         """
         ended, self._ended = self._ended, None
-        if ended is None or not ended.air.is_complete:
+        if ended is None or ended.summary is None or not ended.air.is_complete:
             return _NOTHING
         if before_ns is not None and ended.air.end_ns > before_ns:
             return _NOTHING
@@ -178,7 +184,7 @@ class AirCheck:
             # What was taken for the first air was a contact: there is no origin, nor a history.
             was_usable = site.is_usable
             site.withdraw()
-            return Verdict(self._summary_of(ended, stamp_ns)) if was_usable else _NOTHING
+            return self._verdict(ended.summary, site, stamp_ns) if was_usable else _NOTHING
         drift = drift_evidence(*found) if site.teaches_drift and found.drift_variance else None
         factor = site.known_rig.drift_factor(drift) if drift is not None else 1.0
         flag = Flag.NONE
@@ -187,17 +193,20 @@ class AirCheck:
         if factor == 1.0 or not site.is_usable:
             return Verdict(drift=drift)
         site.doubt(flag, factor)
-        return Verdict(self._summary_of(ended, stamp_ns), drift)
+        return self._verdict(ended.summary, site, stamp_ns, drift)
 
-    def _summary_of(self, ended: _Ended, stamp_ns: int) -> ContactSummary:
+    def _verdict(
+        self, summary: ContactSummary, site: Site, stamp_ns: int, drift: Evidence | None = None
+    ) -> Verdict:
         """Return the summary of a contact with what its site says now."""
-        estimate = ended.site.usable_estimate
-        return replace(
-            ended.summary,
+        estimate = site.usable_estimate
+        second = replace(
+            summary,
             stamp_ns=stamp_ns,
-            flags=ended.summary.flags | ended.site.flags,
+            flags=summary.flags | site.flags,
             estimate=estimate,
             converged=estimate is not None and estimate.converged,
             order_source=order_source(estimate, self._config.estimator),
             **({} if estimate is not None else _NO_LABEL),
         )
+        return Verdict(second, drift)

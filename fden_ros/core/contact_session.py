@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 from fden_ros.core.air_check import AirCheck, Verdict
 from fden_ros.core.block import BlockSums
@@ -26,7 +27,17 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+
+#: A summary is given so long after the release [ns]: the last solution takes 0.1 to 0.4 s.
+_SUMMARY_AFTER_NS = 3 * NANOSECONDS // 10
+
+
+class _Left(NamedTuple):
+    """A contact that has ended, and whose summary has not come yet."""
+
+    press: Press
+    end_ns: int  #: stamp of the release
 
 
 class ContactSession:
@@ -80,6 +91,7 @@ class ContactSession:
         """
         self._site: Site | None = None
         self._press: Press | None = None
+        self._left: _Left | None = None
         self._air.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
@@ -92,6 +104,8 @@ class ContactSession:
         # These began with what is forgotten now.
         if self._site is not None:
             self._site.teach_nothing()
+        if self._left is not None:
+            self._left.press.site.teach_nothing()
         self._air.teach_nothing()
 
     @property
@@ -103,6 +117,8 @@ class ContactSession:
     def place(self) -> tuple[int, int]:
         """Numbers of the present site and contact; 0: there is none."""
         site_id = self._site.site_id if self._site is not None else 0
+        if self._left is not None:
+            return self._left.press.site.site_id, self._left.press.contact_id
         return site_id, self._press.contact_id if self._press is not None else 0
 
     @property
@@ -133,9 +149,12 @@ class ContactSession:
         """Take a pair; give what comes of it."""
         event = self._detect(pair)
         if isinstance(event, Onset):
+            yield from self._report(pair.stamp_ns)
             yield from self._touch(event)
         elif self._press is None:
             yield from self._hover(pair)
+            if self._left and pair.stamp_ns - self._left.end_ns >= _SUMMARY_AFTER_NS:
+                yield from self._report(pair.stamp_ns)
         else:
             yield from self._press.take(pair)
         if isinstance(event, Release):
@@ -211,22 +230,33 @@ class ContactSession:
         if press is None:
             return
         yield from press.take_all()
-        site = press.site
-        if not press.has_ended:
-            summary = press.end(end_ns, complete=complete)
-            if complete and summary.converged and not press.flags:
-                self.rig = replace(site.rig() or self.rig, drift=self.rig.drift)
-            summary = replace(summary, rig=self.rig)
-            yield summary
-            if complete:
-                self._air.watch(summary, site, press.onset)
         # An incomplete contact may go on: the probe has not left.
-        if complete:
-            self._press = None
-            self._common.sums.clear()
-            if press.is_faint and not press.has_failed:
-                # What comes next must not inherit its origin.
-                self._site = None
+        if not complete:
+            if not press.has_ended:
+                yield replace(press.end(end_ns, end_ns, complete=False), rig=self.rig)
+            return
+        if not press.has_ended:
+            press.begin_end()
+            self._left = _Left(press, end_ns)
+            self._air.watch(end_ns, press.site, press.onset)
+        self._press = None
+        self._common.sums.clear()
+        if press.is_faint and not press.has_failed:
+            # What comes next must not inherit its origin.
+            self._site = None
+
+    def _report(self, stamp_ns: int) -> Iterator[Output]:
+        """Give the summary of a contact that has ended with its release."""
+        if self._left is None:
+            return
+        press, end_ns = self._left
+        summary = press.end(end_ns, stamp_ns, complete=True)
+        self._left = None
+        if summary.converged and not press.flags:
+            self.rig = replace(press.site.rig() or self.rig, drift=self.rig.drift)
+        summary = replace(summary, rig=self.rig)
+        self._air.see(summary)
+        yield summary
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
         """Take note that samples are missing since a stamp.
@@ -243,17 +273,23 @@ class ContactSession:
 
     def break_off(self, stamp_ns: int) -> Iterator[Output]:
         """Give the summary of a contact whose samples end at a stamp."""
-        return self._end_press(stamp_ns, complete=False)
+        yield from self._report(stamp_ns)
+        yield from self._end_press(stamp_ns, complete=False)
 
     def finish(self, stamp_ns: int) -> Iterator[Output]:
         """Give what is left to say where no more samples come."""
+        yield from self._report(stamp_ns)
         yield from self._end_press(stamp_ns, complete=False)
         yield from self._heed(self._air.judge(stamp_ns))
 
     def fail(self, stamp_ns: int) -> Iterator[Output]:
         """End contact and site after an exception."""
         self._common.sums.clear()
-        site, press = self._site, self._press
+        left, self._left = self._left, None
+        press = left.press if left is not None else self._press
+        site = press.site if press is not None else self._site
+        if left is not None:
+            self._air.drop()
         if site is None:
             return
         site.fail()

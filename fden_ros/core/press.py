@@ -109,6 +109,7 @@ class Press:
         self._sample_count = 0
         self._changes_before = site.change_count
         self._rejected_before = common.rejected.total()
+        self._rejected_after: int | None = None
         self._at_limit_before = force_at_limit(common.rejected)
 
     @property
@@ -280,20 +281,25 @@ class Press:
         """Take every sample that waits."""
         return self._catch_up(len(self._behind))
 
-    def end(self, end_ns: int, *, complete: bool) -> ContactSummary:
-        """End the contact and return its summary."""
+    def begin_end(self) -> None:
+        """Begin to make the summary, at the release."""
+        self._rejected_after = self._common.rejected.total()
+        self.site.begin_leaving()
+
+    def end(self, end_ns: int, stamp_ns: int, *, complete: bool) -> ContactSummary:
+        """Return the summary, made at `stamp_ns`, of the contact that has ended."""
         self.site.leave()
         self._judge_units(end_ns, is_over=True)
         if not complete:
             self._see_missing()
-        return self._summary(end_ns, complete=complete)
+        return self._summary(end_ns, stamp_ns, complete=complete)
 
     def fail(self, stamp_ns: int) -> Iterator[ContactSummary]:
         """End the contact with an exception; the summary comes if it has not come before."""
         self._behind.clear()
         self.flags |= Flag.ESTIMATION_FAILED
         if not self.has_ended:
-            yield self._summary(stamp_ns, complete=False)
+            yield self._summary(stamp_ns, stamp_ns, complete=False)
 
     # Outputs
 
@@ -347,15 +353,16 @@ class Press:
             comparison=answer.comparison,
         )
 
-    def _summary(self, end_ns: int, *, complete: bool) -> ContactSummary:
+    def _summary(self, end_ns: int, stamp_ns: int, *, complete: bool) -> ContactSummary:
         self._judge()
         self.has_ended = True
         estimate = self.site.usable_estimate
         answer = self._labelling.finish(end_ns, estimate, self._max_strain)
-        count = self._common.rejected.total() - self._rejected_before
+        after = self._rejected_after
+        count = (self._common.rejected.total() if after is None else after) - self._rejected_before
         rejected = Flag.INPUT_REJECTED if count else Flag.NONE
         return ContactSummary(
-            stamp_ns=end_ns,
+            stamp_ns=stamp_ns,
             start_ns=self.start_ns,
             end_ns=end_ns,
             site_id=self.site.site_id,

@@ -15,6 +15,7 @@ from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
 from fden_ros.core.contact.surface import Rise
+from fden_ros.core.estimation.beside import Beside
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.either_place import EitherPlace, Placed
@@ -217,6 +218,7 @@ class Site:
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
+        self._leaving: Beside[None] | None = None
 
     @property
     def estimate(self) -> Estimate | None:
@@ -447,12 +449,19 @@ class Site:
 
     # The end of a contact
 
+    def begin_leaving(self) -> None:
+        """Begin to bring the estimate to its best at the end of a contact."""
+        if self._estimator is not None and self.is_usable and self.estimate is not None:
+            self._leaving = Beside(self._estimator.finish)
+
     def leave(self) -> None:
         """Bring the estimate to its best at the end of a contact."""
-        estimator = self._estimator
-        if estimator is None or not self.is_usable or self.estimate is None:
+        if self._leaving is None:
+            self.begin_leaving()
+        leaving, self._leaving, estimator = self._leaving, None, self._estimator
+        if leaving is None or estimator is None:
             return
-        estimator.finish()
+        leaving.result()
         self._finding.update(_checked(estimator.estimate()))
         self.doubt(Flag.NONE, self._lessons.motion_factor(estimator))
         off = estimator.rig_misfit / _CONTRADICTION

@@ -30,11 +30,12 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.maximum import Maximum, inverted
 from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.press_model import Evaluation
-from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
+from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales, WeighedScales
+from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN, ORIGIN, Lifetime
 from fden_ros.planning.motion import Motion, Sensors, record, until

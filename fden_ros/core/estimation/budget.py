@@ -17,7 +17,8 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import ErrorModel, Errors, Noise
 from fden_ros.core.estimation.maximum import solved
-from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
+from fden_ros.core.estimation.press_posterior import PressPosterior
+from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN
 
 #: Sources, and the names of the unknowns that are theirs.

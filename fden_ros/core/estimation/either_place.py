@@ -129,16 +129,17 @@ class EitherPlace:
             If the block's response is beyond floating-point numbers.
         """
         likeliest, found = self.likeliest, {}
-        before = [place.estimator.solution_count for place in self._places]
+        before = self._solved_at()
         for place in self._places:
             shifted = block._replace(compression=block.compression + place.shift)
             found[place] = place.estimator.update(shifted)
-        after = [place.estimator.solution_count for place in self._places]
-        if after != before:
-            # They are weighed by the same record.
-            for place, count in zip(self._places, before, strict=True):
-                if place.estimator.solution_count == count:
-                    place.estimator.solve()
+        # They are weighed by the same record.
+        newest = max(place.estimator.begun_at for place in self._places)
+        for place in self._places:
+            if place.estimator.begun_at < newest:
+                place.estimator.begin_solution()
+        after = self._solved_at()
+        if after != before and len(after) == 1:
             self._weigh()
         return found[likeliest]
 
@@ -147,6 +148,10 @@ class EitherPlace:
         for place in self._places:
             place.estimator.finish()
         self._weigh()
+
+    def _solved_at(self) -> set[int]:
+        """Return the blocks in the records of the newest solutions."""
+        return {place.estimator.solved_at for place in self._places}
 
     def _weigh(self) -> None:
         """Weigh the places by their evidence, and drop what is ruled out."""

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.error_model import ErrorModel, Errors
+from fden_ros.core.estimation.error_model import ErrorModel
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
@@ -89,14 +89,10 @@ class PressFilter:
         """Mean time since the present elastic response was built up [s]."""
         return self._loading.age
 
-    def _predict(self, errors: Errors) -> None:
-        """Let the walks go on."""
-        walk, motion = errors.walks(self._scales.roughness, self._scales.motion)
-        self.P[-2, -2] += walk[0]
-        self.P[-1, -1] += motion[0]
-
     def step(self, points: Points, *, learns: bool = True) -> Update:
-        """Take one block; `learns`: update the state by it, not only the prediction.
+        """Take blocks, one at least; return how the last of them compared with its prediction.
+
+        `learns`: update the state by them, not only the prediction.
 
         Raises
         ------
@@ -106,17 +102,22 @@ class PressFilter:
         found = self._model.evaluate(points, self._about, self._response)
         errors = self._error_model.errors(points, self._about, found, self._loading)
         self._loading = errors.loading
-        self._predict(errors)
-        H = np.concatenate([found.jacobian[0], [1.0, errors.gain[0]]])
-        H[:-2][self._known] = 0.0
-        h = found.stress[0] + H[:-2] @ (self.mean - self._about) + H[-2:] @ self.x[-2:]
-        y = points.stresses[0] - h
-        PHt = self.P @ H
-        S = H @ PHt + errors.noise[0]
-        if not (np.isfinite(y) and S > 0.0):
-            raise FloatingPointError("the prediction of the stress is not finite")
-        if learns:
-            K = PHt / S
-            self.x = self.x + K * y
-            self.P = self.P - np.outer(K, PHt)
+        walks = errors.walks(self._scales.roughness, self._scales.motion)
+        by_walks = np.column_stack([np.ones_like(errors.gain), errors.gain])
+        gradients = np.hstack([found.jacobian, by_walks])
+        gradients[:, self._known] = 0.0
+        about = np.append(self._about, [0.0, 0.0])
+        for k, H in enumerate(gradients):
+            self.P[-2, -2] += walks[0][k]
+            self.P[-1, -1] += walks[1][k]
+            h = found.stress[k] + H @ (self.x - about)
+            y = points.stresses[k] - h
+            PHt = self.P @ H
+            S = H @ PHt + errors.noise[k]
+            if not (np.isfinite(y) and S > 0.0):
+                raise FloatingPointError("the prediction of the stress is not finite")
+            if learns:
+                K = PHt / S
+                self.x = self.x + K * y
+                self.P = self.P - np.outer(K, PHt)
         return Update(float(h), float(y), float(S))

@@ -24,11 +24,12 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
-from fden_ros.core.estimation.press_posterior import PressPosterior, Solved
+from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, rig_places
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
+from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, Lifetime
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import StressMoments
@@ -121,9 +122,14 @@ class PosteriorEstimator:
         return self._earlier_changes + (self._press.change_count if self._press else 0)
 
     @property
-    def solution_count(self) -> int:
-        """Solutions of the newest press."""
-        return self._press.solution_count if self._press is not None else 0
+    def begun_at(self) -> int:
+        """Blocks in the record of the newest solution of this press that was begun."""
+        return self._press.begun_at if self._press is not None else 0
+
+    @property
+    def solved_at(self) -> int:
+        """Blocks in the record of the newest solution of this press that has ended."""
+        return self._press.solved_at if self._press is not None else 0
 
     @property
     def log_evidence(self) -> float:
@@ -237,10 +243,10 @@ class PosteriorEstimator:
         """Return what makes the estimate of the newest press uncertain; None: not known."""
         return budget_of(self._press) if self._press is not None else None
 
-    def solve(self) -> None:
-        """Solve anew now."""
+    def begin_solution(self) -> None:
+        """Begin to solve anew."""
         if self._press is not None:
-            self._press.solve()
+            self._press.begin_solution()
 
     def finish(self) -> None:
         """Solve anew at the end of a contact, from all starts."""

@@ -3,18 +3,17 @@
 
 """The posterior of one press as it grows: record, solutions, and the filter between them.
 
-The order of events, for each block: the filter takes it; where the record has grown enough, or the
-block is not explained, the posterior is solved anew and the filter goes on from there.
+The order of events, for each block: the filter takes it; where the record has grown enough, the
+posterior is solved anew beside, and after a time that the data tell the filter goes on from there,
+by the blocks since. Where a block is not explained a change is looked for at once.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
-import numpy as np
-
-from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.beside import Beside
 from fden_ros.core.estimation.change import (
     LOOK_PERIOD,
     PROMISING,
@@ -27,30 +26,24 @@ from fden_ros.core.estimation.change import (
 )
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Points, Record, Sample, block_points
+from fden_ros.core.estimation.record import Record, Sample, points_after
 from fden_ros.core.estimation.rival import mismatch_log_odds
-from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
-from fden_ros.core.estimation.whiteness import contradicts
+from fden_ros.core.estimation.search import Search, Solved
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
 from fden_ros.core.law.characteristic import elastic_response
 
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
+#: A solution is used so long after its record has ended [s]: it takes 10 to 70 ms.
+SOLUTION_TIME = 0.1
 #: Blocks before the first solution, and until which it is sought from all starts, each time that
 #: their number has doubled [1].
 _FIRST_SOLUTION, _LAST_STARTS = 4, 32
-#: Starts of ln Gn, about the prior's mean in its standard deviations [1].
-_STARTS = (-0.8, 0.8)
-#: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
-_ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
-#: Scales to begin with [1]: of a moderate error.
-_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 #: A change is placed anew once it was seen for this time [s], within this time [s].
 _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 #: An innovation beyond this many standard deviations is not explained [1].
@@ -61,37 +54,12 @@ _REACH = 6.0
 _LEAST_VARIANCE = 1e-300
 
 
-@dataclass(frozen=True)
-class Solved:
-    """A posterior with its solution.
+class _Begun(NamedTuple):
+    """A solution that has been begun."""
 
-    Attributes
-    ----------
-    posterior : Posterior
-    modes : Modes
-    elapsed : float
-        From the touch to the end of the record [s].
-    strain : float
-        Largest of the site, from the solution's origin [1].
-    is_contradicted : bool
-        By its whitened residuals.
-    """
-
-    posterior: Posterior
-    modes: Modes
-    elapsed: float
-    strain: float
-    is_contradicted: bool
-
-    @property
-    def model(self) -> PressModel:
-        """The model of the press."""
-        return self.posterior.model
-
-    @property
-    def best(self) -> Solution:
-        """The solution about the best maximum."""
-        return self.modes.best
+    search: Search
+    found: Beside[Solved]
+    since: list[list[Sample]]  #: the blocks after its record
 
 
 class PressPosterior:
@@ -117,8 +85,9 @@ class PressPosterior:
         Changes of the tissue under the probe, and jerks.
     is_lost : bool
         The newest solution was not found.
-    solution_count : int
-        Solutions that were sought.
+    begun_at, solved_at : int
+        Blocks in the records of the newest solution that was begun, and of the newest that has
+        ended.
     """
 
     def __init__(
@@ -136,12 +105,13 @@ class PressPosterior:
         self.filter: PressFilter | None = None
         self.events: tuple[Unknown, ...] = ()
         self.is_lost = self._is_surprised = False
-        self.solution_count = 0
+        self.begun_at = self.solved_at = 0
         self._samples: list[Sample] = []
         self._now = self._last = start
         self._is_pressed = False
         self._blocks = self._blocks_at_starts = 0
         self._solved_at = (0.0, 0.0)
+        self._begun: _Begun | None = None
         self._is_placed = True
         self._looked_at = -math.inf
         self._suspected_at: float | None = None
@@ -187,7 +157,7 @@ class PressPosterior:
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
-        self._samples.clear()
+        self._samples = []
 
     def update(self, stress: float, compression: float) -> Innovation:
         """Take the block of the samples since the last; return how the filter predicted it.
@@ -201,7 +171,12 @@ class PressPosterior:
         innovation = self._unpredicted(stress)
         if self.filter is not None and self._samples:
             innovation = self._filtered(self.filter, compression)
-        self._samples.clear()
+        if self._begun is not None:
+            if self._samples:
+                self._begun.since.append(self._samples)
+            if self._now - self._start - self._begun.search.elapsed > SOLUTION_TIME:
+                self._go_on()
+        self._samples = []
         self._blocks += 1
         self._is_surprised = innovation.normalized_squared > _SURPRISE**2
         if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
@@ -209,7 +184,7 @@ class PressPosterior:
         if self._suspected_at is not None:
             self._suspect(self._suspected_at)
         elif self._is_due():
-            self.solve()
+            self.begin_solution()
         return innovation
 
     def _suspect(self, since: float) -> None:
@@ -221,14 +196,17 @@ class PressPosterior:
         is_open = elapsed < LOOK_PERIOD or (elapsed < SUSPECTED and look.gain > PROMISING)
         if look.event is not None or not is_open:
             self._suspected_at = None
-            self.solve(fully=look.event is not None)
+            if look.event is not None:
+                self.solve(fully=True)
+            elif self._begun is None:
+                self.begin_solution()
 
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
 
     def _filtered(self, own_filter: PressFilter, compression: float) -> Innovation:
         """Let the filter take the samples of a block."""
-        points = block_points(self._samples, self._last, self.record.noise_sd)
+        points = points_after([self._samples], self._last, self.record.noise_sd)
         self._last = float(points.times[-1])
         try:
             found = own_filter.step(points)
@@ -236,8 +214,7 @@ class PressPosterior:
             strain = self.setting.geometry.strain(compression - self.setting.origin(mean))
             elastic = elastic_response(strain, math.exp(mean[LOG_G]), math.exp(mean[LOG_GN]))
         except (FloatingPointError, OverflowError):
-            # Too far from the last solution: the next one is due now.
-            self._solved_at = 0.0, 1e-9
+            self._ask_for_solution()
             return self._unpredicted(float(points.stresses[0]))
         return Innovation(elastic.value, found.prediction, found.innovation, found.variance)
 
@@ -249,7 +226,8 @@ class PressPosterior:
         return self.setting.posterior(events, self.compression_sd, self.deepest, kind)
 
     def _is_due(self) -> bool:
-        if self._blocks < _FIRST_SOLUTION or self.record.is_full:
+        is_begun = self._begun is not None
+        if is_begun or self._blocks < _FIRST_SOLUTION or self.record.is_full:
             return False
         elapsed, depth = self._solved_at
         return (
@@ -263,85 +241,64 @@ class PressPosterior:
             self.solve(fully=True)
 
     def solve(self, *, fully: bool = False) -> None:
-        """Solve the posterior of the record so far; `fully`: from all starts."""
+        """Solve the posterior of the record so far now; `fully`: from all starts."""
+        self.begin_solution(fully=fully)
+        self._go_on()
+
+    def begin_solution(self, *, fully: bool = False) -> None:
+        """Begin to solve the posterior of the record so far."""
         self._place_again()
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
-        self.solution_count += 1
-        posterior = self._posterior(self.events)
         is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
+        is_from_starts = fully or is_early or self.solved is None
+        if is_from_starts:
+            self._blocks_at_starts = self._blocks
+        search = Search(
+            self.setting,
+            self._posterior(self.events),
+            points,
+            self.solved,
+            self._now - self._start,
+            self.record.max_compression,
+            self.deepest,
+            is_from_starts,
+        )
+        self._begun, self.begun_at = _Begun(search, Beside(search.solved), []), self._blocks
+
+    def _go_on(self) -> None:
+        """Go on from the solution that was begun, by the blocks since."""
+        begun, self._begun = self._begun, None
+        if begun is None:
+            return
+        search = begun.search
+        self.solved_at = self.begun_at
         try:
-            modes = self._modes(points, posterior, fully=fully or is_early)
+            solved = begun.found.result()
         except UNSOLVABLE:
             self.is_lost = True
             return
-        self.is_lost = False
-        best, elapsed = modes.best, self._now - self._start
-        strain = self._strain(self.setting.origin(best.mean))
-        self.solved = Solved(posterior, modes, elapsed, strain, contradicts(best.residuals))
-        self.filter = PressFilter(best, posterior.model, posterior.error_model)
+        self.is_lost, self.solved = False, solved
+        self._last = float(search.points.times[-1])
+        self._solved_at = search.elapsed, search.compression
+        self.filter = PressFilter(solved.best, solved.model, solved.posterior.error_model)
+        if not begun.since:
+            return
+        points = points_after(begun.since, self._last, self.record.noise_sd)
         self._last = float(points.times[-1])
-        self._solved_at = elapsed, self.record.max_compression
+        try:
+            self.filter.step(points)
+        except (FloatingPointError, OverflowError):
+            self._ask_for_solution()
 
-    def _modes(self, points: Points, posterior: Posterior, *, fully: bool) -> Modes:
-        """Return the modes; `fully`: from all starts, not only from the last ones."""
-        tracked: list[tuple[Array, Solution]] = []
-        strain = self._strain(0.0)
-        if self.solved is not None:
-            strain = self._strain(self.setting.origin(self.solved.best.mean))
-            tracked = [(self._grown(s, posterior), s) for s in self.solved.modes.solutions]
-        if tracked and not fully:
-            try:
-                return follow_modes(posterior, points, tracked, strain)
-            except UNSOLVABLE:
-                pass  # the record has grown beyond where the last solution has numbers
-        self._blocks_at_starts = self._blocks
-        starts, scales = self._starts(posterior, points), _first_scales(posterior)
-        return find_modes(posterior, points, starts, scales, tracked, strain)
-
-    def _starts(self, posterior: Posterior, points: Points) -> list[Array]:
-        if self.setting.carried is not None:
-            return [self._touching(posterior, points)]
-        found = []
-        sd = posterior.model.unknowns[LOG_GN].sd
-        for place in _STARTS if sd > 0.0 else (0.0,):
-            start = posterior.belief.mean.copy()
-            start[LOG_GN] += place * sd
-            highest = float(posterior.model.response(points, start).stress.max())
-            if highest > 0.0:
-                start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
-            found.append(start)
-        return found
-
-    def _touching(self, posterior: Posterior, points: Points) -> Array:
-        """Return the belief's mean with the origin that the stresses are nearest to.
-
-        Where the tissue is too low to be touched, no derivative leads to it.
-        """
-        belief, found = posterior.belief, []
-        sd = math.sqrt(float(belief.variances()[ORIGIN]))
-        for place in _ORIGINS if posterior.model.unknowns[ORIGIN].sd > 0.0 else (0.0,):
-            start = belief.mean.copy()
-            start[ORIGIN] += place * sd
-            off = points.stresses - posterior.model.response(points, start).stress
-            found.append((float(off @ off), start))
-        return min(found, key=lambda tried: tried[0])[1]
-
-    def _grown(self, solution: Solution, posterior: Posterior) -> Array:
-        """Return the state of a solution for a posterior that may have more unknowns."""
-        assert self.solved is not None
-        before, now = self.solved.model, posterior.model
-        known = len(before.unknowns)
-        more = len(now.unknowns) - known
-        state = np.insert(solution.maximum.state, [known] * more, 0.0)
-        if before.last_knot != now.last_knot:
-            state[now.characteristic] = 0.0
-        return state
+    def _ask_for_solution(self) -> None:
+        """Be due for a solution: the filter is too far from the last one."""
+        self._solved_at = 0.0, 1e-9
 
     def _strain(self, origin: float) -> float:
         """Return the largest strain of the site from an origin, as compression [1]."""
-        return self.setting.geometry.strain(max(self.deepest - origin, 0.0))
+        return self.setting.largest_strain(self.deepest, origin)
 
     # Changes of the tissue, and another law
 
@@ -374,7 +331,7 @@ class PressPosterior:
             return
         self._is_placed = True
         points, solution = self.record.points(), self.solved.best
-        state = self._grown(solution, self._posterior(self.events))
+        state = self.solved.grown(solution, self._posterior(self.events))
 
         def evidence_of(change: Unknown) -> float:
             posterior = self._posterior((*before, change))
@@ -401,13 +358,3 @@ class PressPosterior:
             lambda kind: self._posterior(self.events, kind),
         )
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
-
-
-def _first_scales(posterior: Posterior) -> Scales:
-    """Return the scales of the grid that are nearest to those of a moderate error."""
-
-    def off(scales: Scales) -> float:
-        pairs = zip(scales, _MODERATE, strict=True)
-        return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
-
-    return min((g.scales for g in posterior.grid), key=off)

@@ -96,6 +96,10 @@ class PressSetting:
         """Return the standard deviation of the strain origin, as compression [1]."""
         return self.origin_sd * math.sqrt(max(float(covariance[ORIGIN, ORIGIN]), 0.0))
 
+    def largest_strain(self, deepest: float, origin: float) -> float:
+        """Return the strain of a largest compression [1] from an origin, as compression [1]."""
+        return self.geometry.strain(max(deepest - origin, 0.0))
+
     def posterior(
         self,
         events: tuple[Unknown, ...],

@@ -279,12 +279,17 @@ def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
     return [before]
 
 
-def block_points(samples: Sequence[Sample], before: float, noise_sd: float = 0.0) -> Points:
-    """Return one block as a record that goes on after the time `before` [s]."""
-    cell = _Cell(samples[0].time, True)
-    for sample in samples:
-        cell.add(sample.time, sample.compression, sample.stress)
-    return _points([cell], noise_sd, before)
+def points_after(
+    blocks: Sequence[Sequence[Sample]], before: float, noise_sd: float = 0.0
+) -> Points:
+    """Return blocks as a record that goes on after the time `before` [s]."""
+    cells = []
+    for samples in blocks:
+        cell = _Cell(samples[0].time, True)
+        for sample in samples:
+            cell.add(sample.time, sample.compression, sample.stress)
+        cells.append(cell)
+    return _points(cells, noise_sd, before)
 
 
 def _points(cells: Sequence[_Cell], noise_sd: float, before: float | None = None) -> Points:

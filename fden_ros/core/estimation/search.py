@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One solution of a press: from where its maxima are sought, and what is found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
+from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
+from fden_ros.core.estimation.whiteness import contradicts
+
+#: Starts of ln Gn, about the prior's mean in its standard deviations [1].
+_STARTS = (-0.8, 0.8)
+#: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
+_ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
+#: Scales to begin with [1]: of a moderate error.
+_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A posterior with its solution.
+
+    Attributes
+    ----------
+    posterior : Posterior
+    modes : Modes
+    elapsed : float
+        From the touch to the end of the record [s].
+    strain : float
+        Largest of the site, from the solution's origin [1].
+    is_contradicted : bool
+        By its whitened residuals.
+    """
+
+    posterior: Posterior
+    modes: Modes
+    elapsed: float
+    strain: float
+    is_contradicted: bool
+
+    @property
+    def model(self) -> PressModel:
+        """The model of the press."""
+        return self.posterior.model
+
+    @property
+    def best(self) -> Solution:
+        """The solution about the best maximum."""
+        return self.modes.best
+
+    def grown(self, solution: Solution, posterior: Posterior) -> Array:
+        """Return the state of a solution for a posterior that may have more unknowns."""
+        before, now = self.model, posterior.model
+        known = len(before.unknowns)
+        more = len(now.unknowns) - known
+        state = np.insert(solution.maximum.state, [known] * more, 0.0)
+        if before.last_knot != now.last_knot:
+            state[now.characteristic] = 0.0
+        return state
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a solution is a function of.
+
+    Attributes
+    ----------
+    setting : PressSetting
+    posterior : Posterior
+    points : Points
+        The record.
+    before : Solved or None
+        The solution of a shorter record.
+    elapsed : float
+        From the touch to the end of the record [s].
+    compression : float
+        Largest of the record [1].
+    deepest : float
+        Largest compression of the site [1].
+    is_from_starts : bool
+        From all starts, not only from the last maxima.
+    """
+
+    setting: PressSetting
+    posterior: Posterior
+    points: Points
+    before: Solved | None
+    elapsed: float
+    compression: float
+    deepest: float
+    is_from_starts: bool
+
+    def solved(self) -> Solved:
+        """Return the solution.
+
+        Raises
+        ------
+        FloatingPointError, OverflowError, numpy.linalg.LinAlgError
+            If there is none.
+        """
+        modes = self._modes()
+        return Solved(
+            self.posterior,
+            modes,
+            self.elapsed,
+            self._strain(self.setting.origin(modes.best.mean)),
+            contradicts(modes.best.residuals),
+        )
+
+    def _strain(self, origin: float) -> float:
+        return self.setting.largest_strain(self.deepest, origin)
+
+    def _modes(self) -> Modes:
+        posterior, points, before = self.posterior, self.points, self.before
+        tracked: list[tuple[Array, Solution]] = []
+        strain = self._strain(0.0)
+        if before is not None:
+            strain = self._strain(self.setting.origin(before.best.mean))
+            tracked = [(before.grown(s, posterior), s) for s in before.modes.solutions]
+        if tracked and not self.is_from_starts:
+            try:
+                return follow_modes(posterior, points, tracked, strain)
+            except UNSOLVABLE:
+                pass  # the record has grown beyond where the last solution has numbers
+        scales = _first_scales(posterior)
+        return find_modes(posterior, points, self._starts(), scales, tracked, strain)
+
+    def _starts(self) -> list[Array]:
+        posterior, points = self.posterior, self.points
+        if self.setting.carried is not None:
+            return [self._touching()]
+        found = []
+        sd = posterior.model.unknowns[LOG_GN].sd
+        for place in _STARTS if sd > 0.0 else (0.0,):
+            start = posterior.belief.mean.copy()
+            start[LOG_GN] += place * sd
+            highest = float(posterior.model.response(points, start).stress.max())
+            if highest > 0.0:
+                start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
+            found.append(start)
+        return found
+
+    def _touching(self) -> Array:
+        """Return the belief's mean with the origin that the stresses are nearest to.
+
+        Where the tissue is too low to be touched, no derivative leads to it.
+        """
+        posterior, points = self.posterior, self.points
+        belief, found = posterior.belief, []
+        sd = math.sqrt(float(belief.variances()[ORIGIN]))
+        for place in _ORIGINS if posterior.model.unknowns[ORIGIN].sd > 0.0 else (0.0,):
+            start = belief.mean.copy()
+            start[ORIGIN] += place * sd
+            off = points.stresses - posterior.model.response(points, start).stress
+            found.append((float(off @ off), start))
+        return min(found, key=lambda tried: tried[0])[1]
+
+
+def _first_scales(posterior: Posterior) -> Scales:
+    """Return the scales of the grid that are nearest to those of a moderate error."""
+
+    def off(scales: Scales) -> float:
+        pairs = zip(scales, _MODERATE, strict=True)
+        return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
+
+    return min((g.scales for g in posterior.grid), key=off)
