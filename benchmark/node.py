@@ -235,12 +235,8 @@ def _latency_ms(arrivals: NDArray[np.int64], turn: _Watched) -> Array:
 def _node_arguments() -> list[str]:
     parameters = {
         "autostart": "true",
-        # Each turn is a site of its own, on which the estimator learns: one turn ends in contact.
-        "site.timeout": "0.05",
         "geometry.area": "3.14159e-4",
         "geometry.thickness": "0.02",
-        "alpha.learn": "false",
-        "prior.alpha_sd": "0.0",
     }
     pairs = [("-p", f"{name}:={value}") for name, value in parameters.items()]
     namespace = ("-r", f"__ns:={_NAMESPACES[NODE]}")
@@ -273,13 +269,27 @@ def _ended(process: Any) -> str:
 
 
 def _cpu_seconds(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS
+    ticks = 0
+    for one in _family(pid):
+        fields = Path(f"/proc/{one}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / _CLOCK_TICKS
 
 
 def _memory_mb(pid: int) -> float:
-    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines()
-    return next(int(line.split()[1]) / 1024.0 for line in status if line.startswith("VmRSS"))
+    total = 0.0
+    for one in _family(pid):
+        status = Path(f"/proc/{one}/status").read_text(encoding="ascii").splitlines()
+        lines = (line.split() for line in status if line.startswith("VmRSS"))
+        total += sum(int(words[1]) / 1024.0 for words in lines)
+    return total
+
+
+def _family(pid: int) -> list[int]:
+    """Return a process with those that it has begun."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    begun = (word for task in tasks for word in (task / "children").read_text().split())
+    return [pid, *(int(word) for word in begun)]
 
 
 # The processes
@@ -299,10 +309,8 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
 
     recording = simulate(ramp_scenario(strain_rate=0.15, max_strain=0.27, hold_s=1.0, seed=1))
     first = round(_USUAL_RATE * _PRESS_FROM)
-    values = [
-        [struct.pack("<d", value) for value in np.roll(stream.value, -first).tolist()]
-        for stream in (recording.force, recording.displacement)
-    ]
+    streams = [np.roll(s.value, -first) for s in (recording.force, recording.displacement)]
+    values = {rate: [_packed(stream, rate) for stream in streams] for _, rate, *_ in turns}
     wrench, joint = WrenchStamped(), JointState(name=["probe"], position=[0.0])
     wrench.header.frame_id = joint.header.frame_id = "tool"
     wrench.wrench.force.z = joint.position[0] = 1234.5
@@ -332,15 +340,22 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
                 time.sleep(ahead)
             stamp = _STAMP.pack(*divmod(time.time_ns(), 1_000_000_000))
             for which in (1, 0):
-                data, place, own = templates[which], places[which], values[which]
+                data, place, own = templates[which], places[which], values[rate][which]
                 data[_BODY : _BODY + 8] = stamp
-                data[place : place + 8] = own[int(k * _USUAL_RATE / rate) % len(own)]
+                data[place : place + 8] = own[k % len(own)]
                 publishers[namespace][which].publish(bytes(data))
         print(json.dumps({"sent": count, "end_ns": time.time_ns()}), flush=True)
     # What is still under way, and the last diagnostics.
     time.sleep(_COUNTING_PAUSE)
     node.destroy_node()
     rclpy.try_shutdown()
+
+
+def _packed(values: Array, rate: float) -> list[bytes]:
+    """Return samples of the usual rate as those of another."""
+    places = np.arange(0.0, len(values) - 1, _USUAL_RATE / rate)
+    found = np.interp(places, np.arange(len(values)), values)
+    return [struct.pack("<d", value) for value in found.tolist()]
 
 
 def _relay() -> None:

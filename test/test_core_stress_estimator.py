@@ -111,6 +111,7 @@ def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors(s
         stress += bias + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of(origin_sd=0.002, bias_sd=0.3)
         alarms += fed(estimator, motion + origin, stress) or estimator.change_count > 0
+        estimator.begin_finish()
         estimator.finish()
         estimate = estimator.estimate()
         assert estimate.converged
@@ -134,6 +135,7 @@ def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges(
         stress = exact_stress(time, rate, top, FdenModel(*truth))
         estimator = estimator_of()
         fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
+        estimator.begin_finish()
         estimator.finish()
         estimate = estimator.estimate()
         assert not estimate.converged
@@ -164,6 +166,7 @@ def test_step_of_stiffness_within_a_contact_is_followed_and_said(ratio, seeds):
         stress = fractional_derivative(phi, ORDER) + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of()
         mismatch = fed(estimator, motion, stress)
+        estimator.begin_finish()
         estimator.finish()
         estimate = estimator.estimate()
         assert 1 <= estimator.change_count <= 2
@@ -184,6 +187,7 @@ def test_wrong_model_is_told_and_does_not_converge_on_a_narrow_lie(kind):
         stress = 6000.0 * motion**1.8 * (1.0 + velocity)
     estimator = estimator_of()
     assert fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
+    estimator.begin_finish()
     estimator.finish()
     estimate = estimator.estimate()
     assert not estimate.converged
@@ -204,6 +208,7 @@ def test_a_relaxation_that_ends_is_told_of_a_law_that_may_be_off():
     )
     estimator.begin_contact(0.0, 0.0)
     fed(estimator, motion, stress)
+    estimator.begin_finish()
     estimator.finish()
     assert estimator.is_mismatch
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,8 +30,8 @@ from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
-#: A summary is given so long after the release [ns]: the last solution takes 0.1 to 0.4 s.
-_SUMMARY_AFTER_NS = 3 * NANOSECONDS // 10
+#: A summary is given so long after the release [ns]: the last solution takes 0.1 to 0.3 s.
+_SUMMARY_AFTER_NS = NANOSECONDS // 2
 
 
 class _Left(NamedTuple):
@@ -52,6 +53,8 @@ class ContactSession:
         Returns the noise of the motion so far [m^2 s].
     flags : Flag
         What stands against every estimate.
+    executor : Executor or None
+        Where solutions are computed; None: here.
 
     Attributes
     ----------
@@ -67,7 +70,9 @@ class ContactSession:
         rejected: Counter[str],
         path_noise: Callable[[], float],
         flags: Flag,
+        executor: Executor | None = None,
     ) -> None:
+        self._executor = executor
         self.site_count = self.contact_count = 0
         self._config, self._path_noise, self._flags = config, path_noise, flags
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
@@ -186,7 +191,9 @@ class ContactSession:
             return before
         self.site_count += 1
         maybe = before if is_elsewhere is None else None
-        site = Site(self.site_count, onset, self._config, self.rig, self._flags, maybe)
+        site = Site(
+            self.site_count, onset, self._config, self.rig, self._flags, maybe, self._executor
+        )
         left_ns = self._detector.left_unseen_ns
         is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
         if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):

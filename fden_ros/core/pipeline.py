@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -41,6 +42,9 @@ class Pipeline:
     config : PipelineConfig
     emit : callable
         Called with every output, in order of stamps. What it raises is not caught.
+    executor : Executor, optional
+        Where solutions are computed, so that no sample waits for them; without it here. The
+        outputs are the same.
 
     Attributes
     ----------
@@ -61,7 +65,12 @@ class Pipeline:
         The flags of that.
     """
 
-    def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
+    def __init__(
+        self,
+        config: PipelineConfig,
+        emit: Callable[[Output], None],
+        executor: Executor | None = None,
+    ) -> None:
         self.config = config
         self.rejected: Counter[str] = Counter()
         self.pair_count = self.newest_ns = 0
@@ -86,6 +95,7 @@ class Pipeline:
                 self.rejected,
                 partial(_path_noise, self),
                 self.standing_flags,
+                executor,
             )
         self._begin_epoch(0)
 

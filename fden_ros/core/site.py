@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
 from fden_ros.core.contact.surface import Rise
-from fden_ros.core.estimation.beside import Beside
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.either_place import EitherPlace, Placed
@@ -178,6 +178,8 @@ class Site:
         What stands against every estimate.
     maybe : Site or None
         The site before, where nothing says that this is another.
+    executor : Executor or None
+        Where solutions are computed; None: here.
 
     Attributes
     ----------
@@ -201,7 +203,9 @@ class Site:
         rig: RigKnowledge,
         flags: Flag = Flag.NONE,
         maybe: Site | None = None,
+        executor: Executor | None = None,
     ) -> None:
+        self._executor = executor
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self._last_ns = first.stamp_ns
@@ -218,7 +222,7 @@ class Site:
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
-        self._leaving: Beside[None] | None = None
+        self._is_leaving = False
 
     @property
     def estimate(self) -> Estimate | None:
@@ -308,7 +312,12 @@ class Site:
         self._lift_off = LiftOff(release_force, scale, is_first=is_first)
         if self.is_usable and self._estimator is None:
             new = _new_estimator(
-                config, onset.noise_sd * scale, self.origin_sd, noise, self.known_rig
+                config,
+                onset.noise_sd * scale,
+                self.origin_sd,
+                noise,
+                self.known_rig,
+                self._executor,
             )
             maybe, self._maybe = self._maybe, None
             self._estimator = maybe.or_else(new, first, self.origin) if maybe is not None else new
@@ -452,16 +461,17 @@ class Site:
     def begin_leaving(self) -> None:
         """Begin to bring the estimate to its best at the end of a contact."""
         if self._estimator is not None and self.is_usable and self.estimate is not None:
-            self._leaving = Beside(self._estimator.finish)
+            self._is_leaving = True
+            self._estimator.begin_finish()
 
     def leave(self) -> None:
         """Bring the estimate to its best at the end of a contact."""
-        if self._leaving is None:
+        if not self._is_leaving:
             self.begin_leaving()
-        leaving, self._leaving, estimator = self._leaving, None, self._estimator
-        if leaving is None or estimator is None:
+        is_leaving, self._is_leaving, estimator = self._is_leaving, False, self._estimator
+        if not is_leaving or estimator is None:
             return
-        leaving.result()
+        estimator.finish()
         self._finding.update(_checked(estimator.estimate()))
         self.doubt(Flag.NONE, self._lessons.motion_factor(estimator))
         off = estimator.rig_misfit / _CONTRADICTION
@@ -511,11 +521,14 @@ def _new_estimator(
     origin_sd: float,
     noise: float,
     rig: RigKnowledge,
+    executor: Executor | None = None,
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
         variance = noise / geometry.length**2
-        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance, rig)
+        return PosteriorEstimator(
+            config.estimator, geometry, noise_sd, origin_sd, variance, rig, executor
+        )
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

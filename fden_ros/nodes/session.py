@@ -12,6 +12,8 @@ import copy
 import threading
 from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import Executor
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -21,6 +23,7 @@ from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
+from fden_ros.core.estimation.beside import Pending
 from fden_ros.core.outputs import ContactSummary, Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import Backlog, Input, taker
@@ -49,6 +52,8 @@ class Session:
         By the name of an output topic.
     lock : RLock
         Held in callbacks and transitions.
+    executor : Executor
+        Where solutions are computed.
     """
 
     def __init__(
@@ -57,11 +62,13 @@ class Session:
         parameters: Parameters,
         publishers: Mapping[str, LifecyclePublisher],
         lock: threading.RLock,
+        executor: Executor,
     ) -> None:
         self._node, self._parameters, self._lock = node, parameters, lock
         self._publishers = publishers
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.pipeline = Pipeline(pipeline_config(parameters), self._publish)
+        self._executor = executor
+        self.pipeline = Pipeline(pipeline_config(parameters), self._publish, executor)
         self.inputs = Inputs(parameters, self.pipeline)
         self.backlog = Backlog()
         self.listened_to: list[ListenedTo] = []
@@ -72,6 +79,7 @@ class Session:
         self._said_stale: Time | None = None
         self._seen_pairs = self._seen_failures = 0
         self.lacks = ""  #: the newest contact to converge, and what would help
+        self._advice: tuple[int, Pending[str]] | None = None  # for a contact
         self._is_open = False
         self._timer = node.create_timer(_STALE_CHECK_PERIOD, self._look, clock=self._steady)
 
@@ -97,6 +105,7 @@ class Session:
     def finish(self) -> None:
         """Report the open contact; listen no more."""
         self.pipeline.finish()
+        self._advise()
         self._log_failures()
         self.close()
 
@@ -154,9 +163,18 @@ class Session:
             self._last_state = output
         self._publish_messages(output)
         if isinstance(output, ContactSummary):
-            self.lacks = shortfall(output, self.pipeline.config)
-            if self.lacks:
-                self._node.get_logger().info(f"contact {output.contact_id}: {self.lacks}")
+            self._advise()
+            advice = partial(shortfall, output, self.pipeline.config)
+            self._advice = output.contact_id, Pending(advice, self._executor)
+
+    def _advise(self) -> None:
+        """Say what the newest contact lacks."""
+        if self._advice is None:
+            return
+        (contact_id, advice), self._advice = self._advice, None
+        self.lacks = advice.result()
+        if self.lacks:
+            self._node.get_logger().info(f"contact {contact_id}: {self.lacks}")
 
     def _publish_messages(self, output: Output) -> None:
         output = placed(output, self.inputs.displacement_frame)
@@ -169,6 +187,8 @@ class Session:
                 return
             if self.backlog.waiting:
                 self.backlog.work()
+            if self._advice is not None and self._advice[1].is_there:
+                self._advise()
             self._log_failures()
             self._check_stale()
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A computation in a thread of its own, so that samples need not wait for it.
+"""A computation beside the samples, so that they need not wait for it.
 
 When its result is used is for the data to decide and not for a clock: so what comes of a recording
 is what came of it live, bit for bit.
@@ -9,47 +9,47 @@ is what came of it live, bit for bit.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from threading import Thread
+from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import Any, Generic, TypeVar
 
 Result = TypeVar("Result")
 
 
-class Beside(Generic[Result]):
-    """Computes in a thread; what it computes from must not change meanwhile.
+class Pending(Generic[Result]):
+    """A result that is computed elsewhere, or here when it is asked for.
 
     Parameters
     ----------
     compute : callable
+        What it computes from does not change.
+    executor : Executor, optional
+        Where it is computed.
     """
 
-    def __init__(self, compute: Callable[[], Result]) -> None:
-        self._results: list[Result] = []
-        self._error: Exception | None = None
-        # A process that ends does not wait for it.
-        self._thread: Thread | None = Thread(target=self._run, args=(compute,), daemon=True)
-        self._thread.start()
+    def __init__(self, compute: Callable[[], Result], executor: Executor | None = None) -> None:
+        self._compute = compute
+        self._future: Future[Result] | None = None
+        if executor is not None:
+            # It may have been shut down, or its process have died.
+            with contextlib.suppress(RuntimeError):
+                self._future = executor.submit(compute)
 
-    def _run(self, compute: Callable[[], Result]) -> None:
-        try:
-            self._results.append(compute())
-        except Exception as error:
-            self._error = error
-
-    def _wait(self) -> None:
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+    @property
+    def is_there(self) -> bool:
+        """Whether nobody has to wait for the result."""
+        return self._future is not None and self._future.done()
 
     def result(self) -> Result:
         """Return the result once it is there; raise what the computation has raised."""
-        self._wait()
-        if self._error is not None:
-            raise self._error
-        return self._results[0]
+        if self._future is not None:
+            try:
+                return self._future.result()
+            except BrokenExecutor:
+                self._future = None
+        return self._compute()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is left of it once it is done: a thread is not pickled."""
-        self._wait()
-        return self.__dict__
+        """Return what computes it anew: a future is not pickled."""
+        return {"_compute": self._compute, "_future": None}

@@ -143,8 +143,13 @@ class EitherPlace:
             self._weigh()
         return found[likeliest]
 
+    def begin_finish(self) -> None:
+        """Begin to solve anew at the end of a contact, from all starts."""
+        for place in self._places:
+            place.estimator.begin_finish()
+
     def finish(self) -> None:
-        """Solve anew at the end of a contact, from all starts."""
+        """Go on from what `begin_finish` has begun."""
         for place in self._places:
             place.estimator.finish()
         self._weigh()

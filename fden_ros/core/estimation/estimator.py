@@ -89,5 +89,8 @@ class Estimator(Protocol):
     def budget(self) -> Budget | None:
         """Return what makes the estimate uncertain; None: not known."""
 
+    def begin_finish(self) -> None:
+        """Begin to bring the estimate to its best at the end of a contact."""
+
     def finish(self) -> None:
-        """Bring the estimate to its best at the end of a contact."""
+        """Bring the estimate to its best at the end of a contact, as was begun."""

@@ -139,8 +139,11 @@ class FractionalStressEstimator:
     def budget(self) -> None:
         """Return nothing: these filters know no error of the rig."""
 
-    def finish(self) -> None:
+    def begin_finish(self) -> None:
         """Return at once: an update of these filters leaves nothing to solve."""
+
+    def finish(self) -> None:
+        """Return at once."""
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""

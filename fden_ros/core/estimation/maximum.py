@@ -30,7 +30,7 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
 
 #: Steps of one maximum [1], and damped tries of one step [1].
-_MOST_STEPS, _MOST_TRIES = 60, 8
+MOST_STEPS, _MOST_TRIES = 60, 8
 #: A maximum is found where a step would lower minus twice the log posterior by less than this [1].
 CONVERGED = 1e-4
 #: The same where rounding lets no step lower it [1].
@@ -104,6 +104,8 @@ class MaximumSearch:
         The maximum is found where a step would lower minus twice the log posterior by less [1].
     held : int or None
         Place of an unknown that stays where it starts.
+    most : int
+        Steps at most.
     """
 
     def __init__(
@@ -113,9 +115,10 @@ class MaximumSearch:
         scales: Scales,
         converged: float = CONVERGED,
         held: int | None = None,
+        most: int = MOST_STEPS,
     ) -> None:
         self._density, self._points, self._scales = density, points, scales
-        self._converged, self._held = converged, held
+        self._converged, self._held, self._most = converged, held, most
 
     def from_start(self, start: Array) -> Maximum:
         """Return the maximum that a start leads to.
@@ -132,7 +135,7 @@ class MaximumSearch:
         is_solved = is_at_kink = False
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
-        for count in range(_MOST_STEPS):
+        for count in range(self._most):
             at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
             metric = self._metric(at, found if at is state else None)
             free = self._equations(state, found, metric)
@@ -155,7 +158,7 @@ class MaximumSearch:
                 break
             if gain < 0.1 * converged:
                 continue
-            if tried > _MOST_STEPS:
+            if tried > MOST_STEPS:
                 break
             equations = _Equations(normal, free.damped, free.towards, free.misfit)
             taken, damping, tries = self._step(state, equations, damping, metric)

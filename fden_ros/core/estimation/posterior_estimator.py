@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +68,8 @@ class PosteriorEstimator:
         Of the compression per sample, times the time between samples [s].
     rig : RigKnowledge, optional
         What earlier contacts have told; without it what the configuration states.
+    executor : Executor, optional
+        Where solutions are computed; without it here.
     """
 
     def __init__(
@@ -77,7 +80,9 @@ class PosteriorEstimator:
         origin_sd: float = 0.0,
         path_variance: float = 0.0,
         rig: RigKnowledge | None = None,
+        executor: Executor | None = None,
     ) -> None:
+        self._executor = executor
         known = rig or RigKnowledge.stated(config)
         self._stated = config
         self._setting = PressSetting(
@@ -204,7 +209,9 @@ class PosteriorEstimator:
             frozen.values = self._moments.values.copy()
             setting = replace(setting, free=FreeSurface(frozen, self._time))
         self._setting = setting
-        self._press = PressPosterior(setting, self._time, self._deepest, self._compression_sd)
+        self._press = PressPosterior(
+            setting, self._time, self._deepest, self._compression_sd, self._executor
+        )
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.
@@ -248,13 +255,19 @@ class PosteriorEstimator:
         if self._press is not None:
             self._press.begin_solution()
 
-    def finish(self) -> None:
-        """Solve anew at the end of a contact, from all starts."""
+    def begin_finish(self) -> None:
+        """Begin to solve anew at the end of a contact, from all starts."""
         if self._press is not None:
-            self._press.finish()
-            probability = self._press.mismatch_probability()
-            if probability is not None:
-                self._mismatch_probability = probability
+            self._press.begin_last()
+
+    def finish(self) -> None:
+        """Go on from what `begin_finish` has begun."""
+        press = self._press
+        if press is None:
+            return
+        press.go_on()
+        if press.solved is not None and press.solved.mismatch_probability is not None:
+            self._mismatch_probability = press.solved.mismatch_probability
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""

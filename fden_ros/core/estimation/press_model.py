@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -172,6 +173,10 @@ class PressModel:
         self._weight_of[ORDER] = 0
         self._weight_of[self.kernel] = 1 + np.arange(kernel.size)
         self._designed: tuple[Points, _Design] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return it without what the last record has decided: that is found anew."""
+        return self.__dict__ | {"_designed": None}
 
     def order(self, state: Array) -> float:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""

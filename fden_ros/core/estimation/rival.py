@@ -18,6 +18,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
@@ -70,8 +71,15 @@ def mismatch_log_odds(
     elapsed = float(points.times[-1] - points.times[0])
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
-    law = _evidence(_straight(made(PressModel), start), points, start)
+    law = _solution(_straight(made(PressModel), start), points, start)
+    if law is None:
+        return -math.inf
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
+    # The stress after the time seen is about the same.
+    now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
+    at, scales = start.copy(), law.best_scales
+    at[ORDER] = _PART
+    at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
     rivals = []
     for rate in wanted.tolist():
         rival = _straight(made(_Maxwell), start)
@@ -79,18 +87,17 @@ def mismatch_log_odds(
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
         rival.belief.mean[ORDER] = _PART
         rival.belief.precision[ORDER, ORDER] = 1.0 / _PART_SD**2
-        at = start.copy()
-        at[ORDER] = _PART
-        # The stress after the time seen is about the same.
-        now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
-        at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
-        rivals.append(_evidence(rival, points, at))
+        found = _solution(rival, points, at, scales)
+        rivals.append(found.log_evidence if found is not None else -math.inf)
+        if found is not None:
+            at, scales = found.maximum.state, found.best_scales
     if not rivals:
         return -math.inf
     best = max(rivals)
     if not math.isfinite(best):
         return -math.inf
-    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / len(rivals)) - law
+    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / len(rivals))
+    gain -= law.log_evidence
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
     return gain / max(float(np.mean(solution.residuals**2)), 1.0)
 
@@ -111,9 +118,12 @@ def _straight(posterior: Posterior, state: Array) -> Posterior:
     return posterior
 
 
-def _evidence(posterior: Posterior, points: Points, start: Array) -> float:
+def _solution(
+    posterior: Posterior, points: Points, start: Array, scales: Scales | None = None
+) -> Solution | None:
+    """Return the posterior about the maximum near a start; None: there is none."""
     try:
-        scales = posterior.grid[len(posterior.grid) // 2].scales
-        return posterior.solution(points, [start], scales).log_evidence
+        scales = scales or posterior.grid[len(posterior.grid) // 2].scales
+        return posterior.nearly(points, start, scales)
     except UNSOLVABLE:
-        return -math.inf
+        return None

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -15,9 +16,10 @@ from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Starts of ln Gn, about the prior's mean in its standard deviations [1].
@@ -42,6 +44,8 @@ class Solved:
         Largest of the site, from the solution's origin [1].
     is_contradicted : bool
         By its whitened residuals.
+    mismatch_probability : float or None
+        Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
     """
 
     posterior: Posterior
@@ -49,6 +53,7 @@ class Solved:
     elapsed: float
     strain: float
     is_contradicted: bool
+    mismatch_probability: float | None = None
 
     @property
     def model(self) -> PressModel:
@@ -78,7 +83,10 @@ class Search:
     Attributes
     ----------
     setting : PressSetting
-    posterior : Posterior
+    events : tuple of Unknown
+        Changes of the tissue under the probe, and jerks.
+    compression_sd : float
+        Standard deviation of a sample's compression [1].
     points : Points
         The record.
     before : Solved or None
@@ -91,16 +99,28 @@ class Search:
         Largest compression of the site [1].
     is_from_starts : bool
         From all starts, not only from the last maxima.
+    is_last : bool
+        The press is over: it is asked whether the relaxation ends.
     """
 
     setting: PressSetting
-    posterior: Posterior
+    events: tuple[Unknown, ...]
+    compression_sd: float
     points: Points
     before: Solved | None
     elapsed: float
     compression: float
     deepest: float
     is_from_starts: bool
+    is_last: bool = False
+
+    @functools.cached_property
+    def posterior(self) -> Posterior:
+        """The posterior, given the record."""
+        return self._posterior(PressModel)
+
+    def _posterior(self, kind: type[PressModel]) -> Posterior:
+        return self.setting.posterior(self.events, self.compression_sd, self.deepest, kind)
 
     def solved(self) -> Solved:
         """Return the solution.
@@ -117,7 +137,19 @@ class Search:
             self.elapsed,
             self._strain(self.setting.origin(modes.best.mean)),
             contradicts(modes.best.residuals),
+            self._mismatch_probability(modes.best) if self.is_last else None,
         )
+
+    def _mismatch_probability(self, best: Solution) -> float | None:
+        """Return the probability of a relaxation that ends; None: the press cannot tell.
+
+        Only the first press of a site whose alpha is learned can.
+        """
+        setting = self.setting
+        if setting.carried or setting.config.is_order_given or not setting.is_bent:
+            return None
+        odds = mismatch_log_odds(self.points, best, self.posterior, self._posterior)
+        return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)

@@ -27,6 +27,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Errors
 from fden_ros.core.estimation.loop_arguments import ResponseState, WalkState
 from fden_ros.core.estimation.maximum import (
     CONVERGED,
+    MOST_STEPS,
     Maximum,
     MaximumSearch,
     inverted,
@@ -41,10 +42,12 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 #: A maximum is found to a fourteenth of a standard deviation, while the record grows [1].
 _NEARLY_FOUND = 5e-3
+#: Steps after which other scales are tried [1]; a growing record takes one to five.
+_FEW_STEPS = 12
 #: A smooth error of this scale [1] is none.
 _LEAST_SCALE = 1e-4
 #: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
-_SAME = 1e-3
+_SAME = 0.03
 #: Rounds of maximum and choice of the scales [1].
 _MOST_ROUNDS = 8
 #: Scales and modes less likely than the best by this logarithm do not count [1].
@@ -128,7 +131,12 @@ class Posterior(Density):
         self._held: int | None = None
 
     def maximum(
-        self, points: Points, start: Array, scales: Scales, converged: float = CONVERGED
+        self,
+        points: Points,
+        start: Array,
+        scales: Scales,
+        converged: float = CONVERGED,
+        most: int = MOST_STEPS,
     ) -> Maximum:
         """Return the maximum that a start leads to.
 
@@ -137,7 +145,8 @@ class Posterior(Density):
         FloatingPointError
             If the start's stress is beyond floating-point numbers.
         """
-        return MaximumSearch(self, points, scales, converged, self._held).from_start(start)
+        search = MaximumSearch(self, points, scales, converged, self._held, most)
+        return search.from_start(start)
 
     def solution(self, points: Points, starts: Sequence[Array], scales: Scales) -> Solution:
         """Return the posterior about the best of the maxima that the starts lead to.
@@ -151,6 +160,18 @@ class Posterior(Density):
         with np.errstate(over="ignore", invalid="ignore"):
             return self._refined(points, self._maxima(points, starts, scales)[0])
 
+    def nearly(self, points: Points, start: Array, scales: Scales) -> Solution:
+        """Return the posterior about the maximum that a start leads to, nearly found.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is not finite at the start.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            best = self.maximum(points, start, scales, _NEARLY_FOUND)
+            return self._refined(points, best, _NEARLY_FOUND)
+
     def solutions(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Solution]:
         """Return the posterior about each of the maxima that the starts lead to.
 
@@ -160,7 +181,8 @@ class Posterior(Density):
             If no start has a finite stress.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            found = self._maxima(points, starts, scales)
+            # Roughly: most starts lead to the same maximum, which is then refined once.
+            found = self._maxima(points, starts, scales, _NEARLY_FOUND)
             errors = found[0].errors
             evidence = [self.log_evidence(points, m, errors) for m in found]
             apart = [
@@ -191,23 +213,33 @@ class Posterior(Density):
         found: list[Solution] = []
         for maximum in maxima:
             try:
-                found.append(self._refined(points, maximum))
+                found.append(self._refined(points, maximum, is_rough=True))
             except UNSOLVABLE:
                 continue
         if not found:
             raise FloatingPointError("no maximum has a finite evidence")
         return found
 
-    def _refined(self, points: Points, best: Maximum) -> Solution:
-        """Return the solution about a maximum once the scales are the best there."""
-        seen = [best.scales]
+    def _refined(
+        self,
+        points: Points,
+        best: Maximum,
+        converged: float = CONVERGED,
+        *,
+        is_rough: bool = False,
+    ) -> Solution:
+        """Return the solution about a maximum once the scales are the best there.
+
+        `is_rough`: the maximum itself is not found well enough yet.
+        """
+        seen = [] if is_rough else [best.scales]
         for _ in range(_MOST_ROUNDS):
             found = self._averaged(points, best)
             chosen = found.best_scales
             if chosen in seen:
                 break
             seen.append(chosen)
-            best = self.maximum(points, best.state, chosen)
+            best = self.maximum(points, best.state, chosen, converged)
         if not self._order_sd:
             return found
         return replace(found, considered=self._considered(points, found.maximum))
@@ -225,9 +257,13 @@ class Posterior(Density):
         """
         with np.errstate(over="ignore", invalid="ignore"):
             scales = before.best_scales
-            best = self.maximum(points, state, scales, _NEARLY_FOUND)
+            best = self.maximum(points, state, scales, _NEARLY_FOUND, _FEW_STEPS)
             found = self._averaged(points, best, beside(self.grid, scales))
             if found.best_scales != scales:
+                found = self._averaged(points, best)
+            if not best.is_solved:
+                # Under scales that no longer fit, steps are many and short.
+                best = self.maximum(points, best.state, found.best_scales, _NEARLY_FOUND)
                 found = self._averaged(points, best)
         if not self._order_sd:
             return found
@@ -260,12 +296,18 @@ class Posterior(Density):
         shift[ORDER] = 1.0
         return self._order_sd**2 * np.outer(shift, shift)
 
-    def _maxima(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Maximum]:
+    def _maxima(
+        self,
+        points: Points,
+        starts: Sequence[Array],
+        scales: Scales,
+        converged: float = CONVERGED,
+    ) -> list[Maximum]:
         """Return the maxima, best first; while they are compared the errors are the same."""
         maxima = []
         for start in starts:
             try:
-                maxima.append(self.maximum(points, start, scales))
+                maxima.append(self.maximum(points, start, scales, converged))
             except UNSOLVABLE:
                 continue
         if not maxima:
