@@ -379,7 +379,7 @@ ROWS = [
     Row("force_stuck", stuck(9.8, 10.6, FORCE), good_from=10.6),
     Row("displacement_stuck", stuck(9.8, 10.3, DISPLACEMENT)),
     Row("force_drift", drift(0.0, 99.0, 0.002)),
-    Row("drift_begins_in_contact", drift(10.0, 13.0, 0.01), lies=36),
+    Row("drift_begins_in_contact", drift(10.0, 13.0, 0.01), lies=46),
     Row("tare_in_air", called(lambda p: p.tare(), 8.0)),
     Row("tare_under_load", called(lambda p: p.tare(), 9.3, 9.6, 10.0, 10.5)),
     Row(

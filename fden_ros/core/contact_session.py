@@ -31,7 +31,7 @@ from fden_ros.core.site import Site, dips, prepare
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A summary is given so long after the release [ns]: the last solution takes 0.1 to 0.3 s.
-_SUMMARY_AFTER_NS = NANOSECONDS // 2
+_SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
 
 
 class _Left(NamedTuple):

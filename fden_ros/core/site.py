@@ -412,6 +412,7 @@ class Site:
                         size=means.size,
                         duration=means.duration,
                         memory=memory,
+                        is_past=is_silent,
                     )
                 )
                 _check_finite(innovation.innovation, innovation.variance)

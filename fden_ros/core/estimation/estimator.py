@@ -24,6 +24,7 @@ class Block(NamedTuple):
     size: int  #: samples in the block
     duration: float  #: from the first sample to the last and one step more [s]
     memory: Array  #: of the stress, as :meth:`~..law.stress_memory.StressMemory.means` gives it
+    is_past: bool = False  #: later samples have come already, and are made up for
 
 
 class Innovation(NamedTuple):

@@ -92,6 +92,7 @@ def find_modes(
     scales: Scales,
     before: Sequence[tuple[Array, Solution]],
     strain: float,
+    converged: float,
 ) -> Modes:
     """Return the modes that starts lead to, and those of a shorter record.
 
@@ -107,13 +108,15 @@ def find_modes(
         would be no match for.
     strain : float
         Largest strain of the record [1].
+    converged : float
+        Maxima are found where a step would lower minus twice the log posterior by less [1].
 
     Raises
     ------
     FloatingPointError
         If the stress is not finite at any start.
     """
-    found = posterior.solutions(points, starts, scales)
+    found = posterior.solutions(points, starts, scales, converged)
     for one in before:
         try:
             found += _followed(posterior, points, [one], strain)

@@ -244,7 +244,7 @@ class PosteriorEstimator:
         assert self._press is not None
         self._remember(block.stress)
         self._sample_count += block.size
-        return self._press.update(block.stress, block.compression)
+        return self._press.update(block.stress, block.compression, is_past=block.is_past)
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate of the newest press uncertain; None: not known."""

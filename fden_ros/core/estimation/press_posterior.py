@@ -38,9 +38,8 @@ from fden_ros.core.law.characteristic import elastic_response
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: A solution is used so long after its record has ended [s]: one that is followed takes up to
-#: 40 ms, one from all starts 90, while samples from before the touch was found are made up for.
-SOLUTION_TIME, SEARCH_TIME = 0.1, 0.2
+#: A solution is used so long after its record has ended [s]: it takes up to 40 ms.
+SOLUTION_TIME = 0.1
 #: Blocks before the first solution, and until which it is sought from all starts, each time that
 #: their number has doubled [1].
 _FIRST_SOLUTION, _LAST_STARTS = 4, 32
@@ -60,12 +59,6 @@ class _Begun(NamedTuple):
     search: Search
     found: Pending[Solved]
     since: list[list[Sample]]  #: the blocks after its record
-
-    @property
-    def due(self) -> float:
-        """Time since the touch when it is used [s]."""
-        lasts = SEARCH_TIME if self.search.is_from_starts else SOLUTION_TIME
-        return self.search.elapsed + lasts
 
 
 class PressPosterior:
@@ -168,13 +161,15 @@ class PressPosterior:
         """Let the samples since the last block go by."""
         self._samples = []
 
-    def update(self, stress: float, compression: float) -> Innovation:
+    def update(self, stress: float, compression: float, *, is_past: bool = False) -> Innovation:
         """Take the block of the samples since the last; return how the filter predicted it.
 
         Parameters
         ----------
         stress, compression : float
             Means of the block [Pa, 1].
+        is_past : bool
+            Later samples have come already: a solution would have less time.
 
         """
         innovation = self._unpredicted(stress)
@@ -183,7 +178,7 @@ class PressPosterior:
         if self._begun is not None:
             if self._samples:
                 self._begun.since.append(self._samples)
-            if self._now - self._start > self._begun.due:
+            if self._now - self._start - self._begun.search.elapsed > SOLUTION_TIME:
                 self.go_on()
         self._samples = []
         self._blocks += 1
@@ -192,7 +187,7 @@ class PressPosterior:
             self._suspected_at = self._now
         if self._suspected_at is not None:
             self._suspect(self._suspected_at)
-        elif self._is_due():
+        elif self._is_due() and not is_past:
             self.begin_solution()
         return innovation
 
@@ -246,7 +241,7 @@ class PressPosterior:
         """Begin to solve at the end of the press, from all starts."""
         self._begun = None
         if self._blocks >= _FIRST_SOLUTION:
-            self.begin_solution(is_last=True)
+            self.begin_solution(fully=True, is_last=True)
 
     def solve(self) -> None:
         """Solve the posterior of the record so far now, from all starts."""
@@ -254,13 +249,13 @@ class PressPosterior:
         self.go_on()
 
     def begin_solution(self, *, fully: bool = False, is_last: bool = False) -> None:
-        """Begin to solve the posterior of the record so far; `fully`: from all starts."""
+        """Begin to solve the posterior of the record so far; `fully`: with all care."""
         self._place_again()
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
         is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
-        is_from_starts = fully or is_last or is_early or self.solved is None
+        is_from_starts = fully or is_early or self.solved is None
         if is_from_starts:
             self._blocks_at_starts = self._blocks
         search = Search(
@@ -273,6 +268,7 @@ class PressPosterior:
             self.record.max_compression,
             self.deepest,
             is_from_starts,
+            fully,
             is_last,
         )
         found = Pending(search.solved, self._executor)

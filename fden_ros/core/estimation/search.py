@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.maximum import CONVERGED
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import NEARLY_FOUND, UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
@@ -99,6 +100,8 @@ class Search:
         Largest compression of the site [1].
     is_from_starts : bool
         From all starts, not only from the last maxima.
+    is_exact : bool
+        Maxima are found to CONVERGED.
     is_last : bool
         The press is over: it is asked whether the relaxation ends.
     """
@@ -112,6 +115,7 @@ class Search:
     compression: float
     deepest: float
     is_from_starts: bool
+    is_exact: bool
     is_last: bool = False
 
     @functools.cached_property
@@ -161,13 +165,15 @@ class Search:
         if before is not None:
             strain = self._strain(self.setting.origin(before.best.mean))
             tracked = [(before.grown(s, posterior), s) for s in before.modes.solutions]
+        converged = CONVERGED if self.is_exact else NEARLY_FOUND
         if tracked and not self.is_from_starts:
             try:
                 return follow_modes(posterior, points, tracked, strain)
             except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         scales = _first_scales(posterior)
-        return find_modes(posterior, points, self._starts(), scales, tracked, strain)
+        starts = self._starts()
+        return find_modes(posterior, points, starts, scales, tracked, strain, converged)
 
     def _starts(self) -> list[Array]:
         posterior, points = self.posterior, self.points

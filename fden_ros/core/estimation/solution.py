@@ -41,7 +41,7 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 #: What numbers do where a state is beyond them.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 #: A maximum is found to a fourteenth of a standard deviation, while the record grows [1].
-_NEARLY_FOUND = 5e-3
+NEARLY_FOUND = 5e-3
 #: Steps after which other scales are tried [1]; a growing record takes one to five.
 _FEW_STEPS = 12
 #: A smooth error of this scale [1] is none.
@@ -169,10 +169,12 @@ class Posterior(Density):
             If the stress is not finite at the start.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            best = self.maximum(points, start, scales, _NEARLY_FOUND)
-            return self._refined(points, best, _NEARLY_FOUND)
+            best = self.maximum(points, start, scales, NEARLY_FOUND)
+            return self._refined(points, best, NEARLY_FOUND)
 
-    def solutions(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Solution]:
+    def solutions(
+        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
+    ) -> list[Solution]:
         """Return the posterior about each of the maxima that the starts lead to.
 
         Raises
@@ -182,7 +184,7 @@ class Posterior(Density):
         """
         with np.errstate(over="ignore", invalid="ignore"):
             # Roughly: most starts lead to the same maximum, which is then refined once.
-            found = self._maxima(points, starts, scales, _NEARLY_FOUND)
+            found = self._maxima(points, starts, scales, NEARLY_FOUND)
             errors = found[0].errors
             evidence = [self.log_evidence(points, m, errors) for m in found]
             apart = [
@@ -191,7 +193,7 @@ class Posterior(Density):
                 if evidence[k] > evidence[0] - _NEGLIGIBLE
                 and all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
             ]
-            return self._all_refined(points, apart)
+            return self._all_refined(points, apart, converged)
 
     def is_known(self, place: int) -> bool:
         """Whether the unknown at a place is none."""
@@ -209,11 +211,14 @@ class Posterior(Density):
         of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
         return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
 
-    def _all_refined(self, points: Points, maxima: Sequence[Maximum]) -> list[Solution]:
+    def _all_refined(
+        self, points: Points, maxima: Sequence[Maximum], converged: float
+    ) -> list[Solution]:
         found: list[Solution] = []
         for maximum in maxima:
             try:
-                found.append(self._refined(points, maximum, is_rough=True))
+                is_rough = converged < NEARLY_FOUND
+                found.append(self._refined(points, maximum, converged, is_rough=is_rough))
             except UNSOLVABLE:
                 continue
         if not found:
@@ -257,13 +262,13 @@ class Posterior(Density):
         """
         with np.errstate(over="ignore", invalid="ignore"):
             scales = before.best_scales
-            best = self.maximum(points, state, scales, _NEARLY_FOUND, _FEW_STEPS)
+            best = self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
             found = self._averaged(points, best, beside(self.grid, scales))
             if found.best_scales != scales:
                 found = self._averaged(points, best)
             if not best.is_solved:
                 # Under scales that no longer fit, steps are many and short.
-                best = self.maximum(points, best.state, found.best_scales, _NEARLY_FOUND)
+                best = self.maximum(points, best.state, found.best_scales, NEARLY_FOUND)
                 found = self._averaged(points, best)
         if not self._order_sd:
             return found
@@ -280,7 +285,7 @@ class Posterior(Density):
         other = copy.copy(self)
         other._held = place
         with np.errstate(over="ignore", invalid="ignore"):
-            best = other.maximum(points, state, scales, _NEARLY_FOUND)
+            best = other.maximum(points, state, scales, NEARLY_FOUND)
             return other._averaged(points, best, (WeighedScales(scales, 0.0),))
 
     def _considered(self, points: Points, maximum: Maximum) -> Array:
