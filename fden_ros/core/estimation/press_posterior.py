@@ -40,9 +40,9 @@ from fden_ros.core.law.characteristic import elastic_response
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 #: A solution is used so long after its record has ended [s]: it takes up to 40 ms.
 SOLUTION_TIME = 0.1
-#: Blocks before the first solution, and until which it is sought from all starts, each time that
-#: their number has doubled [1].
-_FIRST_SOLUTION, _LAST_STARTS = 4, 32
+#: Blocks before the first solution [1]; it is sought from all starts each time that their number
+#: has doubled.
+_FIRST_SOLUTION = 4
 #: A change is placed anew once it was seen for this time [s], within this time [s].
 _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 #: An innovation beyond this many standard deviations is not explained [1].
@@ -254,8 +254,8 @@ class PressPosterior:
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
-        is_early = 2 * self._blocks_at_starts <= self._blocks <= _LAST_STARTS
-        is_from_starts = fully or is_early or self.solved is None
+        is_doubled = 2 * self._blocks_at_starts <= self._blocks
+        is_from_starts = fully or is_doubled or self.solved is None
         if is_from_starts:
             self._blocks_at_starts = self._blocks
         search = Search(
