@@ -38,8 +38,9 @@ from fden_ros.core.law.characteristic import elastic_response
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: A solution is used so long after its record has ended [s]: it takes up to 40 ms.
-SOLUTION_TIME = 0.1
+#: A solution is used so long after its record has ended [s]: it takes up to 40 ms. At 10 Hz that
+#: is with the next sample.
+SOLUTION_TIME = 0.095
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
