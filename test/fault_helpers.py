@@ -157,9 +157,7 @@ class Outcome:
 Step = Item | Callable[[Pipeline], object]
 
 
-def outcome_of(
-    items: Iterable[Step], parameters: dict[str, object], shared: int = 0
-) -> Outcome:
+def outcome_of(items: Iterable[Step], parameters: dict[str, object], shared: int = 0) -> Outcome:
     """Feed samples, and call what stands between them with the pipeline.
 
     The first `shared` of them are fed once for all that begin alike.
@@ -254,6 +252,17 @@ def assert_sound(outputs: Sequence[Output]) -> None:
         # A clock that jumps back takes the stamps along; the jump ends a contact or a site.
         assert output.stamp_ns != newest, output
         newest = output.stamp_ns
+
+
+def assert_alike(found: Outcome, expected: Outcome) -> None:
+    """As the other, by a third of a standard deviation."""
+    assert len(found.summaries) == len(expected.summaries) == 1
+    for a, b in zip(found.summaries, expected.summaries, strict=True):
+        assert a.estimate is not None and b.estimate is not None
+        assert a.converged and a.complete
+        assert a.flags == b.flags and a.site_id == b.site_id
+        sd = np.sqrt(np.diag(b.estimate.covariance)) + 1e-12
+        assert np.all(np.abs(a.estimate.mean - b.estimate.mean) < sd / 3.0)
 
 
 def lies_of(outputs: Iterable[Output], truth: dict[str, Any]) -> list[Output]:

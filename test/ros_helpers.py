@@ -318,7 +318,6 @@ class Shared:
         self.output = "".join(self._lines)
         print(self.output)
 
-
     def _deactivations(self) -> int:
         return sum("deactivated: silent" in line for line in list(self._lines))
 

@@ -9,12 +9,17 @@ import json
 import math
 import os
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fault_helpers import shift
+from frame_helpers import Place, arm, place, write_bag
+from live_helpers import process_of
+from scipy.spatial.transform import Rotation
 from unknown_rig_bags import RigBag
 from unknown_rigs import SimulatedRig, judge, simulate_rig
 
@@ -22,6 +27,8 @@ from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
+from fden_ros.configure.transforms import FrameTree
+from fden_ros.nodes import guide
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import read_sections
 from fden_ros.recording.table import guessed_columns
@@ -268,31 +275,6 @@ def test_headings_with_units_say_the_columns(headings: list[str], columns: str |
     assert guessed_columns(headings) == columns
 
 
-def table(path: Path, *, force: float = 1.0, depth: float = 1.0, heading: str = "a;b;c") -> Path:
-    """Write the example's presses with decimal commas, force and depth multiplied."""
-    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1) * [1.0, force, 1e-3 * depth]
-    lines = [";".join(f"{value:.7f}" for value in row).replace(".", ",") for row in rows]
-    path.write_text("\n".join([heading, *lines]), encoding="utf-8")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("force", "depth", "words"),
-    [
-        (1.0, -1.0, "does the displacement have the wrong sign (displacement.axis"),
-        (-1.0, 1.0, "does it have the wrong sign (force.axis"),
-        (-1.0, -1.0, "do both have the wrong sign (force.axis and displacement.axis"),
-    ],
-)
-def test_the_hint_names_the_stream_that_is_wrong(
-    force: float, depth: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = table(tmp_path / "press.csv", force=force, depth=depth)
-    probe = PRESS.parent / "probe.yaml"
-    run("replay", recording, "--columns", "1,2,3", "--config", probe, "--json")
-    assert words in " ".join(json.loads(capsys.readouterr().out)["warnings"])
-
-
 # Measured
 
 
@@ -313,3 +295,94 @@ def test_the_robot_recording_tells_no_delay(capsys: pytest.CaptureFixture[str]) 
     assert not found["delay"]["claim"]
     assert not found["compliance"]["claim"]
     assert math.isclose(found["force rate"]["value"], 500.0)
+
+
+# `fden configure` where the probe's motion stands in transforms alone
+
+
+INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
+
+
+@pytest.fixture(scope="module")
+def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("arm") / "arm_bag", arm(shift()))
+
+
+def test_frames_are_found_and_the_file_replays(
+    arm_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "probe.yaml"
+    assert main(["configure", str(arm_bag), "-o", str(output), *INDENTER]) == 0
+    assert "displacement from tip in base" in capsys.readouterr().out
+    found = read_parameter_file(output)
+    assert (found.frames.base, found.frames.probe) == ("base", "tip")
+    assert found.displacement.message == "tf"
+    for axis in (found.force.axis, found.displacement.axis):
+        assert np.allclose(axis, [0.0, 0.0, 1.0], atol=0.05)
+    main(["replay", str(arm_bag), "--config", str(output), "--json"])
+    assert json.loads(capsys.readouterr().out)["contacts"]
+
+
+def test_frames_that_are_not_clear_are_asked_for_with_the_list(
+    arm_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["configure", str(arm_bag), "--frames", "base,tool"]) == 1
+    assert "of base, camera, flange, link, sensor, tip" in capsys.readouterr().err
+    second = place(1, "sensor", "knife", np.zeros(3), Rotation.identity(), static=True)
+    samples = [*arm(shift()), second]
+    assert isinstance(second, Place)
+    assert main(["configure", str(write_bag(tmp_path / "two", samples))]) == 1
+    assert "--frames BASE,PROBE, of base, camera, flange, knife" in capsys.readouterr().err
+
+
+def test_a_way_is_composed_along_the_tree() -> None:
+    from geometry_msgs.msg import TransformStamped
+    from tf2_msgs.msg import TFMessage
+
+    tree = FrameTree("here")
+    turn = Rotation.from_euler("z", 90.0, degrees=True).as_quat()
+    for parent, child, second in (("a", "b", 0), ("a", "b", 2), ("b", "c", 1)):
+        one = TransformStamped(child_frame_id=child)
+        one.header.frame_id, one.header.stamp.sec = parent, second
+        one.transform.translation.x = float(second)
+        rotation = one.transform.rotation
+        rotation.x, rotation.y, rotation.z, rotation.w = (float(part) for part in turn)
+        tree.add(TFMessage(transforms=[one]))
+    way = tree.way("a", "c", np.array([1_000_000_000], dtype=np.int64))
+    assert np.allclose(way.places, [[1.0, 1.0, 0.0]])
+    assert np.allclose(way.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
+
+
+# `fden configure --live` beside a robot that moves: a bag that is played into real topics
+
+
+def test_it_says_what_to_do_and_waits_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = whole_rig(force_rate=100.0, displacement_rate=100.0)
+    bag = RigBag(rig.streams).write(tmp_path / "bag")
+    output = tmp_path / "probe.yaml"
+    play = [sys.executable, "-m", "fden_ros.cli", "play", str(bag), "--rate", "3"]
+    with process_of(play):
+        topics = ["--force-topic", "/ft/wrench", "--displacement-topic", "/arm/pose"]
+        assert run("configure", "--live", *topics, "-o", output) == 0
+    printed = capsys.readouterr()
+    said = printed.err.splitlines()
+    assert "force from /ft/wrench (geometry_msgs/WrenchStamped)" in said
+    assert any(line.startswith("NOW: turn the tool in the air") for line in said)
+    assert said.index("done: turn") < said.index("done: press") < said.index("done: plate")
+    assert not any("given up" in line for line in said)
+    assert "identifier.launch.py parameters:=" in printed.out
+    parameters = read_parameter_file(output)
+    truth = rig.truth
+    assert parameters.tool.mass == pytest.approx(truth.mass, rel=0.02)
+    assert parameters.displacement.delay == pytest.approx(truth.delay, abs=1e-3)
+    assert parameters.displacement.compliance == pytest.approx(truth.compliance, rel=0.1)
+
+
+def test_without_topics_it_says_which_it_would_need(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guide, "_TOPICS_WITHIN", 0.5)
+    assert run("configure", "--live") == 1
+    assert "which topic is the force? There are" in capsys.readouterr().err

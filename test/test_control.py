@@ -10,21 +10,19 @@ import functools
 import numpy as np
 import pytest
 from closed_loop import LAST, LIMIT, STEP, Run, close_loop, tissue
+from output_helpers import ESTIMATE
 from property_helpers import first
 
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
 from fden_ros.control.live_tissue import Reading
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
 
-ALL = ParameterSet.ALL
 #: The fifth of ten tissues from the softest to the stiffest.
 MIDDLE = 4.0 / 9.0
 CONFIG = ForceControlConfig(safe_stiffness=100.0, force_limit=1.0, bandwidth=10.0)
 
 
 def reading(stiffness: float, sd: float = 0.0) -> Reading:
-    estimate = Estimate(6.3, 2.1, 0.0, np.zeros((3, 3)), 0.0, 0.0, 1.0, ALL, ALL, 1000)
     state = TissueState(
         stamp_ns=0,
         status=Status.CONVERGED,
@@ -32,10 +30,10 @@ def reading(stiffness: float, sd: float = 0.0) -> Reading:
         site_id=1,
         contact_id=1,
         phase=Phase.LOADING,
-        estimate=estimate,
+        estimate=ESTIMATE,
         apparent_stiffness=ApparentStiffness(stiffness, sd, 0.1),
     )
-    return Reading(state, estimate, 0.0)
+    return Reading(state, ESTIMATE, 0.0)
 
 
 def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness() -> None:

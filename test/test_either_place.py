@@ -86,6 +86,8 @@ def errors(seed: int, places: int) -> list[list[float]]:
 def test_a_late_touch_of_the_same_place_or_another_is_not_wrong_under_a_good_status(places):
     assert np.all(np.abs(errors(22, places)) < 4.0)
     assert all(one.converged and not one.flags for one, _ in contacts(22, places))
+    # Nothing says that it is not another site.
+    assert [one.site_id for one, _ in contacts(22, places)] == [1, 2, 3]
 
 
 def test_what_the_last_contact_told_sharpens_the_next_of_the_same_place():

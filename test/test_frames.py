@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, first_press, outcome_of, turn_of, undisturbed
+from fault_helpers import Outcome, assert_alike, first_press, outcome_of, turn_of, undisturbed
 from frame_helpers import (
     FRAMES,
     TIP,
@@ -52,16 +52,6 @@ def still() -> Outcome:
 @pytest.fixture(scope="module")
 def turning() -> Outcome:
     return run(arm(first_press()))
-
-
-def assert_alike(found: Outcome, expected: Outcome) -> None:
-    """As the probe that does not turn, by a third of a standard deviation."""
-    assert len(found.summaries) == len(expected.summaries) == 1
-    for a, b in zip(found.summaries, expected.summaries, strict=True):
-        assert a.estimate is not None and b.estimate is not None
-        assert a.converged and a.complete and a.flags == b.flags
-        sd = np.sqrt(np.diag(b.estimate.covariance)) + 1e-12
-        assert np.all(np.abs(a.estimate.mean - b.estimate.mean) < sd / 3.0)
 
 
 def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(

@@ -22,21 +22,13 @@ from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
+from simulation.simulate import EXACT
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
 PROBE = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
 #: What the data say counts, so that nothing but the flags stands against a good status.
-RIGID = {
-    **PROBE,
-    "model_error.sd": 0.0,
-    "surface.motion_sd": 0.0,
-    "force.drift_sd": 0.0,
-    "force.friction_sd": 0.0,
-    "displacement.compliance_sd": 0.0,
-    "displacement.delay_sd": 0.0,
-    "geometry.thickness_sd": 0.0,
-}
+RIGID = {**EXACT, **PROBE, "converged.log_sd": 0.1}
 
 
 @pytest.fixture(scope="module")

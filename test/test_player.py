@@ -57,9 +57,7 @@ class Listener(Ears):
         self, topic: str, cls: type, profile: QoSProfile = DEEP, *, raw: bool = True
     ) -> list[Any]:
         received: list[Any] = []
-        self.node.create_subscription(
-            cls, topic, received.append, profile, raw=raw
-        )
+        self.node.create_subscription(cls, topic, received.append, profile, raw=raw)
         return received
 
 
@@ -101,9 +99,7 @@ def test_reliable_subscriber_receives_every_message_bit_for_bit_in_order(
     for topic, received in heard.items():
         # DDS may pad a message to a multiple of 4 bytes.
         expected = recorded(bag, topic)
-        assert [data[: len(e)] for data, e in zip(received, expected, strict=True)] == (
-            expected
-        )
+        assert [data[: len(e)] for data, e in zip(received, expected, strict=True)] == (expected)
 
 
 def test_the_pace_is_that_of_the_bag_times_the_rate(

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -74,28 +73,6 @@ def _names(node: Any) -> list[set[str]]:
             node.get_client_names_and_types_by_node,
         )
     ]
-
-
-def test_nothing_that_could_execute_a_file_is_used() -> None:
-    """No pickle, no eval, no shell, and PyYAML by its safe loader only."""
-    modules = {"pickle", "marshal", "shelve", "dill", "joblib"}
-    calls = {"eval", "exec", "__import__"}
-    unsafe = {"load", "load_all", "unsafe_load", "full_load", "Loader", "UnsafeLoader"}
-    for path in sorted((ROOT / "fden_ros").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
-            if isinstance(node, ast.Import):
-                assert not modules & {alias.name.split(".")[0] for alias in node.names}, where
-            if isinstance(node, ast.ImportFrom):
-                assert (node.module or "").split(".")[0] not in modules, where
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                assert node.func.id not in calls, where
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-                assert not (node.value.id == "yaml" and node.attr in unsafe), where
-            if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
-                assert isinstance(node.value, ast.Constant) and node.value.value is False, where
-            if isinstance(node, ast.keyword) and node.arg == "shell":
-                assert isinstance(node.value, ast.Constant) and node.value.value is False, where
 
 
 @pytest.mark.parametrize("read", [read_parameter_file, load_library])
