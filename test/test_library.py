@@ -19,6 +19,7 @@ from fden_ros.core.classification.classifier import UNKNOWN, log_evidence, poste
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.tissues.library import load_library, parse_library
+from fden_ros.tissues.training import check as checked
 from fden_ros.tissues.training import contacts_of, learn, library_of, library_text
 from simulation.bag import write_recording
 from simulation.scenario import Tissue, ramp_scenario
