@@ -224,7 +224,6 @@ def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
 # ``fden report``: what the page says, and that a browser shows it without a complaint
 
 
-GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )

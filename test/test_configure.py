@@ -167,16 +167,11 @@ def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> Non
     assert not finding.parameters
 
 
-@pytest.mark.parametrize(
-    ("force", "displacement"), [(1.0, 1.0), (9.80665e-3, 1.0), (1.0, 1e-3), (9.80665e-3, 1e-3)]
-)
-def test_grams_and_millimetres_are_named_and_the_rest_is_still_si(
-    force: float, displacement: float
-) -> None:
-    rig = whole_rig(force_unit=force, displacement_unit=displacement)
+def test_grams_and_millimetres_are_named_and_the_rest_is_still_si() -> None:
+    rig = whole_rig(force_unit=9.80665e-3, displacement_unit=1e-3)
     found = look(rig)
-    assert found.finding("force unit").value == ("N" if force == 1.0 else "g")
-    assert found.finding("displacement unit").value == ("m" if displacement == 1.0 else "mm")
+    assert found.finding("force unit").value == "g"
+    assert found.finding("displacement unit").value == "mm"
     assert not judge(found, rig.truth).misses
 
 

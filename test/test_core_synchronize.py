@@ -176,14 +176,6 @@ def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
     assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 81
 
 
-def test_delay_of_the_displacement_is_taken_off_its_stamps():
-    run = Run(displacement_delay=0.02)
-    for ms in range(0, 100):
-        run.add(DISPLACEMENT, START + ms * MS, ms * 1e-3)
-    run.add(FORCE, START + 50 * MS)
-    assert run.pairs[0].displacement == pytest.approx(0.070)
-
-
 @pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
 def test_one_stream_alone_does_not_fill_the_memory(name):
     run = Run(pairing_window=1.0)

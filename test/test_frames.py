@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import random
-from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,9 @@ from ros_helpers import Bench, active, assert_live_equals_replay, replayed
 
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
-from fden_ros.core.streams.rotation import Transform
-from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
-from fden_ros.parameters import check, pipeline_config
+from fden_ros.parameters import check
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
@@ -63,45 +60,18 @@ def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(
     assert turning.pipeline.rejected.total() <= 2
 
 
-def test_the_weight_of_a_tool_that_turns_is_taken_off_along_the_axis_of_the_base(
+def test_the_weight_of_a_tool_that_turns_is_taken_off_in_the_frame_of_the_base(
     still: Outcome,
 ) -> None:
-    """A torque: the weight's own is that of its lever, which turns."""
-    s = first_press()
-    mass, centre = 0.2, np.array([0.01, 0.0, 0.05])
-    turned = []
+    s, mass = first_press(), 0.2
+    heavy = []
     for one in forces(s):
         turn = turn_of(s.second(one.stamp_ns)) * TIP[1].inv()
         weight = turn.inv().apply([0.0, 0.0, -9.80665 * mass])
-        x, y, z = map(float, np.array(one.force) + np.cross(centre, weight))
-        turned.append(one._replace(force=(x, y, z)))
-    stamped = sorted([*transforms(s), *turned], key=lambda one: one.stamp_ns)
-    tool = {"tool.mass": mass, "tool.centre_of_mass": centre.tolist()}
-    values = s.parameters | FRAMES | tool
-    config = pipeline_config(check(values | {"geometry.kind": "torsional_rheometer"}))
-    assert config.synchronize.frames is not None and config.synchronize.frames.tool is not None
-    pairs: list[Any] = []
-    synchronizer = Synchronizer(config.synchronize, pairs.append, Counter())
-    for one in [*statics(), *stamped]:
-        one(_Bare(synchronizer))  # type: ignore[arg-type]
-    values_of = {item.stamp_ns: item.value for item in s.items if item.stream == 0}
-    assert len(pairs) > 900
-    assert max(abs(pair.force - values_of[pair.stamp_ns]) for pair in pairs) < 1e-3
-
-
-class _Bare:
-    """Hands samples to a synchronizer as a pipeline does."""
-
-    def __init__(self, synchronizer: Any) -> None:
-        self._synchronizer = synchronizer
-        self.add_force_vector = synchronizer.add_force_vector
-
-    def add_transform(
-        self, stamp_ns: int, parent: str, child: str, at: Any, turn: Any, *, is_static: bool
-    ) -> None:
-        self._synchronizer.add_transform(
-            stamp_ns, parent, child, Transform(at, turn), is_static=is_static
-        )
+        x, y, z = map(float, np.array(one.force) + weight)
+        heavy.append(one._replace(force=(x, y, z)))
+    moving = sorted([*transforms(s), *heavy], key=lambda one: one.stamp_ns)
+    assert_alike(run([*statics(), *moving], tool__mass=mass), still)
 
 
 def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(

@@ -31,17 +31,8 @@ class Heard:
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
 
-    def add_force(self, *arguments: Any) -> None:
-        self.calls.append(("force", *arguments))
-
-    def add_displacement(self, *arguments: Any) -> None:
-        self.calls.append(("displacement", *arguments))
-
-    def add_surface(self, *arguments: Any) -> None:
-        self.calls.append(("surface", *arguments))
-
-    def reject(self, *arguments: Any) -> None:
-        self.calls.append(("reject", *arguments))
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: self.calls.append((name, *arguments))
 
 
 def both_ways(

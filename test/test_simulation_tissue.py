@@ -12,8 +12,6 @@ import mpmath
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from hypothesis import given
-from hypothesis import strategies as st
 from live_helpers import Ears, node_process
 from property_helpers import first
 from scipy.special import gamma
@@ -24,7 +22,6 @@ from benchmark.other_laws import (
     Relaxation,
     poroelastic,
     quasi_linear,
-    springpot,
     standard_linear_solid,
     stress_of_law,
 )
@@ -40,8 +37,6 @@ from simulation.trajectory import Approach, Palpation, Path, RampHold
 
 
 DIGITS = 30
-
-models = st.builds(FdenModel, st.floats(100.0, 2000.0), st.floats(4.0, 14.0), st.floats(0.02, 0.6))
 
 
 def kernel_integral(lam, tau, order):
@@ -116,15 +111,6 @@ def test_stress_is_exact_under_random_piecewise_linear_strain(seed):
             abs(float(f - mpmath.mpf(float(g)))) for f, g in zip(exact, stress, strict=True)
         )
     assert error <= 1e-12 * peak
-
-
-@given(models, st.floats(-0.5, 0.5))
-def test_phi_is_odd_smooth_and_inverted(model, strain):
-    np.testing.assert_array_equal(model.phi(-strain), -model.phi(strain))
-    assert model.strain_of_phi(model.phi(strain)) == pytest.approx(strain, rel=1e-12, abs=1e-15)
-    for place in (strain, model.boundary_strain, -model.boundary_strain):
-        slope = (model.phi(place + 1e-7) - model.phi(place - 1e-7)) / 2e-7
-        assert model.phi_derivative(place) == pytest.approx(slope, rel=1e-5)
 
 
 # Contact that cannot pull: its free surface, and against time stepping on a fine grid
@@ -280,7 +266,6 @@ def test_the_node_publishes_as_a_driver_does_and_takes_commands() -> None:
 # Simulated tissue of other laws: relaxations, wear, contact
 
 
-LAW_MODEL = FdenModel(1000.0, 8.0, 0.2)
 LINEAR = FdenModel(1000.0, 0.5, 0.2)
 COARSE_STEP = 0.002
 
@@ -288,13 +273,6 @@ COARSE_STEP = 0.002
 def ramp_and_hold(strain=0.25, ramp=1.0, stop=5.0):
     times = COARSE_STEP * np.arange(1, round(stop / COARSE_STEP) + 1)
     return times, np.interp(times, [0.0, ramp], [0.0, strain])
-
-
-def test_a_springpot_is_the_closed_form():
-    times, strains = ramp_and_hold()
-    exact = stress_of_piecewise_linear_strain([0.0, 1.0], [0.0, 0.25], times, LAW_MODEL)
-    found = stress_of_law(Law(LAW_MODEL, springpot(0.2)), strains, COARSE_STEP)
-    np.testing.assert_allclose(found, exact, atol=1e-4 * exact.max())
 
 
 @pytest.mark.parametrize(
