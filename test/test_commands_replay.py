@@ -45,39 +45,13 @@ ROOT = Path(__file__).parent.parent
 GOLDEN = ROOT / "bags" / "golden"
 PRESS = GOLDEN / "golden_press"
 POSE = GOLDEN / "golden_pose"
-SCENARIO = """\
-seed: 3
-geometry: {kind: flat_punch, radius_m: 0.01, thickness_m: 0.02}
-approach: {distance_m: 0.006, start_pause_s: 1.0, site_pause_s: 0.5}
-sites:
-  - position_m: [0.05, -0.02]
-    tissue: {draw: liver, fractional_order: 0.131}
-    presses: [{kind: ramp, strain_rate: 0.25, max_strain: 0.28}]
-force:
-  topic: /ati/netft
-  axis: [0.0, 0.0, -1.0]
-  frame_id: ft_sensor
-  rate_hz: 1000.0
-  noise_n: 1.0e-3
-  jitter_s: 1.0e-4
-  bias_n: -0.3
-displacement:
-  topic: /psm1/measured_cp
-  message: pose
-  axis: [0.0, 0.0, -1.0]
-  frame_id: base
-  rate_hz: 100.0
-  noise_m: 2.0e-6
-  jitter_s: 1.0e-3
-  surface_m: -0.11
-"""
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    path = tmp_path_factory.mktemp("scenario") / "foreign.yaml"
-    path.write_text(SCENARIO)
-    return simulate(load_scenario(path))
+def recording() -> Recording:
+    """One press of a scenario that comes along, the probe pressing downwards."""
+    scenario = load_scenario("pose_100hz")
+    return simulate(replace(scenario, sites=scenario.sites[:1]))
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +122,7 @@ def test_a_bag_of_rosbags_with_slow_poses_and_negative_force_gives_the_truth(
 ) -> None:
     result = replayed(capsys, foreign_bag, "--config", config)
     check_truth(result, recording)
-    assert result["inputs"] == {"force": "/ati/netft", "displacement": "/psm1/measured_cp"}
+    assert result["inputs"] == {"force": "/tool/wrench", "displacement": "/arm/measured_cp"}
 
 
 def test_damaged_messages_are_counted_and_the_others_used(
@@ -184,18 +158,18 @@ def test_fields_of_types_that_only_the_bag_knows_give_the_truth(
     inverted = tmp_path / "inverted.yaml"
     inverted.write_text(config.read_text() + "    force.inverted: true\n")
     options = (
-        *("--force-topic", "/ati/netft", "--force-field", "channels[1]"),
-        *("--displacement-topic", "/psm1/measured_cp", "--displacement-field", "tip"),
+        *("--force-topic", "/tool/wrench", "--force-field", "channels[1]"),
+        *("--displacement-topic", "/arm/measured_cp", "--displacement-field", "tip"),
     )
     result = replayed(capsys, bag, "--config", inverted, *options)
     check_truth(result, recording)
-    assert result["inputs"]["force"] == "/ati/netft channels[1]"
+    assert result["inputs"]["force"] == "/tool/wrench channels[1]"
 
 
 def test_a_field_that_is_not_there_is_named_with_those_that_are(
     capsys: pytest.CaptureFixture[str], foreign_bag: Path
 ) -> None:
-    topic = ("--force-topic", "/ati/netft", "--force-field")
+    topic = ("--force-topic", "/tool/wrench", "--force-field")
     line = error_line(capsys, 1, "replay", foreign_bag, *topic, "wrench.push")
     assert "no push" in line and "force, torque" in line
     line = error_line(capsys, 1, "replay", foreign_bag, *topic, "header.frame_id")

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, WrenchStamped
-from pipeline_helpers import LIVER_PARAMETERS, feed, items_of
+from pipeline_helpers import LIVER_PARAMETERS
 from sensor_msgs.msg import JointState
 
+from benchmark.trial import through
 from fden_ros.core import (
     ContactSummary,
     DynamicModulus,
-    Pipeline,
     Status,
     TissueState,
 )
@@ -355,18 +355,8 @@ class Heard:
     def __init__(self, name: str, values: dict[str, Any]) -> None:
         made = recording(name)
         message = made.truth["identifier_parameters"]["displacement.message"]
-        self.outputs: list[Any] = []
-        pipeline = Pipeline(
-            pipeline_config(check(BASE | {"displacement.message": message} | values)),
-            self.outputs.append,
-        )
-        if made.surface is not None:
-            # Before all others: the recording is shorter than the window.
-            surface = made.surface
-            for sample in zip(surface.stamp_ns.tolist(), surface.value.tolist(), strict=True):
-                pipeline.add_surface(*sample)
-        feed(pipeline, items_of(made))
-        pipeline.finish()
+        parameters = check(BASE | {"displacement.message": message} | values)
+        pipeline, self.outputs = through(made, pipeline_config(parameters))
         self.rejected = pipeline.rejected
         self.summaries = self._of(ContactSummary)
         self.moduli = self._of(DynamicModulus)
@@ -380,9 +370,14 @@ class Heard:
         return [output for output in self.outputs if isinstance(output, kind)]
 
     @property
-    def innovation(self) -> Any:
-        """The last innovation."""
-        return [state.innovation for state in self.states if state.innovation is not None][-1]
+    def begin(self) -> int:
+        """Stamp of the first estimate."""
+        return int(self.states[0].stamp_ns)
+
+    @property
+    def first(self) -> Any:
+        """The first estimate in contact."""
+        return self.pressing[0].estimate
 
     @property
     def summary(self) -> Any:
@@ -390,9 +385,25 @@ class Heard:
         return self.summaries[-1]
 
     @property
+    def last(self) -> Any:
+        """The last summary's estimate."""
+        return self.summary.estimate
+
+    @property
+    def stress(self) -> float:
+        """The largest."""
+        return float(self.summary.max_stress)
+
+    @property
+    def predicted(self) -> float | None:
+        """The stress that is predicted last; None: the fractional stress alone is."""
+        found = [state.innovation for state in self.states if state.innovation is not None]
+        return None if found[-1].predicted_stress is None else float(found[-1].predicted_stress)
+
+    @property
     def sds(self) -> Any:
         """Standard deviations of ln G, ln Gn and alpha at the end."""
-        return self.summary.estimate.deviations
+        return self.last.deviations
 
     @property
     def error(self) -> float:
@@ -430,7 +441,7 @@ def rejected(reason: str) -> Check:
 
 
 def stress_times(factor: float) -> Check:
-    return lambda a, b: b.summary.max_stress == near(factor * a.summary.max_stress)
+    return lambda a, b: b.stress == near(factor * a.stress)
 
 
 def one_site(usual: Heard, changed: Heard) -> bool:
@@ -442,22 +453,43 @@ def deeper_by_a_tenth(usual: Heard, changed: Heard) -> bool:
 
 
 def begins_with(index: int, value: float) -> Check:
-    return lambda a, b: b.pressing[0].estimate.deviations[index] == near(value, 0.05)
+    return lambda a, b: b.first.deviations[index] == near(value, 0.05)
 
 
 RIGID = EXACT | {"converged.log_sd": 0.1}
+
+
+def ends_with_alpha(value: float) -> Check:
+    return lambda a, b: b.last.fractional_order == near(value, 1e-9) != a.last.fractional_order
+
+
+def compared(usual: Heard, changed: Heard) -> list[bool]:
+    return [one.summary.comparison is not None for one in (usual, changed)]
+
+
+def labels(usual: Heard, changed: Heard) -> tuple[str, str]:
+    return usual.summary.classes.label, changed.summary.classes.label
+
+
+def other_scatter(usual: Heard, changed: Heard) -> bool:
+    before, after = (one.summary.comparison.log_ratio_sd for one in (usual, changed))
+    return bool(before != after)
+
+
+def softer_by_the_time_scale(usual: Heard, changed: Heard) -> bool:
+    before, after = (one.pressing[-1].apparent_stiffness.value for one in (usual, changed))
+    return bool(after == near(10.0**-0.131 * before, 1e-9))
+
+
 RELATIVE = RIGID | {"classification.mode": "relative"}
 GIVEN = {"alpha.learn": False}
+MARKED = RIGID | {"surface.message": "joint_state"}
+DITHER = {"dither.frequencies": (2.0,)}
 
 #: Recording, other parameters, the value, and what it does to what comes out (usual, changed).
 Effect = tuple[str, dict[str, Any], Any, Check]
 EFFECTS: dict[str, Effect] = {
-    "force.threshold": (
-        "plain",
-        {},
-        0.01,
-        lambda a, b: b.states[0].stamp_ns > a.states[0].stamp_ns,
-    ),
+    "force.threshold": ("plain", {}, 0.01, lambda a, b: b.begin > a.begin),
     "force.noise": ("plain", RIGID, 6e-4, wider),
     "force.noise_floor": ("silent", RIGID, 1e-3, wider),
     "force.measure_bias": (
@@ -476,18 +508,8 @@ EFFECTS: dict[str, Effect] = {
     "displacement.delay_sd": ("plain", RIGID, 0.1, wider),
     "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
     "surface.message": ("breathing", RIGID, "joint_state", lambda a, b: b.error < 0.2 * a.error),
-    "surface.delay": (
-        "breathing",
-        RIGID | {"surface.message": "joint_state"},
-        -0.2,
-        lambda a, b: b.sds[0] > 2.0 * a.sds[0],
-    ),
-    "model_error.sd": (
-        "plain",
-        RIGID,
-        0.4,
-        lambda a, b: b.summary.estimate.model_error > 0.0 == a.summary.estimate.model_error,
-    ),
+    "surface.delay": ("breathing", MARKED, -0.2, lambda a, b: b.sds[0] > 2.0 * a.sds[0]),
+    "model_error.sd": ("plain", RIGID, 0.4, lambda a, b: b.last.model_error > a.last.model_error),
     "synchronize.max_gap": (
         "gap",
         {},
@@ -500,12 +522,7 @@ EFFECTS: dict[str, Effect] = {
         0.05,
         lambda a, b: b.rejected.total() > a.rejected.total(),
     ),
-    "geometry.kind": (
-        "plain",
-        {},
-        "sphere",
-        lambda a, b: b.summary.max_stress > a.summary.max_stress,
-    ),
+    "geometry.kind": ("plain", {}, "sphere", lambda a, b: b.stress > a.stress),
     "geometry.area": ("plain", {}, 2e-4, stress_times(0.5)),
     "geometry.thickness": (
         "plain",
@@ -514,17 +531,12 @@ EFFECTS: dict[str, Effect] = {
         lambda a, b: b.summary.max_strain == near(0.5 * a.summary.max_strain, 0.02),
     ),
     "geometry.radius": ("plain", {"geometry.kind": "sphere"}, 0.01, stress_times(0.25)),
-    "geometry.hayes": (
-        "plain",
-        {},
-        True,
-        lambda a, b: b.summary.max_stress < a.summary.max_stress,
-    ),
+    "geometry.hayes": ("plain", {}, True, lambda a, b: b.stress < a.stress),
     "geometry.poisson_ratio": (
         "plain",
         {"geometry.hayes": True},
         0.3,
-        lambda a, b: b.summary.max_stress > a.summary.max_stress,
+        lambda a, b: b.stress > a.stress,
     ),
     "geometry.thickness_sd": (
         "plain",
@@ -538,45 +550,28 @@ EFFECTS: dict[str, Effect] = {
     "contact.lookback": ("slow", {}, 0.3, lambda a, b: len(a.summaries) == 1 and not b.summaries),
     "site.distance": ("apart", {}, 0.02, one_site),
     "site.timeout": ("again", {}, 60.0, one_site),
-    "alpha.learn": (
-        "plain",
-        {},
-        False,
-        lambda a, b: (
-            b.summary.estimate.fractional_order == near(0.131, 1e-9)
-            and a.summary.estimate.fractional_order != near(0.131, 1e-3)
-        ),
-    ),
+    "alpha.learn": ("plain", {}, False, ends_with_alpha(0.131)),
     "estimator.observation": (
         "plain",
         {},
         "fractional_stress",
-        lambda a, b: (
-            a.innovation.predicted_stress is not None and b.innovation.predicted_stress is None
-        ),
+        lambda a, b: a.predicted is not None and b.predicted is None,
     ),
     "prior.linear_stiffness": (
         "plain",
         {},
         1000.0,
-        lambda a, b: (
-            b.pressing[0].estimate.linear_stiffness > 1.2 * a.pressing[0].estimate.linear_stiffness
-        ),
+        lambda a, b: b.first.linear_stiffness > 1.2 * a.first.linear_stiffness,
     ),
     "prior.linear_stiffness_log_sd": ("plain", {}, 0.01, lambda a, b: b.sds[0] < 0.021 + 0.01),
     "prior.nonlinear_stiffness": (
         "plain",
         {},
         5.0,
-        lambda a, b: b.pressing[0].estimate.nonlinear_stiffness == near(5.0, 0.05),
+        lambda a, b: b.first.nonlinear_stiffness == near(5.0, 0.05),
     ),
     "prior.nonlinear_stiffness_log_sd": ("plain", RIGID, 0.05, begins_with(1, 0.05)),
-    "prior.alpha": (
-        "plain",
-        GIVEN,
-        0.2,
-        lambda a, b: b.summary.estimate.fractional_order == near(0.2, 1e-9),
-    ),
+    "prior.alpha": ("plain", GIVEN, 0.2, ends_with_alpha(0.2)),
     "prior.alpha_sd": ("plain", GIVEN, 0.05, lambda a, b: b.sds[2] == near(0.05, 1e-6)),
     "converged.log_sd": ("plain", RIGID, 0.001, lambda a, b: b.converged == 0 < a.converged),
     "converged.probability": (
@@ -586,15 +581,7 @@ EFFECTS: dict[str, Effect] = {
         lambda a, b: b.converged > a.converged,
     ),
     "estimate.period": ("plain", {}, 0.04, lambda a, b: a.in_air == near(2 * b.in_air, 0.1)),
-    "estimate.time_scale": (
-        "plain",
-        RIGID | GIVEN,
-        1.0,
-        lambda a, b: (
-            b.pressing[-1].apparent_stiffness.value
-            == near(10.0**-0.131 * a.pressing[-1].apparent_stiffness.value, 1e-9)
-        ),
-    ),
+    "estimate.time_scale": ("plain", RIGID | GIVEN, 1.0, softer_by_the_time_scale),
     "contact.mode": (
         "palpated",
         {},
@@ -607,35 +594,25 @@ EFFECTS: dict[str, Effect] = {
         (2.0,),
         lambda a, b: not a.moduli and b.moduli[-1].modulus.angular_frequency == near(4.0 * np.pi),
     ),
-    "dither.periods": (
-        "dithered",
-        {"dither.frequencies": (2.0,)},
-        2,
-        lambda a, b: len(b.moduli) >= 2 * len(a.moduli) > 0,
-    ),
+    "dither.periods": ("dithered", DITHER, 2, lambda a, b: len(b.moduli) >= 2 * len(a.moduli) > 0),
     "classification.mode": (
         "row",
         RIGID,
         "relative",
-        lambda a, b: a.summary.comparison is None and b.summary.comparison is not None,
+        lambda a, b: compared(a, b) == [False, True],
     ),
     "classification.ratio": (
         "row",
         RELATIVE,
         3.0,
-        lambda a, b: (a.summary.classes.label, b.summary.classes.label) == ("stiffer", "alike"),
+        lambda a, b: labels(a, b) == ("stiffer", "alike"),
     ),
-    "classification.strain": (
-        "row",
-        RELATIVE,
-        0.3,
-        lambda a, b: a.summary.comparison.log_ratio_sd != b.summary.comparison.log_ratio_sd,
-    ),
+    "classification.strain": ("row", RELATIVE, 0.3, other_scatter),
     "classification.distance": (
         "row",
         RELATIVE,
         0.02,
-        lambda a, b: b.summary.comparison is None and a.summary.comparison is not None,
+        lambda a, b: compared(a, b) == [True, False],
     ),
 }
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import math
 import random
 from collections import Counter
 from dataclasses import replace
@@ -21,6 +20,7 @@ from hypothesis import strategies as st
 from property_helpers import counts, examples
 from ros_helpers import assert_live_equals_replay, replayed
 
+from benchmark.trial import truth_of
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.samples import Pair
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
@@ -83,15 +83,9 @@ def result_of(
 def deviations(result: Replay, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Errors of ln G, ln Gn and alpha over their stated deviations, and these."""
     (summary,) = result.summaries
-    site = recording.truth["sites"][0]
-    truth = [
-        math.log(site["linear_stiffness"]),
-        math.log(site["nonlinear_stiffness"]),
-        site["fractional_order"],
-    ]
     assert summary.estimate is not None
-    sd = np.sqrt(np.diag(summary.estimate.covariance))
-    return (summary.estimate.mean - np.array(truth)) / sd, sd
+    sd = summary.estimate.deviations
+    return (summary.estimate.mean - truth_of(recording)) / sd, sd
 
 
 @pytest.mark.parametrize("seeds", counts(1, 4))
