@@ -10,7 +10,6 @@ import json
 import math
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -332,7 +331,7 @@ def test_tiny_run_measures_how_probabilities_hold(tmp_path, capsys, monkeypatch)
 # The benchmarks of speed measure what they say; their goals are for a quiet machine
 
 
-def test_a_run_through_the_node_measures_all() -> None:
+def test_a_run_through_the_node_measures_all():
     """How much is lost in time is for a quiet machine to say."""
     rows = node.measure(2 * [node.Turn(node.NODE, 200.0, 1.5), node.Turn(node.RELAY, 200.0, 1.5)])
     assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
@@ -345,7 +344,7 @@ def test_a_run_through_the_node_measures_all() -> None:
         assert min(row["memory"]) > 10.0
 
 
-def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted() -> None:
+def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
     read: list[bytes] = []
     incoming = [b"%d" % number for number in range(30_000)]
     coming = iter(incoming)
@@ -366,7 +365,7 @@ def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted() -
     assert backlog.batches == 1
 
 
-def test_streams_that_waited_together_are_worked_off_side_by_side() -> None:
+def test_streams_that_waited_together_are_worked_off_side_by_side():
     """After a pause, at whatever rates: neither is far ahead of the other."""
     read: list[float] = []
     apart: list[float] = []
@@ -389,9 +388,7 @@ def test_streams_that_waited_together_are_worked_off_side_by_side() -> None:
     assert max(apart) < 2.0 / 60.0
 
 
-def test_replay_is_timed_and_its_figures_are_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_is_timed_and_its_figures_are_json(tmp_path, capsys):
     assert main(["benchmark", "replay", "--quick", "--json", "-o", str(tmp_path)]) == 0
     figures = json.loads(capsys.readouterr().out)["figures"]
     assert set(figures["steps"]) >= {"in the air", "in contact"}

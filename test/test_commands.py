@@ -72,9 +72,7 @@ def work() -> batch.Work:
     return batch.Work(check({}), Selection())
 
 
-def test_processes_give_what_replay_gives_and_a_second_run_skips(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsys):
     archive = tmp_path / "archive"
     shutil.copytree(POSE, archive / "press")
     air(archive / "air", 1)
@@ -114,7 +112,7 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(
 # Without workers
 
 
-def test_bags_are_found_in_folders_and_by_patterns(tmp_path: Path) -> None:
+def test_bags_are_found_in_folders_and_by_patterns(tmp_path):
     air(tmp_path / "a" / "one", 1, 3)
     air(tmp_path / "a" / ".two.part", 2, 3)
     shutil.copy(tmp_path / "a" / "one" / "one_0.mcap", tmp_path / "a" / "bare.mcap")
@@ -126,8 +124,8 @@ def test_bags_are_found_in_folders_and_by_patterns(tmp_path: Path) -> None:
 
 
 def test_a_bag_is_done_again_where_the_configuration_differs_or_its_rows_are_cut_off(
-    tmp_path: Path, work: batch.Work
-) -> None:
+    tmp_path, work
+):
     bags = [str(air(tmp_path / f"bag{index}", index, 20)) for index in range(2)]
     other = batch.Work(check({"geometry.thickness": 0.03}), Selection())
     assert work.digest() == batch.Work(check({}), Selection()).digest() != other.digest()
@@ -150,7 +148,7 @@ def test_a_bag_is_done_again_where_the_configuration_differs_or_its_rows_are_cut
     assert [row["bag"] for row in rows_of(table)] == bags
 
 
-def test_another_table_is_not_touched(tmp_path: Path) -> None:
+def test_another_table_is_not_touched(tmp_path):
     path = tmp_path / "thesis.csv"
     path.write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="another kind"):
@@ -175,9 +173,7 @@ def command(bag: Path, name: str, *options: str | Path) -> int:
     return main([name, str(bag), "--config", str(config), *map(str, options)])
 
 
-def test_a_path_is_identified_and_its_places_are_a_map(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_path_is_identified_and_its_places_are_a_map(bag, tmp_path, capsys):
     out = tmp_path / "results"
     assert command(bag, "replay", "--json", "-o", out) == 0
     contacts = json.loads(capsys.readouterr().out)["contacts"]
@@ -204,7 +200,7 @@ def test_a_path_is_identified_and_its_places_are_a_map(
     assert column("x", "<f4") == pytest.approx([o["position"][0] for o in known], abs=1e-6)
 
 
-def test_the_report_draws_the_path(bag: Path, tmp_path: Path) -> None:
+def test_the_report_draws_the_path(bag, tmp_path):
     page, table = tmp_path / "page.html", tmp_path / "table.csv"
     assert command(bag, "report", "-o", page, "--csv", table) == 0
     text = page.read_text(encoding="utf-8")
@@ -267,7 +263,7 @@ def browse(page: Path, *options: str) -> tuple[str, list[str]]:
 
 
 @needs_browser
-def test_a_browser_shows_the_numbers_without_a_script_error(page: Path, session: Session) -> None:
+def test_a_browser_shows_the_numbers_without_a_script_error(page, session):
     dom, complaints = browse(page, "--dump-dom")
     assert complaints == []
     text = re.sub(r"<[^>]+>", " ", dom)
@@ -281,7 +277,7 @@ def test_a_browser_shows_the_numbers_without_a_script_error(page: Path, session:
     assert dom.count("<svg") == 3 + 4 * 2
 
 
-def test_the_page_needs_nothing_from_elsewhere(page: Path) -> None:
+def test_the_page_needs_nothing_from_elsewhere(page):
     text = page.read_text()
     references = re.findall(r'(?:src|href|xlink:href)="([^"]*)"|url\(([^)]*)\)', text)
     assert references
@@ -293,7 +289,7 @@ def test_the_page_needs_nothing_from_elsewhere(page: Path) -> None:
     assert not any(colour in pictures for colour in (style.ESTIMATE, style.INK, style.SHADE))
 
 
-def test_text_from_the_recording_is_escaped(tmp_path: Path, session: Session) -> None:
+def test_text_from_the_recording_is_escaped(tmp_path, session):
 
     from fden_ros.report.page import page as render
 
@@ -301,7 +297,7 @@ def test_text_from_the_recording_is_escaped(tmp_path: Path, session: Session) ->
     assert "<script>alert" not in html
 
 
-def test_what_the_data_do_not_allow_is_said_in_words(tmp_path: Path) -> None:
+def test_what_the_data_do_not_allow_is_said_in_words(tmp_path):
     config = tmp_path / "narrow.yaml"
     text = (POSE / "identifier.yaml").read_text()
     # A stiffness this nonlinear would begin at strains that were not reached.
@@ -320,7 +316,7 @@ def test_what_the_data_do_not_allow_is_said_in_words(tmp_path: Path) -> None:
     assert "G is known, Gn is not observable: the strain reached" in said
 
 
-def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path: Path) -> None:
+def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path):
     table = tmp_path / "air.csv"
     table.write_text("t,f,d\n" + "".join(f"{i * 1e-2},0.0{i % 7},0\n" for i in range(300)))
     out = tmp_path / "report.html"
@@ -328,7 +324,7 @@ def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path: Path) -> N
     assert "No contact was found" in out.read_text()
 
 
-def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path: Path) -> None:
+def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path):
     """Pressing as deep as the sentence says makes Gn known."""
     tissue = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
 
@@ -354,7 +350,7 @@ def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path: Pa
 # What is gathered
 
 
-def test_the_test_tells_large_and_coloured_innovations_from_right_ones() -> None:
+def test_the_test_tells_large_and_coloured_innovations_from_right_ones():
     from fden_ros.core.estimation.estimator import Innovation
 
     def verdict(values: np.ndarray) -> str:

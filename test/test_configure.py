@@ -100,9 +100,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("seed", "chosen"),
     [pytest.param(*rig, marks=[] if rig[0] in OFTEN else pytest.mark.statistics) for rig in DOZEN],
 )
-def test_what_is_stated_of_an_unknown_rig_is_right(
-    seed: int, chosen: dict[str, Any], tmp_path: Path
-) -> None:
+def test_what_is_stated_of_an_unknown_rig_is_right(seed, chosen, tmp_path):
     rig = simulate_rig(seed, **chosen)
     path = RigBag(rig.streams).write(tmp_path / "bag")
     reading = read(path)
@@ -114,7 +112,7 @@ def test_what_is_stated_of_an_unknown_rig_is_right(
 
 
 @pytest.mark.statistics
-def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold() -> None:
+def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold():
     judged = []
     for seed in range(5000, 5200):
         rig = simulate_rig(seed)
@@ -129,7 +127,7 @@ def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold() -> Non
             assert 0.9 <= np.mean(np.abs(errors) <= 1.96) <= 1.0, name
 
 
-def test_a_whole_recording_tells_everything() -> None:
+def test_a_whole_recording_tells_everything():
     rig = whole_rig(presses=6)
     found = look(rig)
     assert [f.subject for f in found.findings if not f.claim] == []
@@ -146,9 +144,7 @@ def test_a_whole_recording_tells_everything() -> None:
         ({"turns": False, "rigid": False, "seed": 9}, {"tool mass", "compliance", "delay"}),
     ],
 )
-def test_what_was_not_done_is_not_stated_but_asked_for(
-    left_out: dict[str, Any], silent: set[str]
-) -> None:
+def test_what_was_not_done_is_not_stated_but_asked_for(left_out, silent):
     found = look(whole_rig(**left_out))
     for name in silent:
         finding = found.finding(name)
@@ -157,7 +153,7 @@ def test_what_was_not_done_is_not_stated_but_asked_for(
         assert not finding.parameters
 
 
-def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> None:
+def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters():
     rig = whole_rig()
     quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned = replace(rig.streams, force=rig.streams.force @ quarter)
@@ -167,7 +163,7 @@ def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> Non
     assert not finding.parameters
 
 
-def test_grams_and_millimetres_are_named_and_the_rest_is_still_si() -> None:
+def test_grams_and_millimetres_are_named_and_the_rest_is_still_si():
     rig = whole_rig(force_unit=9.80665e-3, displacement_unit=1e-3)
     found = look(rig)
     assert found.finding("force unit").value == "g"
@@ -175,7 +171,7 @@ def test_grams_and_millimetres_are_named_and_the_rest_is_still_si() -> None:
     assert not judge(found, rig.truth).misses
 
 
-def test_noise_alone_is_no_contact() -> None:
+def test_noise_alone_is_no_contact():
     draw = np.random.default_rng(3)
     times = np.arange(0.0, 20.0, 0.005)
     streams = Streams(
@@ -193,9 +189,7 @@ def test_noise_alone_is_no_contact() -> None:
 # The command
 
 
-def test_the_file_replays_on_presses_of_the_same_rig(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_file_replays_on_presses_of_the_same_rig(bag, tmp_path, capsys):
     truth = bag_rig().truth
     output = tmp_path / "probe.yaml"
     indenter = ["--flat-punch", truth.area, "--thickness", truth.thickness]
@@ -218,7 +212,7 @@ def test_the_file_replays_on_presses_of_the_same_rig(
         assert one["g_n"] == pytest.approx(truth.nonlinear_stiffness, abs=4.0 * one["g_n_sd"])
 
 
-def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_path: Path) -> None:
+def test_every_value_in_the_file_stands_below_where_it_is_from(bag, tmp_path):
     output = tmp_path / "probe.yaml"
     assert run("configure", bag, "-o", output) == 0
     text = output.read_text(encoding="utf-8")
@@ -228,9 +222,7 @@ def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_pa
     assert values["displacement.message"] == "pose"
 
 
-def test_presses_of_one_place_are_one_site_without_positions(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_presses_of_one_place_are_one_site_without_positions(tmp_path, capsys):
     output = tmp_path / "probe.yaml"
     for more, sites in ([], [1, 2]), (["--one-place"], [1, 1]):
         assert run("configure", PRESS, "-o", output, *more) == 0
@@ -240,9 +232,7 @@ def test_presses_of_one_place_are_one_site_without_positions(
         assert [contact["site"] for contact in contacts] == sites
 
 
-def test_a_table_in_millimetres_is_told_and_its_headings_are_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, capsys):
     assert run("configure", PRESS, "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["parameters"]["force.inverted"] is False
@@ -266,7 +256,7 @@ def test_a_table_in_millimetres_is_told_and_its_headings_are_read(
         (["time_s", "force_N", "temperature_K"], None),
     ],
 )
-def test_headings_with_units_say_the_columns(headings: list[str], columns: str | None) -> None:
+def test_headings_with_units_say_the_columns(headings, columns):
     assert guessed_columns(headings) == columns
 
 
@@ -274,7 +264,7 @@ def test_headings_with_units_say_the_columns(headings: list[str], columns: str |
 
 
 @pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
-def test_the_robot_recording_tells_no_delay(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_robot_recording_tells_no_delay(capsys):
     assert DATA is not None
     path = Path(DATA, "robot_on_silicone_500hz.csv")
     assert run("configure", path, "--columns", "@500,5,1", "--json") == 0
@@ -303,9 +293,7 @@ def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp("arm") / "arm_bag", arm(shift()))
 
 
-def test_frames_are_found_and_the_file_replays(
-    arm_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_are_found_and_the_file_replays(arm_bag, tmp_path, capsys):
     output = tmp_path / "probe.yaml"
     assert main(["configure", str(arm_bag), "-o", str(output), *INDENTER]) == 0
     assert "displacement from tip in base" in capsys.readouterr().out
@@ -318,9 +306,7 @@ def test_frames_are_found_and_the_file_replays(
     assert json.loads(capsys.readouterr().out)["contacts"]
 
 
-def test_frames_that_are_not_clear_are_asked_for_with_the_list(
-    arm_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_that_are_not_clear_are_asked_for_with_the_list(arm_bag, tmp_path, capsys):
     assert main(["configure", str(arm_bag), "--frames", "base,tool"]) == 1
     assert "of base, camera, flange, link, sensor, tip" in capsys.readouterr().err
     second = place(1, "sensor", "knife", np.zeros(3), Rotation.identity(), static=True)
@@ -330,7 +316,7 @@ def test_frames_that_are_not_clear_are_asked_for_with_the_list(
     assert "--frames BASE,PROBE, of base, camera, flange, knife" in capsys.readouterr().err
 
 
-def test_a_way_is_composed_along_the_tree() -> None:
+def test_a_way_is_composed_along_the_tree():
     from geometry_msgs.msg import TransformStamped
     from tf2_msgs.msg import TFMessage
 
@@ -351,9 +337,7 @@ def test_a_way_is_composed_along_the_tree() -> None:
 # `fden configure --live` beside a robot that moves: a bag that is played into real topics
 
 
-def test_it_says_what_to_do_and_waits_for_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_says_what_to_do_and_waits_for_it(tmp_path, capsys):
     rig = whole_rig(force_rate=100.0, displacement_rate=100.0)
     bag = RigBag(rig.streams).write(tmp_path / "bag")
     output = tmp_path / "probe.yaml"
@@ -375,9 +359,7 @@ def test_it_says_what_to_do_and_waits_for_it(
     assert parameters.displacement.compliance == pytest.approx(truth.compliance, rel=0.1)
 
 
-def test_without_topics_it_says_which_it_would_need(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_topics_it_says_which_it_would_need(capsys, monkeypatch):
     monkeypatch.setattr(guide, "_TOPICS_WITHIN", 0.5)
     assert run("configure", "--live") == 1
     assert "which topic is the force? There are" in capsys.readouterr().err

@@ -86,7 +86,7 @@ def verdict(seed: int) -> Verdict:
 @pytest.mark.parametrize(
     "seeds", [range(12), pytest.param(range(200), marks=pytest.mark.statistics)]
 )
-def test_signs_of_slow_presses_are_right_or_left_open(seeds: range) -> None:
+def test_signs_of_slow_presses_are_right_or_left_open(seeds):
     verdicts = [verdict(seed) for seed in seeds]
     assert [name for one in verdicts for name in one.wrong] == []
     clear = [one.is_open for one in verdicts if one.is_clear]
@@ -145,7 +145,7 @@ def about(axis: str, *degrees: float) -> Rotation:
     return Rotation.concatenate([Rotation.from_euler(axis, d, degrees=True) for d in degrees])
 
 
-def test_mass_and_centre_lie_within_their_deviations() -> None:
+def test_mass_and_centre_lie_within_their_deviations():
     masses, centres = [], []
     for seed in range(60):
         one = turned(seed).streams()
@@ -170,9 +170,7 @@ def test_mass_and_centre_lie_within_their_deviations() -> None:
     ],
 )
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-def test_what_the_turns_lack_is_said_with_the_motion(
-    rotations: Rotation, said: str, motion: str, seed: int
-) -> None:
+def test_what_the_turns_lack_is_said_with_the_motion(rotations, said, motion, seed):
     one = turned(seed, rotations).streams()
     for finding in weight_findings(find_weight([one]), [one]):
         assert not finding.claim

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,7 +67,7 @@ def configured(capsys: pytest.CaptureFixture[str], *arguments: Any) -> dict[str,
     return answer
 
 
-def test_every_robot_has_a_layout_here_and_names_its_sources() -> None:
+def test_every_robot_has_a_layout_here_and_names_its_sources():
     assert set(robot_names()) == set(LAYOUTS)
     for name in robot_names():
         robot = robot_named(name)
@@ -78,9 +77,7 @@ def test_every_robot_has_a_layout_here_and_names_its_sources() -> None:
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_topics_signs_and_weight_are_found_in_the_layout_of(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_topics_signs_and_weight_are_found_in_the_layout_of(name, tmp_path, capsys):
     force, displacement, kind, sign, compensated = LAYOUTS[name]
     rig = rig_of(sign, compensated)
     bag = RigBag(rig.streams, force, displacement, kind).write(tmp_path / "bag")
@@ -103,9 +100,7 @@ def test_topics_signs_and_weight_are_found_in_the_layout_of(
     assert mass["value"] == pytest.approx(rig.truth.mass, rel=0.02, abs=1e-3)
 
 
-def test_a_sign_against_the_convention_is_told_and_the_recording_wins(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sign_against_the_convention_is_told_and_the_recording_wins(tmp_path, capsys):
     force, displacement, kind, sign, compensated = LAYOUTS["ur"]
     rig = rig_of(-sign, compensated)
     bag = RigBag(rig.streams, force, displacement, kind).write(tmp_path / "bag")
@@ -115,9 +110,7 @@ def test_a_sign_against_the_convention_is_told_and_the_recording_wins(
     assert read_parameter_file(output).force.axis[2] > 0.9
 
 
-def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(tmp_path, capsys):
     rig = rig_of(1.0, False)
     layout = RigBag(rig.streams, "/PSM1/body/measured_cf", "/PSM1/measured_cp", "transform")
     bag = layout.write(tmp_path / "bag", invalid=40)
@@ -127,7 +120,7 @@ def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_a_file_from_conventions_alone_can_be_read(name: str, tmp_path: Path) -> None:
+def test_a_file_from_conventions_alone_can_be_read(name, tmp_path):
     path = tmp_path / "probe.yaml"
     assert run("configure", "--robot", name, "-o", path) == 0
     parameters = read_parameter_file(path)
@@ -136,9 +129,7 @@ def test_a_file_from_conventions_alone_can_be_read(name: str, tmp_path: Path) ->
     assert "# source: " in path.read_text(encoding="utf-8")
 
 
-def test_the_topics_of_a_file_are_those_of_the_node_unless_it_is_told_others(
-    tmp_path: Path,
-) -> None:
+def test_the_topics_of_a_file_are_those_of_the_node_unless_it_is_told_others(tmp_path):
     path = tmp_path / "probe.yaml"
     assert run("configure", "--robot", "ur", "-o", path) == 0
     topics = ["/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose"]

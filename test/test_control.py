@@ -36,14 +36,14 @@ def reading(stiffness: float, sd: float = 0.0) -> Reading:
     return Reading(state, ESTIMATE, 0.0)
 
 
-def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness() -> None:
+def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness():
     controller = ForceController(CONFIG)
     velocity = controller.step(0.0, 0.30, 0.0, 0.35, reading(40.0, 10.0))
     assert velocity == pytest.approx(10.0 * 0.05 / 50.0)
     assert controller.gains is Gains.LIVE
 
 
-def test_without_an_estimate_the_safe_gains_are_used_at_once() -> None:
+def test_without_an_estimate_the_safe_gains_are_used_at_once():
     controller = ForceController(CONFIG)
     controller.step(0.0, 0.30, 0.0, 0.35, reading(40.0))
     velocity = controller.step(0.005, 0.30, 0.0, 0.35, None)
@@ -51,20 +51,20 @@ def test_without_an_estimate_the_safe_gains_are_used_at_once() -> None:
     assert velocity == pytest.approx(10.0 * 0.05 / 100.0)
 
 
-def test_on_tissue_stiffer_than_the_safe_one_a_loss_makes_nothing_faster() -> None:
+def test_on_tissue_stiffer_than_the_safe_one_a_loss_makes_nothing_faster():
     controller = ForceController(CONFIG)
     before = controller.step(0.0, 0.30, 0.0, 0.35, reading(300.0))
     assert controller.step(0.005, 0.30, 0.0, 0.35, None) == pytest.approx(before)
 
 
-def test_the_rate_leaves_room_below_the_limit() -> None:
+def test_the_rate_leaves_room_below_the_limit():
     controller = ForceController(CONFIG)
     velocity = controller.step(0.0, 0.9, 0.0, 5.0, reading(100.0))
     guard = CONFIG.guarded_stiffening * CONFIG.reaction_time
     assert velocity == pytest.approx((1.0 - 0.9) / guard / 100.0)
 
 
-def test_a_measured_stiffening_counts_at_once_and_noise_does_not() -> None:
+def test_a_measured_stiffening_counts_at_once_and_noise_does_not():
     controller = ForceController(CONFIG)
     generator = np.random.default_rng(1)
     stiffness = []
@@ -84,7 +84,7 @@ def closed(place: float, scheduled: bool) -> Run:
 
 
 @pytest.mark.parametrize("place", first(MIDDLE, 1.0, 0.0, 0.25, 0.75))
-def test_scheduled_gains_keep_their_promises(place: float) -> None:
+def test_scheduled_gains_keep_their_promises(place):
     fixed, scheduled = (closed(place, is_scheduled) for is_scheduled in (False, True))
     assert scheduled.force.max() <= LIMIT
     assert max(scheduled.overshoot) <= 0.05
@@ -93,17 +93,17 @@ def test_scheduled_gains_keep_their_promises(place: float) -> None:
         assert scheduled.settling <= 0.5 * fixed.settling
 
 
-def test_fixed_gains_pass_the_limit_on_the_stiffest() -> None:
+def test_fixed_gains_pass_the_limit_on_the_stiffest():
     assert closed(1.0, False).force.max() > LIMIT
 
 
-def test_an_inclusion_takes_the_estimate_back() -> None:
+def test_an_inclusion_takes_the_estimate_back():
     scheduled = closed(MIDDLE, True)
     assert scheduled.live[scheduled.times <= LAST + 1.0].any()
     assert set(scheduled.refusals) & {"CONTRADICTED", "REJECTED"}
 
 
-def test_a_loss_in_the_middle_of_a_motion_leads_to_safe_gains_within_a_deadline() -> None:
+def test_a_loss_in_the_middle_of_a_motion_leads_to_safe_gains_within_a_deadline():
     lost = STEP + 0.1
     result = close_loop(tissue(MIDDLE), scheduled=True, lost_at=lost)
     assert result.live[(result.times > lost - 0.1) & (result.times < lost)].all()

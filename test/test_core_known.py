@@ -106,16 +106,14 @@ def off(estimate: Estimate, tissue: tuple[float, float, float]) -> np.ndarray:
         ((200000.0, 6.0, 0.32), 300.0),
     ],
 )
-def test_tissue_of_any_kind_is_identified_without_a_setting(
-    tissue: tuple[float, float, float], noise: float
-) -> None:
+def test_tissue_of_any_kind_is_identified_without_a_setting(tissue, noise):
     summary, estimate = summary_and_estimate(pressed(tissue, noise))
     assert summary.converged and not summary.flags
     assert estimate.valid == estimate.known == ParameterSet.ALL
     assert np.all(np.abs(off(estimate, tissue)) < 4.0)
 
 
-def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable() -> None:
+def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable():
     summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
     assert not summary.converged and not summary.flags
     assert estimate.valid == estimate.known == G | ALPHA
@@ -141,7 +139,7 @@ def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable(
     assert f"({gn})" in shown and f" {g}" in shown and "in brackets" in shown
 
 
-def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_the_table() -> None:
+def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_the_table():
     states = states_of(pressed(LINEAR, 20.0))
     summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
     estimate = estimate._replace(
@@ -166,7 +164,7 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
     assert summary_of(sent[1]).estimate.numbers == pytest.approx(estimate.numbers, rel=1e-12)
 
 
-def test_a_consumer_that_needs_g_alone_has_it_of_near_linear_material() -> None:
+def test_a_consumer_that_needs_g_alone_has_it_of_near_linear_material():
     default, linear = LiveTissue(), LiveTissue(required=G)
     for state in states_of(pressed(LINEAR, 20.0)):
         now = state.stamp_ns * 1e-9
@@ -182,7 +180,7 @@ def test_a_consumer_that_needs_g_alone_has_it_of_near_linear_material() -> None:
     assert linear.predictor(now) is None
 
 
-def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged() -> None:
+def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged():
     summary, estimate = summary_and_estimate(pressed(ELASTIC))
     assert summary.flags & Flag.ESTIMATE_AT_EDGE and not summary.converged
     assert estimate.at_edge == ALPHA and estimate.known == ParameterSet.NONE
@@ -196,7 +194,7 @@ def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged() -> No
 
 
 @pytest.mark.parametrize("toe", [0.0, 0.5])
-def test_alpha_is_that_of_the_relaxation_whatever_the_curve(toe: float) -> None:
+def test_alpha_is_that_of_the_relaxation_whatever_the_curve(toe):
     """A curve stiffer at small strain, as beef's, would make of an alpha of 0.3 one of 0.39."""
     times, fine = np.arange(0.0, 16.0, 0.1), np.arange(0.0, 16.005, 0.01)
     strains = 0.08 * np.minimum(fine, 4.0)
@@ -269,9 +267,7 @@ def press(
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples(
-    seed: int,
-) -> None:
+def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples(seed):
     """Of 970 Pa at the end of the ramp 350 are left after 40 s, under a noise of 97."""
     off, _ = press(
         (7600.0, 5.66, 0.33),
@@ -286,7 +282,7 @@ def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples
 
 
 @pytest.mark.parametrize("seed", first(4, 6, 9))
-def test_a_touch_that_noise_hides_leaves_the_origin_unknown(seed: int) -> None:
+def test_a_touch_that_noise_hides_leaves_the_origin_unknown(seed):
     """The linear part of the curve ends at 12 Pa, under a noise of 43."""
     off, summary = press(
         (165.0, 13.7, 0.19),
@@ -301,7 +297,7 @@ def test_a_touch_that_noise_hides_leaves_the_origin_unknown(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2, 3, 4))
-def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness(seed: int) -> None:
+def test_a_touch_whose_linear_part_noise_hides_claims_no_stiffness(seed):
     """It ends at 2 Pa, under a noise of 6: G was up to 24 of its deviations off, and converged.
 
     Gn is determined, but with the origin unknown it is not claimed.
@@ -335,9 +331,7 @@ MODEL = FdenModel(2000.0, 8.0, 0.2)
         ("poroelastic_20", RIGID),
     ],
 )
-def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(
-    name: str, rig: str, seeds: int
-) -> None:
+def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(name, rig, seeds):
     """Or nothing is predicted: what is no FDEN is not known, or said not to follow the law."""
     made = [
         prediction
@@ -367,7 +361,7 @@ def held(slope: float, hold: float, step: float = 0.01) -> tuple[TissueMemory, f
 
 
 @pytest.mark.parametrize("slope", [-300.0, 0.0, 100.0])
-def test_the_slope_of_what_the_law_leaves_out_is_found(slope: float) -> None:
+def test_the_slope_of_what_the_law_leaves_out_is_found(slope):
     memory, age = held(slope, hold=3.0)
     logs = np.log([MODEL.linear_stiffness, MODEL.nonlinear_stiffness])
     found = memory.slope(age)
@@ -376,7 +370,7 @@ def test_the_slope_of_what_the_law_leaves_out_is_found(slope: float) -> None:
     assert float(found.weights @ left_out) == pytest.approx(slope, abs=5.0)
 
 
-def test_a_motion_shows_no_slope() -> None:
+def test_a_motion_shows_no_slope():
     memory, age = held(0.0, hold=0.0)
     assert memory.slope(age) is None
     memory, age = held(0.0, hold=3.0)
@@ -415,7 +409,7 @@ def pressed_law(number: int) -> tuple[Recording, float]:
 
 @pytest.mark.parametrize("learn", [True, False])
 @pytest.mark.parametrize("number", first(*range(40, 44)))
-def test_a_stated_alpha_is_told_as_wrong_where_it_is(number: int, learn: bool) -> None:
+def test_a_stated_alpha_is_told_as_wrong_where_it_is(number, learn):
     recording, order = pressed_law(number)
     stated = {"alpha.learn": learn, "prior.alpha_sd": 0.01}
     right = last_summary(recording, {**stated, "prior.alpha": order})

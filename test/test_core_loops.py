@@ -200,7 +200,7 @@ def assert_rows_agree(found: Array, expected: Array, tolerance: float) -> None:
 
 
 @needs_compiled
-def test_compiled_moments_are_those_of_numpy() -> None:
+def test_compiled_moments_are_those_of_numpy():
     durations = np.array([0.0, 1e-6, 1e-3, 0.02, 1.0, 1e3])
     found = loops.moments(durations, RATES_OF_KERNEL)
     expected = loops_in_numpy.moments(durations, RATES_OF_KERNEL)
@@ -210,7 +210,7 @@ def test_compiled_moments_are_those_of_numpy() -> None:
 @needs_compiled
 @by_case
 @pytest.mark.parametrize("cut", [0, 1, 60])
-def test_the_compiled_response_is_that_of_numpy(case: Case, cut: int) -> None:
+def test_the_compiled_response_is_that_of_numpy(case, cut):
     compiled = response(case, case.columns(), cut=cut)
     found, jacobian, state = response(case, case.columns(), loops_in_numpy.respond, cut)
     assert np.ptp(found, axis=1).all()
@@ -242,7 +242,7 @@ def moved(case: Case, column: Column, change: float) -> Case:
 
 
 @by_case
-def test_derivatives_are_central_differences(case: Case) -> None:
+def test_derivatives_are_central_differences(case):
     # Where the response is curved in the step of a touch, its nodes move with the touch.
     tolerance = 2e-3 if case.law.exponent != 1.0 or case.law.bend.size else 1e-7
     columns, step = case.columns(), 1e-6
@@ -254,7 +254,7 @@ def test_derivatives_are_central_differences(case: Case) -> None:
     assert_rows_agree(jacobian, np.array(differences) / (2.0 * step), tolerance)
 
 
-def test_the_slope_at_a_touch_does_not_depend_on_rounding(either: None) -> None:
+def test_the_slope_at_a_touch_does_not_depend_on_rounding(either):
     law = replace(BASE, compliance=0.05)
     for start in np.linspace(-0.02, -0.01, 40):
         case = Case(law, np.array([0.0, 0.01, 0.01]), np.array([start, 0.01, 0.02]))
@@ -264,7 +264,7 @@ def test_the_slope_at_a_touch_does_not_depend_on_rounding(either: None) -> None:
         assert_rows_agree(jacobian[0], (up - down) / 2e-6, 1e-6)
 
 
-def test_a_step_that_newton_first_takes_for_a_release_is_whole(either: None) -> None:
+def test_a_step_that_newton_first_takes_for_a_release_is_whole(either):
     law = replace(BASE, compliance=0.2)
     motion = np.array([0.0, 0.1, 0.3, 0.05, 0.05])
     case = Case(law, np.array([0.0, 0.01, 0.01, 0.01, 0.01]), motion)
@@ -276,7 +276,7 @@ def test_a_step_that_newton_first_takes_for_a_release_is_whole(either: None) -> 
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_response_that_is_no_number_is_refused(number: float, either: None) -> None:
+def test_a_response_that_is_no_number_is_refused(number, either):
     durations, motion = motion_of(-0.01, 0.2)
     bent = replace(BASE, bend=BEND)
     for law, bad in ((bent, 20), (replace(BASE, linear_stiffness=number), None)):
@@ -288,7 +288,7 @@ def test_a_response_that_is_no_number_is_refused(number: float, either: None) ->
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.15, 0.4])
-def test_ramp_and_hold_are_those_of_the_closed_form(alpha: float, either: None) -> None:
+def test_ramp_and_hold_are_those_of_the_closed_form(alpha, either):
     times = np.unique([*np.linspace(0.0, 1.0, 201), *(1.0 + np.geomspace(1e-3, 100.0, 60))])
     motion = 0.3 * np.minimum(times, 1.0)
     law = replace(BASE, weights=weights_of(alpha))
@@ -307,7 +307,7 @@ def walked_rows() -> tuple[Array, Array, Array, tuple[Array, Array], WalkState]:
     return random.normal(size=(60, 5)), noise, random.normal(size=60), (walks[0], walks[1]), state
 
 
-def test_whitening_is_that_by_the_covariance_of_all_measurements(either: None) -> None:
+def test_whitening_is_that_by_the_covariance_of_all_measurements(either):
     rows, noise, gain, walks, state = walked_rows()
     stress, both, surface = state.covariance
     first = np.minimum.outer(np.arange(60), np.arange(60))
@@ -329,7 +329,7 @@ def test_whitening_is_that_by_the_covariance_of_all_measurements(either: None) -
 
 
 @needs_compiled
-def test_the_compiled_age_of_a_loading_is_that_of_numpy() -> None:
+def test_the_compiled_age_of_a_loading_is_that_of_numpy():
     random = np.random.default_rng(5)
     loaded, seconds = random.uniform(0.1, 2.0, 50), random.uniform(0.01, 0.5, 50)
     states = np.array([0.05, 0.3]), np.array([0.05, 0.3])
@@ -339,7 +339,7 @@ def test_the_compiled_age_of_a_loading_is_that_of_numpy() -> None:
     np.testing.assert_allclose(*states, rtol=1e-12)
 
 
-def test_systems_are_eliminated_by_cholesky(either: None) -> None:
+def test_systems_are_eliminated_by_cholesky(either):
     random = np.random.default_rng(6)
     roots = random.normal(size=(3, 9, 6))
     matrices, sides = roots.transpose(0, 2, 1) @ roots, random.normal(size=(3, 6, 2))
@@ -352,9 +352,7 @@ def test_systems_are_eliminated_by_cholesky(either: None) -> None:
         loops.eliminate(-systems)
 
 
-def test_without_compiled_loops_a_line_says_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_compiled_loops_a_line_says_so(monkeypatch, capsys):
     monkeypatch.setattr(loops, "_COMPILED", None)
     assert "without its compiled part" in (loops.notice() or "")
     with pytest.raises(SystemExit):

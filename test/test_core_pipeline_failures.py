@@ -74,8 +74,8 @@ def clean() -> Outcome:
     [("begin_contact", 0), ("take", 9), ("update", 20), ("finish", 0), ("estimate", 40)],
 )
 def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
-    monkeypatch: pytest.MonkeyPatch, clean: Outcome, name: str, after: int
-) -> None:
+    monkeypatch, clean, name, after
+):
     breaks(monkeypatch, PosteriorEstimator, name, of_first_site(after))
     s = shift()
     outcome = outcome_of(s.items, s.parameters)
@@ -95,7 +95,7 @@ def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
     assert all(x.flags & Flag.ESTIMATION_FAILED for x in in_contact)
 
 
-def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch):
     breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
     s = shift()
     # All at one place: the second and third contact are of the same site.
@@ -118,7 +118,7 @@ def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch: pytest.MonkeyPa
     assert not again.pipeline.is_failed
 
 
-def test_an_estimate_that_is_not_finite_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimate_that_is_not_finite_is_a_failure(monkeypatch):
     real = PosteriorEstimator.estimate
 
     def estimate(self: PosteriorEstimator) -> Any:
@@ -134,9 +134,7 @@ def test_an_estimate_that_is_not_finite_is_a_failure(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("kind", [ContactDetector, Synchronizer])
-def test_detector_and_synchronizer_begin_anew_after_an_exception(
-    monkeypatch: pytest.MonkeyPatch, kind: type
-) -> None:
+def test_detector_and_synchronizer_begin_anew_after_an_exception(monkeypatch, kind):
     calls: list[int] = []
     name = "add" if kind is ContactDetector else "add_force"
     calls = breaks(monkeypatch, kind, name, lambda _: len(calls) == 500)
@@ -148,7 +146,7 @@ def test_detector_and_synchronizer_begin_anew_after_an_exception(
 
 
 @pytest.mark.parametrize("finishing", [False, True])
-def test_what_a_listener_raises_is_not_caught(finishing: bool) -> None:
+def test_what_a_listener_raises_is_not_caught(finishing):
     def listen(output: object) -> None:
         if not finishing or done:
             raise BrokenError("the listener's")
@@ -180,8 +178,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_replay_goes_on_with_the_next_site_warns_and_logs_the_traceback_once(
-    bag: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+    bag, monkeypatch, caplog
+):
     parameters = read_parameter_file(bag / "identifier.yaml")
     whole = replay(bag, parameters)
     assert whole.failures == () and [c.site_id for c in whole.summaries] == [1, 2, 3]
@@ -260,9 +258,7 @@ def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
     {},
 )
 @given(events, modes)
-def test_any_stream_gives_sound_and_repeatable_outputs(
-    stream: list[tuple[int, int, float, bool]], parameters: dict[str, object]
-) -> None:
+def test_any_stream_gives_sound_and_repeatable_outputs(stream, parameters):
     items, now = [], START_NS
     for which, step, value, has_position in stream:
         now += step
@@ -321,9 +317,7 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
     {"estimator.observation": "fractional_stress"},
 )
 @given(damages, modes)
-def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(
-    done: list[tuple[str, int, int, float, int]], parameters: dict[str, object]
-) -> None:
+def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(done, parameters):
     s = shift()
     items = [i for i in s.items if 1.2 < s.second(i.stamp_ns) < 5.2]
     for kind, place, length, value, step in done:

@@ -415,7 +415,7 @@ def clean() -> Outcome:
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
-def test_fault(row: Row, clean: Outcome) -> None:
+def test_fault(row, clean):
     s = shift()
     steps = [*row.samples(s)]
     first = sum(getattr(step, "stamp_ns", math.inf) < s.at(SHARED) for step in steps)
@@ -475,7 +475,7 @@ def assert_third_site(s: Shift, outcome: Outcome, clean: Outcome) -> None:
 
 
 @pytest.mark.parametrize("minutes", counts(6, 60))
-def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes: int) -> None:
+def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes):
     """At 10 Hz, pressed and held, a block a second."""
     count = 600 * minutes
     s = shift()
@@ -505,7 +505,7 @@ def _ignored(output: object) -> None:
     """Take an output and forget it."""
 
 
-def test_the_table_of_faults_has_every_row_that_is_tested_and_no_other() -> None:
+def test_the_table_of_faults_has_every_row_that_is_tested_and_no_other():
     listed = re.findall(r"(?m)^\| `(\w+)` \|", TABLE)
     assert len(set(listed)) == len(listed)
     assert set(listed) == {row.name for row in ROWS} | node_rows()
@@ -555,7 +555,7 @@ class Emitter:
 
 
 @pytest.mark.parametrize("seconds", counts(30, 3600))
-def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds: int) -> None:
+def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds):
     s = shift()
     duration = s.second(s.items[-1].stamp_ns) + 0.5
     clean = undisturbed().summaries[-1]

@@ -81,9 +81,7 @@ def deviations(contact: dict[str, Any], truth: Truth) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "UR bag"])
-def test_the_commands_lead_from_a_recording_to_numbers(
-    layout: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_lead_from_a_recording_to_numbers(layout, tmp_path, capsys):
     contacts, truth = identified(tmp_path / "one", layout, 0, NOISES[1], capsys)
     assert all(contact["converged"] for contact in contacts)
     assert not any(contact["flags"] for contact in contacts)
@@ -91,9 +89,7 @@ def test_the_commands_lead_from_a_recording_to_numbers(
         assert all(abs(error) < 5.0 for error in deviations(contact, truth).values())
 
 
-def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recorded(tmp_path, "UR bag", 0, NOISES[1])[0].rename("press")
     page = PAGE.read_text(encoding="utf-8")
@@ -108,9 +104,7 @@ def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(
 @pytest.mark.statistics
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_errors_are_as_large_as_is_said(
-    layout: str, noise: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_are_as_large_as_is_said(layout, noise, tmp_path, capsys):
     last = []
     for seed in range(SEEDS):
         contacts, truth = identified(tmp_path / str(seed), layout, seed, noise, capsys)
@@ -137,8 +131,8 @@ def cells_of_the_page_on_ur() -> list[tuple[float, float, float, float, float]]:
 @pytest.mark.statistics
 @pytest.mark.parametrize(("width", "depth", "noise", "of_g", "of_gn"), cells_of_the_page_on_ur())
 def test_the_table_of_the_page_on_ur_shows_medians_of_five_presses(
-    width: float, depth: float, noise: float, of_g: float, of_gn: float, tmp_path: Path
-) -> None:
+    width, depth, noise, of_g, of_gn, tmp_path
+):
     arm = load_scenario("robot_arm")
     press = RampHold(strain_rate=0.2, max_strain=depth / 20.0, hold_s=2.0, retract_rate=0.4)
     scenario = replace(

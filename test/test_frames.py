@@ -51,18 +51,14 @@ def turning() -> Outcome:
     return run(arm(first_press()))
 
 
-def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(
-    turning: Outcome, still: Outcome
-) -> None:
+def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(turning, still):
     assert_alike(turning, still)
     # The forces before the first transform alone find none.
     assert set(turning.pipeline.rejected) <= {"force.no_transform"}
     assert turning.pipeline.rejected.total() <= 2
 
 
-def test_the_weight_of_a_tool_that_turns_is_taken_off_in_the_frame_of_the_base(
-    still: Outcome,
-) -> None:
+def test_the_weight_of_a_tool_that_turns_is_taken_off_in_the_frame_of_the_base(still):
     s, mass = first_press(), 0.2
     heavy = []
     for one in forces(s):
@@ -74,9 +70,7 @@ def test_the_weight_of_a_tool_that_turns_is_taken_off_in_the_frame_of_the_base(
     assert_alike(run([*statics(), *moving], tool__mass=mass), still)
 
 
-def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
-    turning: Outcome,
-) -> None:
+def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(turning):
     """Each link is a stream of its own; a window that holds everything."""
     s, chance = first_press(), random.Random(5)
     moving = transforms(s)
@@ -96,7 +90,7 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
     ]
 
 
-def test_frames_that_no_transform_connects_are_named() -> None:
+def test_frames_that_no_transform_connects_are_named():
     s = first_press()
     samples = [one for one in arm(s) if getattr(one, "child", "") != "flange"]
     outcome = run(samples, synchronize__window=1.0)
@@ -118,7 +112,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 KINDS = (TissueState, ContactSummary)
 
 
-def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
+def test_the_transforms_of_a_bag_are_used(bag, still):
     result, _ = replayed(bag, KINDS)
     assert result.inputs == {
         "force": "/ft/wrench",
@@ -135,7 +129,7 @@ def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
     assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
 
 
-def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path):
     golden = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
     parameters = check(FRAMES)
     with pytest.raises(InputError, match="record /tf and /tf_static too"):
@@ -145,11 +139,11 @@ def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: 
         replay(tmp_path / "a.csv", parameters, Selection(columns=Columns.parse("t,f,d")))
 
 
-def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
+def test_live_equals_replay_with_transforms_bit_for_bit(bag):
     assert_live_equals_replay(bag, KINDS, remap={"/ft/wrench": "/force"})
 
 
-def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
+def test_frames_that_nothing_connects_are_named_live_after_2_s():
     words = "no chain of transforms leads from s to base: /tf and /tf_static name none"
     with Bench() as bench, active(FRAMES) as node:
         now = iter(range(START_NS, 2 * START_NS, 4_000_000))
@@ -163,7 +157,7 @@ def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
     assert any("[WARN]" in line and words in line for line in node.output.splitlines())
 
 
-def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs() -> None:
+def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs():
     """The hash of Jazzy's tf2_msgs, by which DDS tells types apart."""
     known = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
     assert type_hash("tf2_msgs/msg/TFMessage") == known

@@ -89,14 +89,14 @@ def arrows() -> set[tuple[str, str, str]]:
     return found
 
 
-def test_every_room_has_its_place() -> None:
+def test_every_room_has_its_place():
     found = {room for _, user, used in arrows() for room in (user, used)} - {""}
     assert found <= set(ROOMS)
     loose = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
     assert loose == LOOSE
 
 
-def test_imports_run_one_way() -> None:
+def test_imports_run_one_way():
     places = {room: place for place, room in enumerate(ROOMS)} | {"": -1}
     upward = {arrow for arrow in arrows() if places[arrow[2]] >= places[arrow[1]]}
     assert upward == set()

@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,7 +72,7 @@ def points(cloud: PointCloud2) -> dict[str, np.ndarray]:
     return {name: rows[name] for name in rows.dtype.names or ()}
 
 
-def test_a_site_is_one_marker_and_one_point_of_its_newest_contact() -> None:
+def test_a_site_is_one_marker_and_one_point_of_its_newest_contact():
     stiffness_map = StiffnessMap()
     for site, stiffness in ((1, 300.0), (2, 900.0), (1, 320.0)):
         assert stiffness_map.add(on_map(site, stiffness))
@@ -104,7 +103,7 @@ def drawn(messages: list[MarkerArray]) -> set[int]:
     return {site for _, site in shown}
 
 
-def test_markers_go_where_their_sites_are_on_the_map_no_longer() -> None:
+def test_markers_go_where_their_sites_are_on_the_map_no_longer():
     """Withdrawn, forgotten as the oldest, or of the node's run before."""
     stiffness_map = StiffnessMap()
     messages = []
@@ -130,7 +129,7 @@ def shown(view: MonitorView) -> str:
     return console.export_text()
 
 
-def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
+def test_the_monitor_shows_what_is_known_and_what_is_not():
     assert "nothing heard yet" in shown(MonitorView("/identifier"))
     state = TissueState(
         stamp_ns=0,
@@ -167,7 +166,7 @@ def test_the_monitor_shows_what_is_known_and_what_is_not() -> None:
     assert "no estimate for 3.0 s" in shown(lost)
 
 
-def test_the_controller_schedules_live_and_falls_back_when_the_node_dies() -> None:
+def test_the_controller_schedules_live_and_falls_back_when_the_node_dies():
     with Ears() as ears:
         gains = ears.hear(String, "/force_controller/gains", LATCHED)
         forces = ears.hear(WrenchStamped, "/force")
@@ -210,7 +209,7 @@ def mean_force(forces: list[Any], bias: float = 0.05) -> float:
     return float(np.mean([message.wrench.force.z for message in forces[-20:]])) - bias
 
 
-def test_the_documented_program_runs_as_it_stands() -> None:
+def test_the_documented_program_runs_as_it_stands():
     program = ROOT / "examples" / "controller.py"
     # As the page starts it.
     simulator = command_of("tissue_simulator", SIMULATOR, file=PARAMETERS)
@@ -233,7 +232,7 @@ def test_the_documented_program_runs_as_it_stands() -> None:
     assert "Traceback" not in controller.output and "Error" not in controller.output
 
 
-def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path: Path) -> None:
+def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path):
     with Ears() as ears:
         forces = ears.hear(WrenchStamped, "/fden_live/force")
         with process_of([sys.executable, "-m", "fden_ros.cli", "live"]) as live:

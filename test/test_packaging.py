@@ -87,7 +87,7 @@ def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[
     return done
 
 
-def test_the_version_is_the_same_everywhere() -> None:
+def test_the_version_is_the_same_everywhere():
     setup_version = re.search(r'version="([^"]+)"', (ROOT / "setup.py").read_text())
     assert setup_version is not None
     assert {
@@ -97,7 +97,7 @@ def test_the_version_is_the_same_everywhere() -> None:
     } == {fden_ros.__version__}
 
 
-def test_package_xml_and_setup_py_ask_for_the_same_python_packages() -> None:
+def test_package_xml_and_setup_py_ask_for_the_same_python_packages():
     assert {ROSDEP_KEYS[name] for name in requirements()} <= dependencies("exec_depend")
     assert {ROSDEP_KEYS[name] for name in requirements("test")} <= dependencies("test_depend")
     python_keys = {
@@ -108,14 +108,14 @@ def test_package_xml_and_setup_py_ask_for_the_same_python_packages() -> None:
     assert python_keys <= {ROSDEP_KEYS[n] for n in requirements() | requirements("test")}
 
 
-def test_every_import_is_declared() -> None:
+def test_every_import_is_declared():
     declared = requirements() | requirements("batch")
     python = {IMPORT_NAMES.get(name, name) for name in declared}
     ros = {key for key in dependencies("exec_depend") if "-" not in key}
     assert imported_modules("fden_ros", "launch") <= python | ros
 
 
-def test_the_core_and_the_simulation_know_no_ros_and_not_each_other() -> None:
+def test_the_core_and_the_simulation_know_no_ros_and_not_each_other():
     ros = {key for key in dependencies("exec_depend") if "-" not in key}
     assert not imported_modules("fden_ros/core", "fden_ros/simulation") & ros - {"simulation"}
     for one, other in (("core", "simulation"), ("simulation", "core")):
@@ -125,7 +125,7 @@ def test_the_core_and_the_simulation_know_no_ros_and_not_each_other() -> None:
         assert not [name for name in imports_of(path) if name.startswith("fden_ros.core")]
 
 
-def test_importing_the_core_imports_none_of_what_it_computes_with() -> None:
+def test_importing_the_core_imports_none_of_what_it_computes_with():
     code = (
         "import sys, fden_ros.core; print(sorted({'numpy', 'scipy', 'rclpy'} & set(sys.modules)))"
     )
@@ -133,9 +133,7 @@ def test_importing_the_core_imports_none_of_what_it_computes_with() -> None:
     assert result.stdout == "[]\n", result.stderr
 
 
-def test_a_command_in_the_environment_keeps_dds_on_this_host_unless_told_otherwise(
-    tmp_path: Path,
-) -> None:
+def test_a_command_in_the_environment_keeps_dds_on_this_host_unless_told_otherwise(tmp_path):
     show = (ROOT / "scripts" / "ros_env", "printenv", "ROS_AUTOMATIC_DISCOVERY_RANGE")
     fresh = {key: value for key, value in os.environ.items() if not key.startswith("ROS_AUTO")}
     assert run(*show, env=fresh, cwd=tmp_path).stdout == "LOCALHOST\n"
@@ -143,7 +141,7 @@ def test_a_command_in_the_environment_keeps_dds_on_this_host_unless_told_otherwi
     assert run(*show, env=fresh, cwd=tmp_path).stdout == "SUBNET\n"
 
 
-def test_ros_finds_the_launch_files_and_every_program_in_this_environment() -> None:
+def test_ros_finds_the_launch_files_and_every_program_in_this_environment():
     # As ros2 launch and ros2 run look: down the folders, through no link to one.
     share, prefix = get_package_share_directory("fden_ros"), get_package_prefix("fden_ros")
     names = {name for _, _, files in os.walk(share) for name in files}
@@ -154,7 +152,7 @@ def test_ros_finds_the_launch_files_and_every_program_in_this_environment() -> N
     assert programs == PROGRAMS
 
 
-def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path: Path) -> None:
+def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
     """The set-up has built the messages so already."""
     install = tmp_path / "install"
     run(
@@ -180,9 +178,7 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path: Pat
 
 @pytest.mark.parametrize("module", ["fden_ros.nodes.identifier", "fden_ros.cli"])
 @pytest.mark.parametrize("given", [None, "3"])
-def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(
-    module: str, given: str | None
-) -> None:
+def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(module, given):
     environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
     if given is not None:
         environment["OPENBLAS_NUM_THREADS"] = given

@@ -618,7 +618,7 @@ EFFECTS: dict[str, Effect] = {
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_parameter_does_what_it_says(name: str) -> None:
+def test_parameter_does_what_it_says(name):
     which, others, value, holds = EFFECTS[name]
     usual = heard(which, tuple(others.items()))
     changed = heard(which, (*others.items(), (name, value)))

@@ -65,7 +65,7 @@ CONFIG = config_of()
 LIVER = TissueBelief.stated(CONFIG.estimator.prior)
 
 
-def test_the_expected_deviations_are_those_that_the_identifier_states() -> None:
+def test_the_expected_deviations_are_those_that_the_identifier_states():
     tissue = LIVER.draws(1)
     press = RampHold(PRESS.speed / THICKNESS_M, PRESS.depth / THICKNESS_M, PRESS.hold, 1.0)
     g, gn, alpha = math.exp(tissue[0, 0]), math.exp(tissue[0, 1]), float(tissue[0, 2])
@@ -83,7 +83,7 @@ def test_the_expected_deviations_are_those_that_the_identifier_states() -> None:
     np.testing.assert_allclose(expected.deviations, contact.estimate.deviations, rtol=0.25)
 
 
-def test_a_part_of_the_scales_stands_for_all(monkeypatch) -> None:
+def test_a_part_of_the_scales_stands_for_all(monkeypatch):
     forecast = Forecast(CONFIG, SENSORS, LIVER)
     tissues = LIVER.draws(3)
     few = np.array([one.deviations for one in forecast.stated(PRESS, tissues)])
@@ -98,7 +98,7 @@ def test_a_part_of_the_scales_stands_for_all(monkeypatch) -> None:
     np.testing.assert_allclose(few, every, rtol=0.15)
 
 
-def test_a_press_is_as_short_as_five_percent_allow() -> None:
+def test_a_press_is_as_short_as_five_percent_allow():
     search = Search(CONFIG, SENSORS, TARGET)
     chosen = search.plan().motion
     scores = {motion: score for motion, (score, _) in search._found.items()}
@@ -107,26 +107,26 @@ def test_a_press_is_as_short_as_five_percent_allow() -> None:
     assert chosen.seconds == min(m.seconds for m, s in scores.items() if s <= 1.05 * best)
 
 
-def test_no_more_than_five_percent_of_the_tissues_exceed_the_force() -> None:
+def test_no_more_than_five_percent_of_the_tissues_exceed_the_force():
     limits = replace(Limits.usual(CONFIG), force=0.2)
     found = plan(CONFIG, SENSORS, TARGET, limits)
     assert found.force <= 0.2 * 1.1
     assert found.motion.depth < 0.9 * plan(CONFIG, SENSORS, TARGET).motion.depth
 
 
-def test_a_swing_in_which_the_tissue_leaves_the_probe_is_excluded() -> None:
+def test_a_swing_in_which_the_tissue_leaves_the_probe_is_excluded():
     search = Search(CONFIG, SENSORS, TARGET)
     swing = Motion(4e-3, 0.02, 2.0, 0.02, amplitude=0.4, cycles=2)
     assert math.isfinite(search.score(replace(swing, amplitude=0.02)))
     assert search.score(swing) == math.inf
 
 
-def test_a_motion_that_takes_longer_than_allowed_is_excluded() -> None:
+def test_a_motion_that_takes_longer_than_allowed_is_excluded():
     limits = replace(Limits.usual(CONFIG), time=1.0)
     assert plan(CONFIG, SENSORS, TARGET, limits).motion.seconds <= 1.0
 
 
-def test_what_is_not_possible_says_what_limits_it() -> None:
+def test_what_is_not_possible_says_what_limits_it():
     found = plan(CONFIG, SENSORS, Target((0.015, 0.1, math.inf)))
     assert not found.is_possible and found.probability == 0.0
     assert "geometry.thickness_sd" in found.line()
@@ -134,26 +134,26 @@ def test_what_is_not_possible_says_what_limits_it() -> None:
     assert not loud.is_possible and "noise" in loud.cause
 
 
-def test_a_record_of_few_samples_has_the_counts_of_all() -> None:
+def test_a_record_of_few_samples_has_the_counts_of_all():
     points = record(PRESS, CONFIG.geometry, SENSORS, 0.0)
     assert points.counts.sum() == pytest.approx(PRESS.seconds * SENSORS.rate, rel=0.05)
 
 
-def test_an_order_that_is_given_is_planned_with() -> None:
+def test_an_order_that_is_given_is_planned_with():
     known = Member(1.0, LIVER.mean, np.diag([0.09, 0.04, 0.0]))
     given = config_of(alpha__learn=False)
     found = plan(given, SENSORS, TARGET, tissue=TissueBelief((known,)))
     assert found.deviations[2] == pytest.approx(0.03)
 
 
-def test_sensors_of_any_rate_are_simulated_at_one_that_tells_as_much() -> None:
+def test_sensors_of_any_rate_are_simulated_at_one_that_tells_as_much():
     fast = Sensors(rate=1e11, force_sd=50.0, displacement_sd=0.05)
     slow = Sensors(rate=1000.0, force_sd=0.005, displacement_sd=5e-6)
     for a, b in ((fast.slower(), slow), (slow.slower(), slow)):
         assert a.rate == b.rate and a.force_sd == pytest.approx(b.force_sd)
 
 
-def test_draws_have_the_moments_of_all_modes() -> None:
+def test_draws_have_the_moments_of_all_modes():
     shallow = Member(0.4, np.array([6.0, 1.0, 0.1]), np.diag([0.01, 0.2, 1e-4]))
     deep = Member(0.6, np.array([6.3, 2.5, 0.2]), np.diag([0.02, 0.01, 1e-4]))
     known = TissueBelief((shallow, deep))
@@ -162,7 +162,7 @@ def test_draws_have_the_moments_of_all_modes() -> None:
     np.testing.assert_allclose(np.cov(draws.T), known.covariance, atol=0.01)
 
 
-def test_what_a_press_has_told_narrows_the_next_plan() -> None:
+def test_what_a_press_has_told_narrows_the_next_plan():
     narrow = Member(1.0, LIVER.mean, 0.05 * LIVER.covariance)
     first = plan(CONFIG, SENSORS, TARGET)
     second = plan(CONFIG, SENSORS, TARGET, tissue=TissueBelief((narrow,)))
@@ -181,7 +181,7 @@ def probe(tmp_path):
     return path
 
 
-def test_the_command_plans_from_what_configure_has_written(probe, tmp_path, capsys) -> None:
+def test_the_command_plans_from_what_configure_has_written(probe, tmp_path, capsys):
     picture = tmp_path / "plan.png"
     arguments = ["plan", "--config", str(probe), "--config", "config/priors/liver.yaml"]
     assert main([*arguments, "--target", "G=0.2,Gn=0.2", "--json", "--plot", str(picture)]) == 0
@@ -193,7 +193,7 @@ def test_the_command_plans_from_what_configure_has_written(probe, tmp_path, caps
     assert capsys.readouterr().out.startswith("not possible: ")
 
 
-def test_the_command_goes_on_from_results(probe, tmp_path, capsys) -> None:
+def test_the_command_goes_on_from_results(probe, tmp_path, capsys):
     results = tmp_path / "press.json"
     replayed = ["replay", "examples/press.csv", "--config", "examples/probe.yaml", "--json"]
     assert main(replayed) == 0
@@ -212,13 +212,13 @@ def test_the_command_goes_on_from_results(probe, tmp_path, capsys) -> None:
         (["--config", "examples/probe.yaml", "--after", "nothing.json"], "cannot be read"),
     ],
 )
-def test_what_is_missing_is_said_in_a_line(arguments, words, capsys) -> None:
+def test_what_is_missing_is_said_in_a_line(arguments, words, capsys):
     assert main(["plan", *arguments]) == 1
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
 
 
-def test_a_target_that_is_none_is_wrong_usage(capsys) -> None:
+def test_a_target_that_is_none_is_wrong_usage(capsys):
     with pytest.raises(SystemExit) as exit_:
         main(["plan", "--target", "stiffness=0.1"])
     assert exit_.value.code == 2
@@ -249,7 +249,7 @@ def ask(remote: Remote, **fields: Any) -> Any:
     return remote.wait_for(future.done, "a plan") and future.result()
 
 
-def test_the_motion_is_that_of_python_after_what_was_found(tmp_path: Path) -> None:
+def test_the_motion_is_that_of_python_after_what_was_found(tmp_path):
     contact = replay(BAG, parameters := read_parameter_file(FILE)).summaries[-1]
     assert contact.estimate is not None
     target = Target((0.02, 0.02, 0.01))
@@ -291,7 +291,7 @@ def field(places: np.ndarray) -> np.ndarray:
     return np.log(40.0) + np.log(2.0) / (1.0 + np.exp((away - 8e-3) / 1e-3))
 
 
-def test_places_are_those_of_python_and_the_map_is_published(tmp_path: Path) -> None:
+def test_places_are_those_of_python_and_the_map_is_published(tmp_path):
     corners = {"low": Point(), "high": Point(x=0.06, y=0.06)}
     region, presses = Region((0.0, 0.0), (0.06, 0.06)), Presses.of([])
     places = region.propose(presses, 16).places
@@ -325,7 +325,7 @@ def test_places_are_those_of_python_and_the_map_is_published(tmp_path: Path) -> 
     assert not bad.success and "no area" in bad.message
 
 
-def test_the_command_names_the_place_that_python_names(tmp_path: Path, capsys: Any) -> None:
+def test_the_command_names_the_place_that_python_names(tmp_path, capsys):
     region = Region((0.0, 0.0), (0.06, 0.06))
     places = region.propose(Presses.of([]), 16).places
     contacts = [

@@ -101,7 +101,7 @@ def refusal(path: Path) -> str:
 # Serialisation
 
 
-def test_serialised_messages_of_every_type_read_back_equal() -> None:
+def test_serialised_messages_of_every_type_read_back_equal():
     for module in (geometry_msgs.msg, sensor_msgs.msg):
         for _, cls in inspect.getmembers(module, inspect.isclass):
             assert deserialize_message(serialize(cls()), cls) == cls()
@@ -113,7 +113,7 @@ def test_serialised_messages_of_every_type_read_back_equal() -> None:
 # Round trip
 
 
-def test_a_bag_reads_back_as_written(tmp_path: Path) -> None:
+def test_a_bag_reads_back_as_written(tmp_path):
     bag = BagReader(write_bag(tmp_path / "bag"))
     messages = list(bag.messages())
     assert [message.topic for message in messages] == ["/force", "/joints"] * 50
@@ -134,7 +134,7 @@ def test_a_bag_reads_back_as_written(tmp_path: Path) -> None:
 # Metadata and definitions
 
 
-def test_definitions_and_hashes_are_those_of_the_distribution() -> None:
+def test_definitions_and_hashes_are_those_of_the_distribution():
     text = message_definition(WRENCH)
     headings = [line for line in text.splitlines() if line.startswith("MSG: ")]
     assert headings == [
@@ -151,7 +151,7 @@ def test_definitions_and_hashes_are_those_of_the_distribution() -> None:
 # Complete or nothing
 
 
-def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path: Path) -> None:
+def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path):
     folder = write_bag(tmp_path / "bag")
     with pytest.raises(InputError, match=r"exists.*--force"):
         write_bag(folder)
@@ -168,7 +168,7 @@ def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path: Path) -> None:
 # Other tools
 
 
-def test_an_independent_reader_reads_our_bag(tmp_path: Path) -> None:
+def test_an_independent_reader_reads_our_bag(tmp_path):
     with AnyReader([write_bag(tmp_path / "bag")]) as reader:
         assert {c.topic: (c.msgtype, c.digest) for c in reader.connections} == {
             "/force": (WRENCH, type_hash(WRENCH)),
@@ -181,9 +181,7 @@ def test_an_independent_reader_reads_our_bag(tmp_path: Path) -> None:
     assert read[0][1] == START
 
 
-def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(
-    tmp_path: Path,
-) -> None:
+def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(tmp_path):
     (tmp_path / "a.mcap.zstd").write_bytes(zstandard.compress(b"\x89MCAP0\r\n"))
     with pytest.raises(InputError, match="unpack it with: zstd -d"):
         BagReader(tmp_path)
@@ -205,9 +203,7 @@ def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(
     ],
     ids=["index", "no summary", "no chunks"],
 )
-def test_every_layout_of_a_file_gives_the_same_messages(
-    tmp_path: Path, compression: CompressionType, options: dict[str, Any]
-) -> None:
+def test_every_layout_of_a_file_gives_the_same_messages(tmp_path, compression, options):
     path = tmp_path / "bag.mcap"
     stamps = range(START, START + 400)
     payloads = write_mcap(path, stamps, compression=compression, chunk_size=2000, **options)
@@ -217,7 +213,7 @@ def test_every_layout_of_a_file_gives_the_same_messages(
     assert bag.warnings == ()
 
 
-def test_split_bag_is_one_stream_by_time(tmp_path: Path) -> None:
+def test_split_bag_is_one_stream_by_time(tmp_path):
     first = write_mcap(tmp_path / "bag_2.mcap", range(0, 100, 2))
     second = write_mcap(tmp_path / "bag_10.mcap", range(1, 101, 2))
     metadata = {"relative_file_paths": ["bag_2.mcap", "bag_10.mcap"]}
@@ -232,7 +228,7 @@ def test_split_bag_is_one_stream_by_time(tmp_path: Path) -> None:
     assert "bag_10.mcap is listed in metadata.yaml but missing" in warning
 
 
-def test_folder_without_metadata_is_read_and_said(tmp_path: Path) -> None:
+def test_folder_without_metadata_is_read_and_said(tmp_path):
     folder = write_bag(tmp_path / "bag")
     expected = data_of(folder)
     (folder / "metadata.yaml").unlink()
@@ -247,9 +243,7 @@ def test_folder_without_metadata_is_read_and_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_file_cut_off_anywhere_gives_its_complete_messages(
-    tmp_path: Path, compression: CompressionType
-) -> None:
+def test_file_cut_off_anywhere_gives_its_complete_messages(tmp_path, compression):
     whole = tmp_path / "whole.mcap"
     payloads = write_mcap(
         whole, range(200), compression=compression, chunk_size=3000, finish=False
@@ -278,7 +272,7 @@ def test_file_cut_off_anywhere_gives_its_complete_messages(
         assert any(count % 10 for count in counts)
 
 
-def test_damaged_chunk_is_lost_alone_and_said(tmp_path: Path) -> None:
+def test_damaged_chunk_is_lost_alone_and_said(tmp_path):
     path = tmp_path / "bag.mcap"
     payloads = write_mcap(path, range(200), compression=CompressionType.NONE, chunk_size=5000)
     content = bytearray(path.read_bytes())
@@ -295,7 +289,7 @@ def test_damaged_chunk_is_lost_alone_and_said(tmp_path: Path) -> None:
 # What cannot be read says what would be right
 
 
-def test_unusable_paths_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_unusable_paths_are_refused_in_one_line(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "text.mcap").write_text("time,force\n")
@@ -341,7 +335,7 @@ def messages(bag: BagReader, topic: str) -> list[Any]:
         ("point", "point"),
     ],
 )
-def test_positions_read_back_exactly(tmp_path: Path, kind: str, path: str) -> None:
+def test_positions_read_back_exactly(tmp_path, kind, path):
     position = np.random.default_rng(1).normal(size=(20, 3))
     bag = write_recording(recording(displacement=kind, position=position), tmp_path / "bag")
     read = []
@@ -352,9 +346,7 @@ def test_positions_read_back_exactly(tmp_path: Path, kind: str, path: str) -> No
     assert read == position.tolist()
 
 
-def test_bag_command_makes_the_same_bag_twice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
     folder = tmp_path / "ramp"
     assert main(["bag", "ramp", "-o", str(folder), "--seed", "3"]) == 0
     assert "fden replay" in capsys.readouterr().out
@@ -421,9 +413,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Rea
 @pytest.mark.parametrize("kind", ["mcap", "metadata", "table", "parameters", "library"])
 @examples(60)
 @given(edits=damages)
-def test_a_damaged_file_is_read_or_refused_in_one_line(
-    kind: str, files: dict[str, tuple[Path, Read]], edits: list[tuple[int, int, bytes]]
-) -> None:
+def test_a_damaged_file_is_read_or_refused_in_one_line(kind, files, edits):
     path, read = files[kind]
     good = content = path.read_bytes()
     for place, count, new in edits:

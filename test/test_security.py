@@ -35,7 +35,7 @@ def allowed(kind: str, right: str) -> set[str]:
     return {name.replace("~", f"/{NODE}") if name[0] in "~/" else f"/{name}" for name in names}
 
 
-def test_the_policy_names_what_the_running_node_has_and_nothing_else() -> None:
+def test_the_policy_names_what_the_running_node_has_and_nothing_else():
     parameters = {
         "autostart": True,
         "use_sim_time": True,
@@ -76,7 +76,7 @@ def _names(node: Any) -> list[set[str]]:
 
 
 @pytest.mark.parametrize("read", [read_parameter_file, load_library])
-def test_a_tag_in_a_file_is_refused_and_not_run(read: Any, tmp_path: Path) -> None:
+def test_a_tag_in_a_file_is_refused_and_not_run(read, tmp_path):
     made = tmp_path / "made"
     file = tmp_path / "tag.yaml"
     file.write_text(f"!!python/object/apply:pathlib.Path.touch [!!python/name:x {made}]\n")

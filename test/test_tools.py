@@ -77,7 +77,7 @@ MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
 
 
 @pytest.mark.parametrize("is_torque", [False, True])
-def test_load_is_the_weight_seen_from_the_sensor(is_torque: bool) -> None:
+def test_load_is_the_weight_seen_from_the_sensor(is_torque):
     rng = np.random.default_rng(0)
     axis = rng.standard_normal(3)
     axis /= np.linalg.norm(axis)
@@ -90,8 +90,8 @@ def test_load_is_the_weight_seen_from_the_sensor(is_torque: bool) -> None:
 
 @pytest.mark.parametrize("is_fast", [False, True])
 def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gives(
-    is_fast: bool, still: Outcome
-) -> None:
+    is_fast, still
+):
     def turn(item: Item) -> Rotation:
         return turn_of(first_press().second(item.stamp_ns))
 
@@ -146,14 +146,14 @@ def turn_at(second: float, wobble: float) -> Rotation:
 
 
 @pytest.mark.parametrize("wobble", [0.0, 0.05])
-def test_a_tilted_probe_gives_what_an_upright_one_gives(wobble: float, still: Outcome) -> None:
+def test_a_tilted_probe_gives_what_an_upright_one_gives(wobble, still):
     """Also where its axis swings while it presses."""
     found = along_its_axis(wobble)
     assert_alike(found, still)
     assert not found.pipeline.rejected and not found.pipeline.warnings
 
 
-def test_a_turn_on_the_spot_far_from_the_origin_is_no_way() -> None:
+def test_a_turn_on_the_spot_far_from_the_origin_is_no_way():
     path = ToolPath(ToolPathConfig((1.0, 0.0, 0.0)))
     x, y, z = map(float, FAR)
     for second in np.linspace(0.0, 3.0, 50):
@@ -162,9 +162,7 @@ def test_a_turn_on_the_spot_far_from_the_origin_is_no_way() -> None:
         assert way == 0.0 and tilt == 0.0
 
 
-def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
-    still: Outcome,
-) -> None:
+def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(still):
     """The tool goes farther by 1 / cos 20 degrees for the depth that the truth has."""
     normal = {"surface.normal": [0.0, 0.0, -2.0]}
     found = along_its_axis(stretch=1.0 / math.cos(TILT), **normal)

@@ -83,7 +83,7 @@ def contact_of(
 # The apparent stiffness
 
 
-def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest_point() -> None:
+def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest_point():
     contact = contact_of(8.5, 0.25, 3, {"estimate.time_scale": 0.5})
     found = contact.apparent_stiffness
     assert found is not None and found.time_scale == 0.5
@@ -105,7 +105,7 @@ def printed(*contacts: ContactSummary) -> str:
     return console.export_text()
 
 
-def test_the_table_with_flags_is_whole_in_80_columns() -> None:
+def test_the_table_with_flags_is_whole_in_80_columns():
     flagged = summary(
         contact_id=12,
         site_id=12,
@@ -142,12 +142,12 @@ def test_the_table_with_flags_is_whole_in_80_columns() -> None:
     ],
 )
 def test_a_number_as_large_as_its_deviation_is_a_bound_or_nothing(
-    value: float, deviation: float, is_of_data: bool, words: str
-) -> None:
+    value, deviation, is_of_data, words
+):
     assert result(value, deviation, is_of_data=is_of_data) == words
 
 
-def test_table_puts_what_the_prior_says_in_brackets() -> None:
+def test_table_puts_what_the_prior_says_in_brackets():
     open_ = ESTIMATE._replace(
         covariance=np.diag([1.2, 0.04, 0.0001]), valid=ParameterSet.LINEAR_STIFFNESS
     )
@@ -289,17 +289,17 @@ def lacking(source: str, index: int, deviation: float, **more: Any) -> tuple[str
         ("thickness", "a thickness known to 2 % is assumed: state geometry.thickness_sd"),
     ],
 )
-def test_the_largest_source_is_named_with_its_share_and_its_remedy(source, remedy) -> None:
+def test_the_largest_source_is_named_with_its_share_and_its_remedy(source, remedy):
     words, _ = lacking(source, 1, 0.12)
     assert words == f"Gn is known to 12 % only (of the variance: {WORDS[source]} 90 %); {remedy}"
 
 
-def test_what_is_as_uncertain_as_large_is_known_to_a_factor() -> None:
+def test_what_is_as_uncertain_as_large_is_known_to_a_factor():
     words, _ = lacking("noise", 0, 1.2)
     assert words.startswith("G is known to a factor of 3.3 only")
 
 
-def test_the_exit_line_the_remark_and_the_sentence_say_the_same() -> None:
+def test_the_exit_line_the_remark_and_the_sentence_say_the_same():
     _, contact = lacking("friction", 1, 0.12)
     config = PipelineConfig(None, geometry=FlatPunch(math.pi * RADIUS**2, 0.02))
     words = shortfall(contact, config)
@@ -307,7 +307,7 @@ def test_the_exit_line_the_remark_and_the_sentence_say_the_same() -> None:
     assert next_step(contact, config) in words
 
 
-def test_a_hidden_surface_leaves_the_slope_of_the_force() -> None:
+def test_a_hidden_surface_leaves_the_slope_of_the_force():
     hidden = reserved(EstimatorConfig(), ESTIMATE, Reservations(is_surface_hidden=True))
     geometry = FlatPunch(math.pi * RADIUS**2, 0.02)
     seen, open_ = (apparent_stiffness_of(e, geometry, 0.3, 0.1) for e in (ESTIMATE, hidden))
@@ -322,7 +322,7 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force() -> None:
     assert shallow.sd > 2.0 * shallow.value
 
 
-def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is() -> None:
+def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is():
     contact, config = pressed(2000.0, 0.002, 0.06)
     words = shortfall(contact, config)
     assert "Gn is not observable" in words
@@ -333,7 +333,7 @@ def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is() -> None:
 
 
 @pytest.mark.parametrize("source", ["drift", "motion"])
-def test_a_part_is_what_the_variance_loses_where_the_source_is_stated_as_none(source) -> None:
+def test_a_part_is_what_the_variance_loses_where_the_source_is_stated_as_none(source):
     stated = {
         "drift": {"force__drift_sd": 0.0},
         "motion": {"surface__motion_sd": 0.0},
