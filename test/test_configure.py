@@ -121,7 +121,7 @@ def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold():
     # An axis from the only contact that is seen: 13 degrees off, stated to 0.014.
     assert wrong <= {5045}
     assert [one.seed for one in judged if one.unfounded] == []
-    for name in judged[0].stated:
+    for name in judged[0].subjects:
         errors = np.array([error for one in judged for error in one.errors.get(name, [])])
         if errors.size >= 40:
             assert 0.9 <= np.mean(np.abs(errors) <= 1.96) <= 1.0, name

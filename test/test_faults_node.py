@@ -15,7 +15,6 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -27,7 +26,16 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import LOSSLESS, RELIABLE, Bench, active, identifier, wait_for
+from ros_helpers import (
+    LOSSLESS,
+    RELIABLE,
+    STEP_NS,
+    Bench,
+    Live,
+    active,
+    identifier,
+    wait_for,
+)
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -36,7 +44,6 @@ from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
 from simulation.simulate import START_NS
 
-STEP_NS = 4_000_000
 GOOD = (
     TissueEstimate.STATUS_NO_CONTACT,
     TissueEstimate.STATUS_CONVERGING,
@@ -48,50 +55,6 @@ def row(name: str) -> Callable[[Any], Any]:
     """Say which row of the table a test shows."""
     assert name
     return lambda test: test
-
-
-class Live:
-    """One node for many rows: time goes on, and so do the samples."""
-
-    def __init__(self, bench: Bench) -> None:
-        self.bench = bench
-        self.now = START_NS
-        self.rng = np.random.default_rng(1)
-
-    def stream(self, seconds: float, depth: Callable[[float], float] = lambda t: 0.0) -> None:
-        """Publish good samples, of the air or of a press to `depth` [m]."""
-        count = round(seconds * 1e9 / STEP_NS)
-        for k in range(count):
-            self.now += STEP_NS
-            d = depth(k * STEP_NS * 1e-9)
-            force = 60.0 * max(d, 0.0) + 1e-4 * self.rng.standard_normal()
-            self.bench.publish(self.now, force, d + 1e-6 * self.rng.standard_normal())
-        self.bench.spin_for(0.0)
-
-    def recovers(self) -> None:
-        """Within a second of good data, by their stamps, the status is true."""
-        begin = self.now
-        self.stream(1.2)
-        self.bench.wait_for(
-            lambda: any(
-                stamp(m) > begin + 1_000_000_000 and m.status == TissueEstimate.STATUS_NO_CONTACT
-                for m in self.bench.estimates[-20:]
-            ),
-            "a true status a second after good data",
-        )
-
-    def count(self, name: str) -> int:
-        return int(self.bench.diagnostic().get(f"rejected.{name}", "0"))
-
-    def wait_for_count(self, name: str, least: int) -> None:
-        self.bench.wait_for(lambda: self.count(name) >= least, f"{least} times {name}")
-
-    def wait_for_words(self, words: str) -> None:
-        def said() -> bool:
-            self.stream(0.02)
-            return words in self.bench.diagnostic().get("message", "")
-
-        self.bench.wait_for(said, f"the words {words}")
 
 
 @pytest.fixture(scope="module")
@@ -121,10 +84,6 @@ def another_publisher(kind: type, qos: QoSProfile) -> Iterator[None]:
     finally:
         node.destroy_node()
         rclpy.try_shutdown(context=context)
-
-
-def stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def floats_of(message: Any) -> list[float]:

@@ -19,9 +19,11 @@ from rcl_interfaces.srv import DescribeParameters, SetParameters
 from ros_helpers import (
     PATIENT,
     Bench,
+    Live,
     active,
     assert_live_equals_replay,
     play,
+    stamp,
 )
 from std_srvs.srv import Trigger
 
@@ -36,11 +38,10 @@ from fden_ros.recording.reader import BagReader
 from fden_ros.recording.truth import read_truth
 from simulation.bag import PARAMETER_FILE, write_recording
 from simulation.scenario import load_scenario
-from simulation.simulate import START_NS, simulate
+from simulation.simulate import simulate
 from simulation.trajectory import Sinusoid
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
-STEP_NS = 2_000_000
 
 
 def inputs_of(bag: Path) -> dict[str, str]:
@@ -62,10 +63,6 @@ def truth_of(bag: Path) -> dict[str, Any]:
     truth = read_truth(BagReader(bag))
     assert truth is not None
     return truth
-
-
-def stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def continuous(bag: Path) -> Path:
@@ -143,39 +140,22 @@ def test_parameters_are_described_ranged_and_changed_once_it_is_cleaned_up():
         assert set_parameter(bench, "geometry.area", double).successful
 
 
-def press(bench: Bench) -> None:
-    """Publish half a second of air and half of a linear press."""
-    rng = np.random.default_rng(1)
-    now = START_NS
-    for k in range(500):
-        now = START_NS + k * STEP_NS
-        depth = max(0.0, (k - 250) * 2e-5)
-        bench.publish(now, 60.0 * depth + 1e-4 * rng.standard_normal(), depth)
-    bench.wait_for(
-        lambda: bench.estimates and stamp(bench.estimates[-1]) > now - 50_000_000,
-        "estimates of the press",
-    )
-    assert bench.estimates[-1].status in (
-        TissueEstimate.STATUS_CONVERGING,
-        TissueEstimate.STATUS_CONVERGED,
-    )
-
-
 def test_tare_and_reset_work_in_the_air_and_are_refused_elsewhere():
     with Bench() as bench, active():
         bench.wait_until_heard()
         refused = bench.call(Trigger, "tare")
         assert not refused.success and "air" in refused.message
-        press(bench)
+        live = Live(bench)
+        live.stream(0.5)
+        live.stream(0.5, lambda t: 0.01 * t)
+        bench.wait_for(lambda: stamp(bench.estimates[-1]) > live.now - 50_000_000, "the press")
+        status = TissueEstimate.STATUS_CONVERGING, TissueEstimate.STATUS_CONVERGED
+        assert bench.estimates[-1].status in status
         for service in ("tare", "reset"):
             refused = bench.call(Trigger, service)
             assert not refused.success
             assert refused.message == f"the probe is in contact: lift it, then {service}"
-        rng = np.random.default_rng(2)
-        for k in range(500, 1500):
-            depth = max(5e-3 - (k - 500) * 4e-5, -2e-3)
-            force = 60.0 * max(depth, 0.0) + 1e-4 * rng.standard_normal()
-            bench.publish(START_NS + k * STEP_NS, force, depth)
+        live.stream(2.0, lambda t: max(5e-3 - 0.02 * t, -2e-3))
         bench.wait_for(lambda: bench.summaries, "the release")
         assert bench.call(Trigger, "forget_rig").success
         bench.wait_for(lambda: bench.call(Trigger, "tare").success, "the air")

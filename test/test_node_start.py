@@ -20,14 +20,12 @@ from lifecycle_msgs.msg import Transition
 from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from ros_helpers import RELIABLE, Bench, active, identifier
+from ros_helpers import RELIABLE, STEP_NS, Bench, active, identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fden_ros.nodes.doctor import Examination, examine
 from simulation.simulate import START_NS
-
-STEP_NS = 4_000_000
 
 
 def warnings_of(node: Any, words: str) -> list[str]:
