@@ -18,6 +18,7 @@ import numpy as np
 from pipeline_helpers import Item, items_of, parameters_of, summaries_of
 from scipy.spatial.transform import Rotation
 
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import (
     WITHHELD,
     Classification,
@@ -198,6 +199,9 @@ def _feed(pipeline: Pipeline, steps: Iterable[Step]) -> None:
 
 def numbers_of(value: object) -> Iterator[float]:
     """Give every floating-point number of an output."""
+    if isinstance(value, Estimate):
+        # Where the law has no error it is not known how probable another is.
+        value = tuple(value._replace(mismatch_probability=0.0))
     if isinstance(value, np.ndarray):
         yield from value.ravel().tolist()
     elif isinstance(value, float):

@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`fden batch`, and continuous contact and reports from bags."""
+"""The shape of `fden`; `fden batch`, and continuous contact and reports from bags."""
 
 from __future__ import annotations
 
+import argparse
 import csv
+import importlib
 import json
 import re
 import shutil
@@ -18,7 +20,8 @@ import pytest
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rosbags.highlevel import AnyReader
 
-from fden_ros.cli import main
+from fden_ros.cli import COMMANDS, DESCRIPTION, main
+from fden_ros.commands.command import number
 from fden_ros.errors import InputError
 from fden_ros.offline import batch
 from fden_ros.offline.session import (
@@ -34,6 +37,47 @@ from fden_ros.report.sentence import sentence
 from simulation.bag import write_recording
 from simulation.scenario import Tissue, load_scenario, ramp_scenario
 from simulation.simulate import simulate
+
+# The shape of ``fden``: every command explains itself, and says in one line what is wrong
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    shown = capsys.readouterr().out
+    command = importlib.import_module(f"fden_ros.commands.{name}").COMMAND
+    assert ended.value.code == 0
+    assert command.name == name and command.description in shown and command.epilog in shown
+    assert command.epilog.startswith("examples:\n") and f"fden {name}" in command.epilog
+    assert f"fden {name}" in DESCRIPTION
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_unknown_option_is_one_line_that_names_the_help(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--nonsense"])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ended.value.code == 2
+    assert "error: " in line and line.endswith(" --help")
+
+
+@pytest.mark.parametrize(
+    ("bounds", "good", "bad", "words"),
+    [
+        ({}, "-1e3", "inf", "expected a number, got 'inf'"),
+        ({"above": 0.0}, "1e-9", "0", "a number above 0, got '0'"),
+        ({"least": 0.0, "below": 1.0}, "0", "1", "a number of at least 0 and below 1"),
+        ({"least": 1, "whole": True}, "1", "1.5", "a whole number of at least 1, got '1.5'"),
+        ({"above": 0.0}, "2", "fast", "got 'fast'"),
+    ],
+)
+def test_a_number_is_refused_outside_its_bounds(bounds, good, bad, words):
+    convert = number(**bounds)
+    assert convert(good) == float(good)
+    with pytest.raises(argparse.ArgumentTypeError, match=words):
+        convert(bad)
+
 
 # ``fden batch``: an archive of bags, identified by processes of this machine
 
@@ -342,9 +386,6 @@ def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path):
     assert words is not None
     depth = float(words.group(1))
     assert re.fullmatch(r"Liver-like, [\d.]+ ± [\d.]+ N/m at [\d.]+ mm\.", said(depth / 20.0))
-
-
-# Table
 
 
 # What is gathered

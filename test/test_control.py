@@ -6,16 +6,135 @@
 from __future__ import annotations
 
 import functools
+import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from closed_loop import LAST, LIMIT, STEP, Run, close_loop, tissue
+from numpy.typing import NDArray
 from output_helpers import ESTIMATE
 from property_helpers import first
 
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
-from fden_ros.control.live_tissue import Reading
-from fden_ros.core.outputs import ApparentStiffness, Flag, Phase, Status, TissueState
+from fden_ros.control.live_tissue import LiveTissue, Reading
+from fden_ros.core.arrays import Array
+from fden_ros.core.law.characteristic import apparent_stiffness_factor
+from fden_ros.core.outputs import ApparentStiffness, Flag, Output, Phase, Status, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation.rig import Command, Rig, RigConfig
+from fden_ros.simulation.tissue import Column, Inclusion
+from simulation.simulate import EXACT
+
+# The force controller in closed loop: gains scheduled by the live stiffness, and fixed ones
+# Simulated tissue and the real identification, without ROS. The probe touches, rests at a light
+# force, steps to a working force and back, and then to a higher one, on the way to which it meets
+# an inclusion that makes the tissue several times stiffer. The rig's deviations are 0.
+
+
+#: From the softest to the stiffest specimen of Table II; alpha from the dynamic test.
+SOFTEST = FdenModel(341.8, 5.26, 0.118)
+STIFFEST = FdenModel(1294.0, 13.18, 0.146)
+#: Forces that are wanted [N], and from when on [s].
+LIGHT, WORKING, HIGH = 0.05, 0.15, 0.3
+TARGETS = ((0.0, 0.0), (1.2, LIGHT), (3.7, WORKING), (5.2, LIGHT), (6.2, HIGH))
+STEP, BACK, LAST, END = 3.7, 5.2, 6.2, 7.7
+#: Not to be passed [N].
+LIMIT = 0.32
+#: Where an inclusion is met [N], and how many times stiffer the tissue is with it.
+_MET, _STIFFENING = 0.22, 6.0
+_CONTROL_STEPS, _SENSOR_STEPS = 5, 2
+
+
+class Run(NamedTuple):
+    """One closed loop; arrays over the samples."""
+
+    times: Array  #: [s]
+    force: Array  #: true force [N]
+    live: NDArray[np.bool_]  #: where the gains are scheduled by the estimate
+    overshoot: tuple[float, float]  #: of the working and of the high step, as a share of it
+    settling: float  #: of the working step: [s] until within 5 % of it; inf: it never is
+    refusals: tuple[str, ...]  #: why estimates were not relied on, in order
+
+
+def tissue(place: float) -> FdenModel:
+    """Return the tissue at a place from the softest, 0, to the stiffest, 1, in logarithms."""
+    names = ("linear_stiffness", "nonlinear_stiffness", "fractional_order")
+    ends = [(getattr(SOFTEST, name), getattr(STIFFEST, name)) for name in names]
+    return FdenModel(*(low ** (1.0 - place) * high**place for low, high in ends))
+
+
+def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) -> Run:
+    """Close the loop over a tissue: gains from the live stiffness, or fixed for the stiffest.
+
+    From `lost_at` [s] on no estimate arrives.
+    """
+    rig = Rig(_rig_config(model))
+    controller = _controller(rig.config, scheduled=scheduled)
+    sizes = {"geometry.area": rig.config.area, "geometry.thickness": rig.config.thickness}
+    # The stepped rig is rigid, and its tissue that of the law.
+    settings = pipeline_config(check({**EXACT, **sizes}))
+    live = LiveTissue(settings.geometry)
+
+    def arrived(output: Output) -> None:
+        if isinstance(output, TissueState):
+            live.add(output, rig.time)
+
+    pipeline = Pipeline(settings, arrived)
+    kept, refusals, forces, air = [], [""], [], []
+    for n in range(round(END / rig.config.step)):
+        rig.step()
+        if n % _SENSOR_STEPS == 0:
+            force, depth = rig.measured_force(), rig.measured_position()[2]
+            forces.append(force)
+            if scheduled and rig.time < lost_at:
+                stamp_ns = round(rig.time * NANOSECONDS) + NANOSECONDS
+                pipeline.add_displacement(stamp_ns, depth)
+                pipeline.add_force(stamp_ns, force)
+        if (n + 1) % _CONTROL_STEPS:
+            continue
+        mean, forces = float(np.mean(forces)), []
+        target = next(wanted for start, wanted in reversed(TARGETS) if rig.time >= start)
+        velocity = 0.0
+        if target <= 0.0:
+            # The controller's own tare, in the air.
+            air.append(mean)
+        else:
+            reading = live.reading(rig.time) if scheduled else None
+            tared = mean - float(np.mean(air))
+            velocity = controller.step(rig.time, tared, depth, target, reading)
+        rig.command(Command.VELOCITY, velocity)
+        refusal = live.refusal(rig.time)
+        if refusal is not None and refusals[-1] != refusal.name:
+            refusals.append(refusal.name)
+        kept.append((rig.time, rig.force, float(controller.gains is Gains.LIVE)))
+    times, found, lives = np.array(kept).T
+    during = (times >= STEP) & (times < BACK)
+    working = (found[during] - WORKING) / (WORKING - LIGHT)
+    high = (found[times >= LAST] - HIGH) / (HIGH - LIGHT)
+    outside = np.flatnonzero(np.abs(working) > 0.05)
+    settled = int(outside[-1]) + 1 if outside.size else 0
+    settling = float(times[during][settled] - STEP) if settled < working.size else math.inf
+    overshoot = (max(float(working.max()), 0.0), max(float(high.max()), 0.0))
+    return Run(times, found, lives.astype(bool), overshoot, settling, tuple(refusals[1:]))
+
+
+def _controller(rig: RigConfig, *, scheduled: bool) -> ForceController:
+    config = ForceControlConfig(safe_stiffness=1.0, force_limit=LIMIT, scheduled=scheduled)
+    strain = STIFFEST.strain_of_phi(WORKING / rig.area)
+    tangent = float(STIFFEST.phi_derivative(strain)) * rig.area / rig.thickness
+    factor = apparent_stiffness_factor(STIFFEST.fractional_order, 1.0 / config.bandwidth)
+    return ForceController(replace(config, safe_stiffness=tangent * factor))
+
+
+def _rig_config(model: FdenModel) -> RigConfig:
+    strain = float(model.strain_of_phi(_MET / RigConfig((Column(model),)).area))
+    slope = float(model.phi_derivative(strain))
+    return RigConfig((Column(model, (Inclusion(strain, (_STIFFENING - 1.0) * slope),)),))
+
 
 #: The fifth of ten tissues from the softest to the stiffest.
 MIDDLE = 4.0 / 9.0

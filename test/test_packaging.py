@@ -1,23 +1,30 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is declared in several places agrees, and what is shipped can be built and found."""
+"""What is declared in several places agrees, the layout holds, what is shipped can be built."""
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import os
 import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from importlib.metadata import distribution, requires
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from ros_helpers import Bench, identifier
 
 import fden_ros
+from fden_ros.errors import InputError
+from fden_ros.parameters import read_parameter_file
+from fden_ros.tissues.library import load_library
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = {entry.name for entry in distribution("fden_ros").entry_points}
@@ -187,3 +194,170 @@ def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(modu
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == (given or "1")
+
+
+# The layout: imports run one way, from what is nearer the user to what is nearer the data
+
+
+PACKAGE = Path(__file__).parent.parent / "fden_ros"
+
+#: Rooms in the order of the data: each imports only what stands above it here.
+ROOMS = (
+    "errors",
+    "one_thread",
+    "progress",
+    "shipped",
+    "core.arrays",
+    "core.streams",
+    "core.law",
+    "core.contact",
+    "core.estimation",
+    "core.oscillation",
+    "core.classification",
+    "core.plausibility",
+    "core.config",
+    "core.outputs",
+    "core.block",
+    "core.lift_off",
+    "core.site",
+    "core.press",
+    "core.air_check",
+    "core.contact_session",
+    "core.continuous_session",
+    "core.input_warnings",
+    "core.pipeline",
+    "core",  # its public names
+    "planning",
+    "simulation",
+    "experiments",
+    "tissues",
+    "parameters",
+    "ros",
+    "recording",
+    "control",
+    "tissue_feed",
+    "offline",
+    "configure",
+    "report",
+    "nodes",
+    "commands",
+    "cli",
+)
+#: Modules that stand alone at the root.
+LOOSE = {"errors", "one_thread", "progress", "shipped", "tissue_feed", "cli"}
+
+
+def room_of(module: str) -> str:
+    """The room of a module's name; empty for the package itself."""
+    parts = module.split(".")[1:]
+    return ".".join(parts[: 2 if parts[:1] == ["core"] else 1])
+
+
+def modules_of(path: Path) -> Iterator[str]:
+    """The modules of the package that a module imports, anywhere in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            module = node.module or ""
+            for alias in node.names:
+                below = PACKAGE.parent.joinpath(*module.split("."), alias.name)
+                is_module = below.with_suffix(".py").is_file() or below.is_dir()
+                yield f"{module}.{alias.name}" if is_module else module
+
+
+def arrows() -> set[tuple[str, str, str]]:
+    """Every import from one room into another, with the file that has it."""
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        name = path.relative_to(PACKAGE.parent).with_suffix("")
+        module = ".".join(name.parts).removesuffix(".__init__")
+        for imported in modules_of(path):
+            if imported.split(".")[0] == "fden_ros" and room_of(imported) != room_of(module):
+                found.add((str(path.relative_to(PACKAGE)), room_of(module), room_of(imported)))
+    return found
+
+
+def test_every_room_has_its_place():
+    found = {room for _, user, used in arrows() for room in (user, used)} - {""}
+    assert found <= set(ROOMS)
+    loose = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
+    assert loose == LOOSE
+
+
+def test_imports_run_one_way():
+    places = {room: place for place, room in enumerate(ROOMS)} | {"": -1}
+    upward = {arrow for arrow in arrows() if places[arrow[2]] >= places[arrow[1]]}
+    assert upward == set()
+
+
+# Least privilege, and nothing read is ever executed
+
+
+POLICY = ROOT / "config" / "sros2_policy.xml"
+NAMESPACE, NODE = "/", "identifier"
+
+
+def allowed(kind: str, right: str) -> set[str]:
+    """Full names that the policy allows, such as ``topic`` and ``publish``."""
+    (profile,) = ElementTree.parse(POLICY).iterfind("./enclaves/enclave/profiles/profile")
+    assert (profile.get("ns"), profile.get("node")) == (NAMESPACE, NODE)
+    names = [
+        str(entry.text)
+        for group in profile.iterfind(f"{kind}s[@{right}='ALLOW']")
+        for entry in group.iterfind(kind)
+    ]
+    assert len(set(names)) == len(names)
+    return {name.replace("~", f"/{NODE}") if name[0] in "~/" else f"/{name}" for name in names}
+
+
+def test_the_policy_names_what_the_running_node_has_and_nothing_else():
+    parameters = {
+        "autostart": True,
+        "use_sim_time": True,
+        "surface.message": "pose",
+        "frames.base": "base",
+        "start_type_description_service": True,
+    }
+    expected = [
+        allowed("topic", "subscribe"),
+        allowed("topic", "publish"),
+        allowed("service", "reply"),
+        allowed("service", "request"),
+    ]
+    # The identifier first: it ends the shared one, whose names a node from before may keep.
+    with identifier(parameters):
+        for _ in range(3):
+            # Discovery at times passes a participant by; the next one hears of everything anew.
+            with Bench() as bench:
+                bench.wait_until_heard()
+                with contextlib.suppress(AssertionError):
+                    bench.wait_for(lambda: _names(bench.node) == expected, "the names", 30.0)
+                    return
+                found = _names(bench.node)
+    assert found == expected
+
+
+def _names(node: Any) -> list[set[str]]:
+    """Return the identifier's names: topics heard and published, services, clients."""
+    return [
+        {name for name, _ in ask(NODE, NAMESPACE)}
+        for ask in (
+            node.get_subscriber_names_and_types_by_node,
+            node.get_publisher_names_and_types_by_node,
+            node.get_service_names_and_types_by_node,
+            node.get_client_names_and_types_by_node,
+        )
+    ]
+
+
+@pytest.mark.parametrize("read", [read_parameter_file, load_library])
+def test_a_tag_in_a_file_is_refused_and_not_run(read, tmp_path):
+    made = tmp_path / "made"
+    file = tmp_path / "tag.yaml"
+    file.write_text(f"!!python/object/apply:pathlib.Path.touch [!!python/name:x {made}]\n")
+    with pytest.raises(InputError) as refused:
+        read(file)
+    assert "\n" not in str(refused.value)
+    assert not made.exists()

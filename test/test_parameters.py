@@ -272,7 +272,7 @@ def test_parameter_says_what_of_a_message_counts(name):
 #: Shown with the running node, in test_parameter_files.py.
 LIVE = {"force.message", "displacement.message"}
 TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
-#: In test_frames.py and test_tools.py.
+#: In test_frames.py.
 FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.normal"}
 
 

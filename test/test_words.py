@@ -93,9 +93,6 @@ def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest
     assert found.sd < 0.02 * true
 
 
-# What the data determine
-
-
 # The table
 
 
