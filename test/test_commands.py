@@ -142,6 +142,7 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
             *("apparent_stiffness", "apparent_stiffness_sd", "apparent_stiffness_time_scale"),
         ):
             assert row[name] == str(contact[name])
+        assert [row[axis] for axis in "xyz"] == [str(value) for value in contact["position"]]
         known = " ".join(contact["converged_parameters"])
         assert row["converged_parameters"] == known != ""
 
