@@ -21,45 +21,30 @@ from fden_ros.errors import InputError
 #: Two interrupts within this time are one [s].
 _SAME_INTERRUPT = 1.0
 
-COMMANDS = (
-    "bag",
-    "replay",
-    "report",
-    "batch",
-    "play",
-    "train",
-    "fit",
-    "configure",
-    "plan",
-    "parameters",
-    "benchmark",
-    "monitor",
-    "doctor",
-    "live",
-)
+#: What ``fden --help`` says of each module of :mod:`fden_ros.commands`.
+COMMANDS = {
+    "bag": "make a synthetic palpation bag",
+    "replay": "estimate from a recorded bag",
+    "report": "write a page on a recording",
+    "batch": "identify an archive of bags",
+    "play": "publish a bag on live topics",
+    "train": "learn a tissue library from labelled contacts",
+    "fit": "identify from a laboratory's experiment (CSV)",
+    "configure": "propose a parameter file from recordings of an unknown probe",
+    "plan": "which press to make next",
+    "parameters": "print every parameter of the identifier, explained",
+    "benchmark": "measure accuracy and speed against their goals",
+    "monitor": "show a running identifier in the terminal",
+    "doctor": "what a running identifier hears and lacks, and the next step",
+    "live": "simulator, identifier, controller and monitor together",
+}
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
-  fden bag ramp -o /tmp/ramp          make a synthetic palpation bag, from a checkout
-  fden replay /tmp/ramp --config /tmp/ramp/identifier.yaml
-                                      estimate G and Gn from a bag
-  fden report /tmp/ramp --config /tmp/ramp/identifier.yaml -o ramp.html
-                                      a page to read: what was pressed, how well it is known
-  fden batch archive -o results.csv
-                                      an archive of bags, a row a contact
-  fden train liver/1=bags -o library.yaml
-                                      a tissue library from labelled contacts
-  fden play /tmp/ramp                 publish a bag on live topics
   fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
-  fden plan --config probe.yaml --target G=0.1,Gn=0.1
-                                      which press to make next, and what to expect of it
-  fden fit creep creep.csv            alpha, G, Gn from a laboratory's experiment
-  fden live                           simulator, identifier, controller and monitor together
-  fden monitor                        a running identifier in the terminal
-  fden doctor                         what a running identifier lacks, and the next step
-  fden parameters > probe.yaml        every parameter of the identifier, explained
-  fden benchmark robots --quick       figures against their goals
+  fden replay rec --config probe.yaml
+                                      G and Gn of each contact
 """
 
 
@@ -82,8 +67,17 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name in COMMANDS:
-        importlib.import_module(f"fden_ros.commands.{name}").COMMAND.add_to(subparsers)
+    for name, summary in COMMANDS.items():
+        module = importlib.import_module(f"fden_ros.commands.{name}")
+        command = subparsers.add_parser(
+            name,
+            help=summary,
+            description=module.DESCRIPTION,
+            epilog=module.EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(command)
+        command.set_defaults(parser=command, run=module.run)
     return parser
 
 

@@ -47,7 +47,7 @@ class TissueFeed:
     """The latest estimate with its age; refuses what cannot be relied on.
 
     Subscribes with a deadline and a liveliness lease, so that DDS reports a frozen, killed or
-    unreachable identifier by itself; whoever asks is told no later than the deadline, even if no
+    unreachable identifier by itself; whoever asks knows it no later than the deadline, even if no
     callback could run. Calls from several threads are safe.
 
     Parameters
@@ -66,7 +66,7 @@ class TissueFeed:
     required : ParameterSet
         What must have converged: G and Gn, or G alone; see :class:`LiveTissue`.
     change : float
-        `on_change` is called when the apparent stiffness has moved by this share.
+        `on_change` is called when the apparent stiffness has moved by this part.
     real_time : bool
         False where a bag is played at another pace; see :class:`LiveTissue`.
     on_change : callable or None
@@ -183,7 +183,7 @@ class TissueFeed:
         times : array_like, shape (n,)
             Seconds from the latest estimate, increasing.
         displacements : array_like, shape (n,)
-            Way further into the tissue by then [m], linear in between.
+            Distance further into the tissue by then [m], linear in between.
 
         Raises
         ------

@@ -437,7 +437,10 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, long: Path) -> None
 
 POSE_BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_pose"
 FORCE, POSES = "/tool/wrench", "/arm/measured_cp"
-FIELDS = Selection(FORCE, POSES, "wrench.force", "pose.position")
+FIELDS = Selection(
+    {"force": FORCE, "displacement": POSES},
+    {"force": "wrench.force", "displacement": "pose.position"},
+)
 
 
 def own_parameters(**changes: Any) -> Parameters:

@@ -334,9 +334,9 @@ def test_a_way_is_composed_along_the_tree():
         rotation = one.transform.rotation
         rotation.x, rotation.y, rotation.z, rotation.w = (float(part) for part in turn)
         tree.add(TFMessage(transforms=[one]))
-    way = tree.way("a", "c", np.array([1_000_000_000], dtype=np.int64))
-    assert np.allclose(way.places, [[1.0, 1.0, 0.0]])
-    assert np.allclose(way.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
+    path = tree.path("a", "c", np.array([1_000_000_000], dtype=np.int64))
+    assert np.allclose(path.places, [[1.0, 1.0, 0.0]])
+    assert np.allclose(path.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
 
 
 # `fden configure --live` beside a robot that moves: a bag that is played into real topics
@@ -367,7 +367,7 @@ def test_it_says_what_to_do_and_waits_for_it(tmp_path, capsys):
 def test_without_topics_it_says_which_it_would_need(capsys, monkeypatch):
     monkeypatch.setattr(guide, "_TOPICS_WITHIN", 0.5)
     assert run("configure", "--live") == 1
-    assert "which topic is the force? There are" in capsys.readouterr().err
+    assert "no topic can carry the force: " in capsys.readouterr().err
 
 
 # Robots by name: their topics and conventions, on bags in each layout by another library

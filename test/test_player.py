@@ -104,9 +104,9 @@ def test_the_pace_is_that_of_the_bag_times_the_rate(tmp_path, monkeypatch):
     """By a clock that stands still: for what it waits, not for how long a machine takes."""
     bag = make_bag(tmp_path / "bag", 20, step_ns=100_000_000)
     waits: list[float] = []
-    monkeypatch.setattr(player_module, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    clock = SimpleNamespace(monotonic=lambda: 0.0, sleep=waits.append)
+    monkeypatch.setattr(player_module, "time", clock)
     with Player(bag, rate=2.0) as player:
-        player._stop = SimpleNamespace(wait=waits.append, is_set=lambda: False)  # type: ignore
         assert player.play() == 41
     assert waits == pytest.approx([0.05 * n for n in range(1, 20) for _ in range(2)])
 

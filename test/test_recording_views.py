@@ -21,7 +21,7 @@ from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.parameters import Parameters
 from fden_ros.recording.definitions import message_class
 from fden_ros.ros.inputs import DISPLACEMENT_MESSAGES
-from fden_ros.ros.status import type_name
+from fden_ros.ros.messages import type_name
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
 CONFIG = Path(__file__).parent.parent / "config"

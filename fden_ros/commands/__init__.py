@@ -1,4 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands of ``fden``: one module each, whose ``COMMAND`` is what the parser takes."""
+"""Commands of ``fden``: one module each.
+
+``DESCRIPTION`` and ``EPILOG`` are what ``--help`` says before and after the arguments, the epilog
+with examples first. ``add_arguments`` adds the arguments to a parser; ``run`` takes them and
+returns the exit code. It calls ``args.parser.error`` where arguments do not go together, and
+raises :class:`~fden_ros.errors.InputError` where what they name cannot be used.
+"""

@@ -10,7 +10,7 @@ import shlex
 from pathlib import Path
 
 from fden_ros.commands.checkout import module
-from fden_ros.commands.command import Command, number
+from fden_ros.commands.command import number
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
@@ -82,6 +82,3 @@ def _list_scenarios() -> int:
     for name in names:
         print(f"{name:{width}}  {scenarios.load_scenario(name).description}".rstrip())
     return 0
-
-
-COMMAND = Command("bag", "make a synthetic palpation bag", DESCRIPTION, EPILOG, add_arguments, run)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden batch``: an archive of bags, a row a contact."""
+"""``fden batch``: recordings to a table, a row a contact."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import signal
 import sys
 from pathlib import Path
 
-from fden_ros.commands.command import Command, count
+from fden_ros.commands.command import count
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 DESCRIPTION = """\
-Identify all bags of an archive, several at once, and write a table (CSV), a row a contact. A bag
-that cannot be used is a row with its error. Bags that are in the table with this configuration are
+Identify all recordings of an archive, several at once, and write a table (CSV), a row a contact.
+One that cannot be used is a row with its error. What is in the table with this configuration is
 not done again.
 """
 
@@ -33,7 +33,10 @@ rows), 1 nothing could be done, 2 wrong usage.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
     parser.add_argument(
-        "places", nargs="+", metavar="DIR_OR_GLOB", help="folders of bags, bags, or patterns"
+        "places",
+        nargs="+",
+        metavar="DIR_OR_GLOB",
+        help="folders of bags, bags, tables, or patterns",
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE", help="the table, CSV"
@@ -54,8 +57,6 @@ def run(args: argparse.Namespace) -> int:
     from fden_ros.progress import progress
 
     work = batch.Work(parameters_of(args), selection_of(args))
-    if args.columns is not None:
-        args.parser.error("--columns is for a single table: give bags to batch")
     bags = batch.find_bags(args.places)
     results = batch.Results(args.output, work.digest())
     left = [bag for bag in bags if not results.has(str(bag))]
@@ -83,6 +84,3 @@ def run(args: argparse.Namespace) -> int:
 def _tell_broken(bag: str, error: str) -> None:
     # The reason often begins with the path.
     print(f"broken: {error if bag in error else f'{bag}: {error}'}", file=sys.stderr)
-
-
-COMMAND = Command("batch", "identify an archive of bags", DESCRIPTION, EPILOG, add_arguments, run)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fden_ros.commands.checkout import checkout, module
-from fden_ros.commands.command import Command, Parser, add_json
+from fden_ros.commands.command import Parser, add_json
 
 DESCRIPTION = """\
 Measure how good the package is, and hold the figures against their goals. Each benchmark prints
@@ -71,13 +71,3 @@ class _BenchmarkParser(Parser):
             self.benchmark = ""
             own.BENCHMARK.add_arguments(self)
         return super().parse_known_args(args, namespace)
-
-
-COMMAND = Command(
-    "benchmark",
-    "measure accuracy and speed against their goals",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

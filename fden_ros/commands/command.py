@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The shape of every command of ``fden``, and the kinds of argument that several take."""
+"""What several commands of ``fden`` take and do: kinds of argument, JSON, whole files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import json
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,44 +22,6 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> Any:
         """End the program with exit code 2."""
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
-
-
-@dataclass(frozen=True)
-class Command:
-    """One command of ``fden``: a module of this folder has it as ``COMMAND``.
-
-    Parameters
-    ----------
-    name, summary : str
-        As typed, and the line that ``fden --help`` says of it.
-    description, epilog : str
-        What ``--help`` says before and after the arguments; the epilog begins with examples.
-    add_arguments : callable
-        Adds the arguments to a parser.
-    run : callable
-        Takes the parsed arguments and returns the exit code. It calls ``args.parser.error`` where
-        arguments do not go together, and raises
-        :class:`~fden_ros.errors.InputError` where what they name cannot be used.
-    """
-
-    name: str
-    summary: str
-    description: str
-    epilog: str
-    add_arguments: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace], int]
-
-    def add_to(self, commands: argparse._SubParsersAction[Any]) -> None:
-        """Add the command to those of a parser."""
-        parser = commands.add_parser(
-            self.name,
-            help=self.summary,
-            description=self.description,
-            epilog=self.epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        self.add_arguments(parser)
-        parser.set_defaults(parser=parser, run=self.run)
 
 
 def number(

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import Command, add_json, print_json, write
+from fden_ros.commands.command import add_json, print_json, write
 from fden_ros.commands.inputs import add_selection_options, selection_of
 from fden_ros.errors import InputError
 
@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames",
         metavar="BASE,PROBE",
-        help="the displacement is the way of frame PROBE in BASE, by /tf; found where a bag has "
+        help="the displacement is the path of frame PROBE in BASE, by /tf; found where a bag has "
         "nothing else",
     )
     indenter = parser.add_argument_group("the indenter, which no recording shows")
@@ -172,7 +172,7 @@ def _check(args: argparse.Namespace) -> None:
         ),
         (
             (args.flat_punch is None) != (args.thickness is None),
-            "--flat-punch AREA needs --thickness H, and the other way round",
+            "--flat-punch AREA needs --thickness H, and --thickness needs --flat-punch",
         ),
     ):
         if is_wrong:
@@ -298,16 +298,6 @@ def _brief_lines(stated: Sequence[Finding]) -> list[str]:
     said: dict[str, list[str]] = {}
     for finding in stated:
         if finding.value is not None:
-            quantity, _, what = finding.subject.partition(" ")
-            said.setdefault(quantity, []).append(f"{what} {value_text(finding)}".strip())
+            quantity, _, aspect = finding.subject.partition(" ")
+            said.setdefault(quantity, []).append(f"{aspect} {value_text(finding)}".strip())
     return [f"{quantity}: {', '.join(values)}" for quantity, values in said.items()]
-
-
-COMMAND = Command(
-    "configure",
-    "propose a parameter file from recordings of an unknown probe",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import argparse
 
-from fden_ros.commands.command import Command
-
 DESCRIPTION = """\
 Listen to a running identifier for 3 s and print one page: what it hears and at which rates, what
 it lacks, what it refused last, and the one next step. Exit code 3: there is something to mend.
@@ -38,13 +36,3 @@ def run(args: argparse.Namespace) -> int:
     found = examine("/" + args.identifier.lstrip("/"))
     print(found.page())
     return 0 if found.is_well else _UNWELL
-
-
-COMMAND = Command(
-    "doctor",
-    "what a running identifier hears and lacks, and the next step",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

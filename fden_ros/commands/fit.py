@@ -11,13 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import (
-    Command,
-    add_json,
-    number,
-    positive,
-    print_json,
-)
+from fden_ros.commands.command import add_json, number, positive, print_json
 from fden_ros.experiments.kinds import EXPERIMENTS, Options, fit_file
 
 if TYPE_CHECKING:
@@ -146,8 +140,3 @@ def _cells(name: str, p: Parameter) -> tuple[str, ...]:
     interval = f"{p.low:.5g} to {p.high:.5g}" if math.isfinite(p.low + p.high) else "–"
     sd = f"{p.sd:.2g}" if math.isfinite(p.sd) else "–"
     return symbol, f"{p.value:.5g}", sd, interval, unit
-
-
-COMMAND = Command(
-    "fit", "identify from a laboratory's experiment (CSV)", DESCRIPTION, EPILOG, add_arguments, run
-)

@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from fden_ros.errors import InputError
+from fden_ros.parameters import PARAMETERS
 
 if TYPE_CHECKING:
     from fden_ros.parameters import Parameters
 
 _Value = TypeVar("_Value")
+#: Inputs whose topic or field may be named: those that have a type of message.
+_STREAMS = [p.name.partition(".")[0] for p in PARAMETERS if p.name.endswith(".message")]
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
@@ -37,18 +40,15 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "what is force, what is displacement (found where it can be)"
     )
-    group.add_argument("--force-topic", metavar="T", help="topic of the force")
-    group.add_argument("--displacement-topic", metavar="T", help="topic of the displacement")
-    group.add_argument(
-        "--surface-topic", metavar="T", help="topic of the surface, where surface.message is set"
-    )
-    for what in ("force", "displacement", "surface"):
+    for stream in _STREAMS:
+        group.add_argument(f"--{stream}-topic", metavar="T", help=f"topic of the {stream}")
+    for stream in _STREAMS:
         group.add_argument(
-            f"--{what}-field",
+            f"--{stream}-field",
             type=as_argument(_field_path),
             metavar="PATH",
-            help=f"field of that topic's messages, of any type, that is the {what}: a number, or "
-            f"a vector, projected on {what}.axis (wrench.torque.z, data[2])",
+            help=f"field of that topic's messages, of any type, that is the {stream}: a number, "
+            f"or a vector, projected on {stream}.axis (wrench.torque.z, data[2])",
         )
     group.add_argument(
         "--columns",
@@ -100,16 +100,11 @@ def selection_of(args: argparse.Namespace) -> Any:
     if args.rows is not None and args.columns is None:
         args.parser.error("--rows is for tables: give --columns too")
     _take_from_files(args)
-    return Selection(
-        force_topic=args.force_topic,
-        displacement_topic=args.displacement_topic,
-        force_field=args.force_field,
-        displacement_field=args.displacement_field,
-        columns=args.columns,
-        where=args.rows,
-        surface_topic=args.surface_topic,
-        surface_field=args.surface_field,
+    topics, fields = (
+        {name: value for name in _STREAMS if (value := getattr(args, f"{name}_{part}"))}
+        for part in ("topic", "field")
     )
+    return Selection(topics, fields, args.columns, args.rows)
 
 
 def _take_from_files(args: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from fden_ros.commands.command import Command, positive
+from fden_ros.commands.command import positive
 from fden_ros.commands.processes import running
 
 DESCRIPTION = """\
@@ -56,21 +56,12 @@ def run(args: argparse.Namespace) -> int:
     }
     with running(path, NAMESPACE, settings) as nodes:
 
-        def is_over() -> bool:
-            nodes.require_alive()
-            return False
+        def look() -> None:
+            for name, process in nodes.items():
+                if process.poll() is not None:
+                    raise InputError(f"{name} ended early, with exit code {process.returncode}")
 
         with contextlib.suppress(KeyboardInterrupt):
-            watch(f"{NAMESPACE}/identifier", duration=args.duration, until=is_over)
-    print("stopped " + ", ".join(nodes.processes))
+            watch(f"{NAMESPACE}/identifier", duration=args.duration, look=look)
+    print("stopped " + ", ".join(nodes))
     return 0
-
-
-COMMAND = Command(
-    "live",
-    "simulator, identifier, controller and monitor together",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

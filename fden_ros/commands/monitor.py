@@ -10,9 +10,8 @@ import contextlib
 import signal
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
-from fden_ros.commands.command import Command, positive
+from fden_ros.commands.command import positive
 
 DESCRIPTION = """\
 Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
@@ -47,10 +46,9 @@ def watch(
     identifier: str,
     *,
     duration: float | None = None,
-    until: Callable[[], bool] = lambda: False,
-    console: Any = None,
+    look: Callable[[], object] = lambda: None,
 ) -> None:
-    """Show an identifier until `until` holds or `duration` [s] is over.
+    """Show an identifier until `duration` [s] is over; call `look` again and again.
 
     Raises
     ------
@@ -63,14 +61,15 @@ def watch(
     from fden_ros.nodes.monitor import Monitor
     from fden_ros.report.monitor import monitor_view
 
-    console = console or Console()
+    console = Console()
     end = time.monotonic() + duration if duration is not None else None
     with (
         _signals_noted() as noted,
         Monitor(identifier) as monitor,
         Live(console=console, auto_refresh=False, transient=False) as live,
     ):
-        while not noted and not until() and (end is None or time.monotonic() < end):
+        while not noted and (end is None or time.monotonic() < end):
+            look()
             monitor.spin(_PERIOD)
             live.update(monitor_view(monitor.view()), refresh=True)
     if not console.is_terminal:
@@ -92,13 +91,3 @@ def _signals_noted() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-COMMAND = Command(
-    "monitor",
-    "show a running identifier in the terminal",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

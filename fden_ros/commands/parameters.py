@@ -1,15 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden parameters``: every parameter of the identifier, as a parameter file or a table."""
+"""``fden parameters``: every parameter of the identifier, as a parameter file."""
 
 from __future__ import annotations
 
 import argparse
 import textwrap
 
-from fden_ros.commands.command import Command
-from fden_ros.parameters import PARAMETERS, Parameter, Value
+from fden_ros.parameters import PARAMETERS, Value
 
 DESCRIPTION = """\
 Print a parameter file with every parameter of the identifier at its default, each explained.
@@ -20,7 +19,6 @@ Keep what differs for your probe, and give it to the node (--params-file) or to 
 EPILOG = """\
 examples:
   fden parameters > probe.yaml
-  fden parameters --markdown         the same as a table
 """
 
 _HEADER = """\
@@ -31,13 +29,12 @@ _HEADER = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument("--markdown", action="store_true", help="print a table instead")
+    """Add nothing: it takes no arguments."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the parameters; return the exit code."""
-    print(parameter_table() if args.markdown else parameter_file(), end="")
+    print(parameter_file(), end="")
     return 0
 
 
@@ -60,21 +57,6 @@ def parameter_file() -> str:
     return _HEADER + "\n".join(lines) + "\n"
 
 
-def parameter_table() -> str:
-    """Return every parameter as a table in Markdown."""
-    rows = ["| parameter | default | unit | meaning |", "| --- | --- | --- | --- |"]
-    rows += [
-        f"| `{p.name}` | `{_yaml(p.default)}` | {p.unit} | {_meaning(p)} |" for p in PARAMETERS
-    ]
-    return "\n".join(rows) + "\n"
-
-
-def _meaning(parameter: Parameter) -> str:
-    if not parameter.constraint:
-        return parameter.description
-    return f"{parameter.description} ({parameter.constraint})"
-
-
 def _yaml(value: Value) -> str:
     if isinstance(value, bool):
         return str(value).lower()
@@ -82,13 +64,3 @@ def _yaml(value: Value) -> str:
         return f'"{value}"'
     # YAML 1.1 takes 1e-05 for a text.
     return f"{value:.1e}" if isinstance(value, float) and 0 < value < 1e-3 else str(value)
-
-
-COMMAND = Command(
-    "parameters",
-    "print every parameter of the identifier, explained",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

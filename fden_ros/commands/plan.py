@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import Command, add_json, positive, print_json, write
+from fden_ros.commands.command import add_json, positive, print_json, write
 from fden_ros.commands.inputs import add_config_options, as_argument, parameters_of
 from fden_ros.errors import InputError
 
@@ -241,6 +241,3 @@ def _tissue(path: Path) -> TissueBelief:
     if not known:
         raise InputError(f"{path} has no contact with an estimate")
     return TissueBelief.of(known[-1])
-
-
-COMMAND = Command("plan", "which press to make next", DESCRIPTION, EPILOG, add_arguments, run)

@@ -10,7 +10,7 @@ import math
 import sys
 import time
 
-from fden_ros.commands.command import Command, positive
+from fden_ros.commands.command import positive
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
@@ -100,6 +100,3 @@ def _remapping(text: str) -> tuple[str, str]:
     if not (old and separator and new):
         raise argparse.ArgumentTypeError(f"expected FROM:=TO, got {text!r}")
     return old, new
-
-
-COMMAND = Command("play", "publish a bag on live topics", DESCRIPTION, EPILOG, add_arguments, run)

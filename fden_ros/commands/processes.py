@@ -13,43 +13,13 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from fden_ros.errors import InputError
-
 _STOP_TIMEOUT = 10.0
 
-
-class Nodes:
-    """Running nodes, in the order in which they were started."""
-
-    def __init__(self) -> None:
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
-
-    def start(self, name: str, parameters: Path, namespace: str, setting: str) -> None:
-        """Start a node of :mod:`fden_ros.nodes.programs`."""
-        command = [
-            *(sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"),
-            *("--params-file", str(parameters), "-r", f"__ns:={namespace}"),
-            *("--log-level", "error", *(("-p", setting) if setting else ())),
-        ]
-        # In a session of their own: Ctrl-C comes to them once, from here.
-        self.processes[name] = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, start_new_session=True
-        )
-
-    def require_alive(self) -> None:
-        """Raise :class:`InputError` if one has ended."""
-        for name, process in self.processes.items():
-            if process.poll() is not None:
-                raise InputError(f"{name} ended early, with exit code {process.returncode}")
-
-    def stop(self) -> None:
-        """Stop them in reverse, so that nobody commands a rig that is gone."""
-        for process in reversed(self.processes.values()):
-            _stop(process)
+Processes = dict[str, subprocess.Popen[bytes]]
 
 
 @contextlib.contextmanager
-def running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> Iterator[Nodes]:
+def running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> Iterator[Processes]:
     """Run nodes as long as the context lasts; SIGTERM ends the program as Ctrl-C does.
 
     Parameters
@@ -58,16 +28,27 @@ def running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> It
         Their parameter file.
     namespace : str
     settings : mapping of str to str
-        Of each node to start one parameter more, ``name:=value``; empty: none.
+        Of each node of :mod:`fden_ros.nodes.programs` to start one parameter more,
+        ``name:=value``; empty: none.
     """
-    nodes = Nodes()
+    processes: Processes = {}
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         for name, setting in settings.items():
-            nodes.start(name, parameters, namespace, setting)
-        yield nodes
+            command = [
+                *(sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"),
+                *("--params-file", str(parameters), "-r", f"__ns:={namespace}"),
+                *("--log-level", "error", *(("-p", setting) if setting else ())),
+            ]
+            # In a session of their own: Ctrl-C comes to them once, from here.
+            processes[name] = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, start_new_session=True
+            )
+        yield processes
     finally:
-        nodes.stop()
+        # In reverse, so that nobody commands a rig that is gone.
+        for process in reversed(processes.values()):
+            _stop(process)
         signal.signal(signal.SIGTERM, before)
 
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command, add_json, print_json
+from fden_ros.commands.command import add_json, print_json
 from fden_ros.commands.inputs import (
     add_input_options,
     add_recording,
@@ -132,7 +132,7 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         return
     console = Console()
     console.print(contact_table(result.summaries))
-    used = ", ".join(f"{what} from {name}" for what, name in result.inputs.items())
+    used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())
     console.print(
         f"{result.samples} samples, {sum(result.rejected.values())} rejected; {escape(used)}"
     )
@@ -142,8 +142,3 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         console.print(escape(words))
     for warning in result.warnings:
         console.print(f"[yellow]warning:[/yellow] {escape(warning)}")
-
-
-COMMAND = Command(
-    "replay", "estimate from a recorded bag", DESCRIPTION, EPILOG, add_arguments, run
-)

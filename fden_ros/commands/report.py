@@ -6,21 +6,16 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import Command, write
+from fden_ros.commands.command import write
 from fden_ros.commands.inputs import (
     add_input_options,
     add_recording,
     parameters_of,
     selection_of,
 )
-
-if TYPE_CHECKING:
-    from fden_ros.offline.session import Session
 
 DESCRIPTION = """\
 Replay a recording and write a page on it: what was pressed, where and how often; per contact force
@@ -32,8 +27,9 @@ data do not allow to conclude is said in words. One file, no network; light, dar
 EPILOG = """\
 examples:
   fden report palpation.mcap --config probe.yaml -o report.html
-  fden report palpation.mcap --config probe.yaml --csv contacts.csv
+  fden report palpation.mcap --config probe.yaml        the sentence that it leads with
 
+A table, a row a contact: fden batch palpation.mcap --config probe.yaml -o contacts.csv
 Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
@@ -42,14 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
     add_recording(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page, HTML")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row a contact")
     add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write what was asked for; return the exit code."""
-    if args.output is None and args.csv is None:
-        args.parser.error("nothing to write: give -o FILE.html or --csv FILE")
+    """Print the sentence, and write the page; return the exit code."""
     from fden_ros.offline.session import gather
     from fden_ros.report.sentence import sentence
 
@@ -63,21 +56,6 @@ def run(args: argparse.Namespace) -> int:
         text = page(session)
         write(args.output, lambda path: path.write_text(text, encoding="utf-8"))
         print(f"wrote {args.output}")
-    if args.csv is not None:
-        write(args.csv, lambda path: _save_table(session, path))
-        print(f"wrote {args.csv}")
     for warning in session.replay.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return 0
-
-
-def _save_table(session: Session, path: Path) -> None:
-    from fden_ros.offline.rows import COLUMNS, session_rows
-
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, ("recording", *COLUMNS), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(session_rows(session))
-
-
-COMMAND = Command("report", "write a page on a recording", DESCRIPTION, EPILOG, add_arguments, run)

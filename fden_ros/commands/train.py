@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import Command, add_json, number, print_json, write
+from fden_ros.commands.command import add_json, number, print_json, write
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 from fden_ros.errors import InputError
 
@@ -27,8 +27,8 @@ specimen at a time is left out. LABELLED is
   TISSUE=BAG             a bag or a folder of bags, all of this tissue
   TISSUE/SPECIMEN=BAG    and all of this specimen
   RESULTS.csv            columns tissue, specimen, g, g_sd, g_n, g_n_sd, alpha, alpha_sd; such as
-                         fden batch and fden report --csv write, with the columns tissue and
-                         specimen added, or as TISSUE/SPECIMEN=RESULTS.csv
+                         fden batch writes, with the columns tissue and specimen added, or as
+                         TISSUE/SPECIMEN=RESULTS.csv
 
 The column label of results is what the classifier said: it is not used.
 """
@@ -240,13 +240,3 @@ def _prior(text: str) -> tuple[str, float]:
     if not name or not value > 0.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not TISSUE=P with a positive P")
     return name, value
-
-
-COMMAND = Command(
-    "train",
-    "learn a tissue library from labelled contacts",
-    DESCRIPTION,
-    EPILOG,
-    add_arguments,
-    run,
-)

@@ -26,9 +26,9 @@ _TOGETHER = 0.5
 _CHANGES = 20
 #: No drive runs straighter than this [m]: a short stroke shows no direction.
 _STRAIGHT = 5e-6
-#: The way to a contact and from it is looked at for this time [s], and counts from this many
+#: Approach to a contact and retreat are looked at for this time [s], and count from this many
 #: deviations of the position's noise on.
-_WAY, _LEAST_WAY, _LEAST_CHUNKS = 0.8, 20.0, 5
+_APPROACH, _LEAST_APPROACH, _LEAST_CHUNKS = 0.8, 20.0, 5
 
 
 @dataclass(frozen=True)
@@ -52,30 +52,30 @@ class Axes:
     force: Axis | None
     displacement: Axis | None
     sessions: tuple[Session, ...]
-    reason: str = ""  #: why one of them is not told
-    by_approach: bool = False  #: the displacement's is that of the ways to and from contacts
+    reason: str = ""  #: why one of them is not known
+    by_approach: bool = False  #: the displacement's is that of approaches and retreats
 
     def findings(self) -> tuple[Finding, Finding]:
         """Return what to say of the force's axis and of the displacement's."""
         return self._finding("force", self.force), self._finding("displacement", self.displacement)
 
-    def _finding(self, what: str, axis: Axis | None) -> Finding:
-        subject = f"{what} axis"
+    def _finding(self, stream: str, axis: Axis | None) -> Finding:
+        subject = f"{stream} axis"
         if axis is None:
             return unknown(subject, self.reason)
         seconds = tuple(span for session in self.sessions for span in session.seconds())
         value = tuple(float(v) for v in axis.direction)
         if len(value) == 1:
             verb = "falls" if value[0] < 0.0 else "grows"
-            evidence = f"the {what} {verb} as the probe presses; {axis.basis}"
-            told = {f"{what}.inverted": value[0] < 0.0}
-            return Finding(subject, value[0], 0.0, evidence, seconds, parameters=told)
+            evidence = f"the {stream} {verb} as the probe presses; {axis.basis}"
+            values = {f"{stream}.inverted": value[0] < 0.0}
+            return Finding(subject, value[0], 0.0, evidence, seconds, parameters=values)
         degrees = math.degrees(axis.sd)
         if not axis.is_stated:
             evidence = f"only known to {degrees:.1f} degrees from {axis.basis}"
             return unknown(subject, evidence, "", value, axis.sd, seconds)
         evidence = f"within {degrees:.2g} degrees, from {axis.basis}"
-        rounded = {f"{what}.axis": [round(v, 4) for v in value]}
+        rounded = {f"{stream}.axis": [round(v, 4) for v in value]}
         return Finding(subject, value, axis.sd, evidence, seconds, parameters=rounded)
 
 
@@ -179,27 +179,32 @@ def _motion_part(session: Session, contact: Contact, direction: Array) -> _Part:
 
 
 def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
-    """Return the direction of the ways to the contacts and back, as of a plate that resists all.
+    """Return the direction of the approaches and retreats, as of a plate that resists all.
 
     None with less than two contacts, or where the probe rests before or after one of them.
     """
-    ways = []
+    motions = []
     for session, contact in contacts:
         noise = float(np.mean(session.motion_chunk_noise))
         for touch, sign in ((contact.first, 1.0), (contact.last, -1.0)):
-            middle = float(session.edges[touch]) - 0.5 * sign * _WAY
-            near = np.abs(session.times - middle) < 0.5 * _WAY
+            middle = float(session.edges[touch]) - 0.5 * sign * _APPROACH
+            near = np.abs(session.times - middle) < 0.5 * _APPROACH
             if near.sum() < _LEAST_CHUNKS or (session.turning | ~session.air)[near].any():
                 continue
-            # As it goes on: the way of every chunk weighs by its time.
+            # As it goes on: the motion of every chunk weighs by its time.
             since = sign * (session.times[near] - session.times[near].mean())
-            way = since @ session.position[near] / float(since @ since) * _WAY
-            ways.append(_Part(way, noise * _WAY / float(np.linalg.norm(since))))
-    lengths = [float(np.linalg.norm(way.vector)) for way in ways]
-    moves = [length > _LEAST_WAY * way.noise for length, way in zip(lengths, ways, strict=True)]
-    if len(contacts) < 2 or len(ways) < 3 or not all(moves):
+            motion = since @ session.position[near] / float(since @ since) * _APPROACH
+            motions.append(_Part(motion, noise * _APPROACH / float(np.linalg.norm(since))))
+    lengths = [float(np.linalg.norm(motion.vector)) for motion in motions]
+    moves = [
+        length > _LEAST_APPROACH * motion.noise
+        for length, motion in zip(lengths, motions, strict=True)
+    ]
+    if len(contacts) < 2 or len(motions) < 3 or not all(moves):
         return None
-    axis = _combined(ways, f"the ways to and from {len(contacts)} contacts, which do not give way")
+    axis = _combined(
+        motions, f"approach and retreat of {len(contacts)} contacts, which do not yield"
+    )
     if axis is None:
         return None
     sd = math.hypot(axis.sd, _STRAIGHT / float(np.mean(lengths)))

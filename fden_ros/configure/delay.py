@@ -9,9 +9,9 @@ the force of an oscillation leads by the tissue's order and by the delay.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,31 +29,25 @@ _LEAST_SD, _FILE_SD = 2e-5, 1e-4
 _APART = 4.0
 
 
-class Measured(NamedTuple):
-    """A number and its standard deviation."""
+class _Source(NamedTuple):
+    """What tells the delay, and the delay that it tells [s]."""
 
+    name: str
     value: float
     sd: float
-
-
-@dataclass(frozen=True)
-class _Source:
-    name: str
-    delay: Measured
     seconds: Seconds
 
 
 def delay_finding(weight: Weight | None, presses: Sequence[Press]) -> Finding:
     """Return the delay of the displacement's stamps behind the force's."""
     sources = _at_once(weight, presses)
-    good = [source for source in sources if source.delay.sd < _LARGEST_SD]
+    good = [source for source in sources if source.sd < _LARGEST_SD]
     if good:
         return _combined(good)
     if not sources:
         return unknown("delay", "nothing in it happens at once")
-    best = min(sources, key=lambda source: source.delay.sd)
-    value, sd = best.delay
-    said = f"{1e3 * value:.1f} ± {1e3 * sd:.1g} ms from {best.name} is too uncertain"
+    best = min(sources, key=lambda source: source.sd)
+    said = f"{1e3 * best.value:.1f} ± {1e3 * best.sd:.1g} ms from {best.name} is too uncertain"
     return unknown("delay", said)
 
 
@@ -61,31 +55,29 @@ def _at_once(weight: Weight | None, presses: Sequence[Press]) -> list[_Source]:
     """Return what answers at once: the weight in turns, and something rigid."""
     sources = []
     if weight is not None and weight.is_clear:
-        delay = Measured(weight.delay, math.hypot(weight.delay_sd, _LEAST_SD))
-        sources.append(_Source("the tool's weight in turns", delay, weight.seconds))
+        sd = math.hypot(weight.delay_sd, _LEAST_SD)
+        sources.append(_Source("the tool's weight in turns", weight.delay, sd, weight.seconds))
     if presses:
         sds = np.hypot([press.delay_sd for press in presses], _LEAST_SD)
-        delay = Measured(*pooled([press.delay for press in presses], sds))
+        delay, sd = pooled([press.delay for press in presses], sds)
         seconds = tuple(press.session.seconds((press.contact,))[0] for press in presses)
-        sources.append(_Source("rigid presses", delay, seconds))
+        sources.append(_Source("rigid presses", delay, sd, seconds))
     return sources
 
 
 def _combined(sources: Sequence[_Source]) -> Finding:
-    for one in sources:
-        for other in sources:
-            apart = abs(one.delay.value - other.delay.value)
-            if apart > _APART * math.hypot(one.delay.sd, other.delay.sd):
-                return unknown(
-                    "delay",
-                    f"{one.name} say {1e3 * one.delay.value:.2f} ms, {other.name} "
-                    f"{1e3 * other.delay.value:.2f} ms: it is not constant, or a filter is on",
-                )
-    value, sd = pooled([one.delay.value for one in sources], [one.delay.sd for one in sources])
+    for one, other in itertools.combinations(sources, 2):
+        if abs(one.value - other.value) > _APART * math.hypot(one.sd, other.sd):
+            return unknown(
+                "delay",
+                f"{one.name} say {1e3 * one.value:.2f} ms, {other.name} "
+                f"{1e3 * other.value:.2f} ms: it is not constant, or a filter is on",
+            )
+    value, sd = pooled([one.value for one in sources], [one.sd for one in sources])
     seconds = tuple(span for source in sources for span in source.seconds)
-    told = {
+    parameters = {
         "displacement.delay": round(value, 6),
         "displacement.delay_sd": round(max(sd, _FILE_SD), 6),
     }
     names = "from " + " and ".join(source.name for source in sources)
-    return Finding("delay", value, sd, names, seconds, parameters=told)
+    return Finding("delay", value, sd, names, seconds, parameters=parameters)

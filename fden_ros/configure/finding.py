@@ -44,7 +44,7 @@ class Subject:
     motion: str = ""
 
 
-#: In the order in which they are told.
+#: In the order in which they are said.
 SUBJECTS: Mapping[str, Subject] = {
     "force axis": Subject("rad", "force", PRESS),
     "displacement axis": Subject("rad", "displacement", PRESS),

@@ -23,18 +23,15 @@ from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
 from fden_ros.recording.source import TRANSFORMS, BagSource, Selection
 from fden_ros.recording.table import TableReader, looks_like_a_table, stated_columns
-from fden_ros.recording.topics import USABLE_TYPES
+from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.messages import stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
 MESSAGES = {
-    "geometry_msgs/msg/WrenchStamped": "wrench",
-    "sensor_msgs/msg/JointState": "joint_state",
-    "geometry_msgs/msg/PoseStamped": "pose",
-    "geometry_msgs/msg/TransformStamped": "transform",
-    "geometry_msgs/msg/PointStamped": "point",
-    TRANSFORMS: "tf",
-}
+    type_name: value
+    for name in ("force", "displacement")
+    for value, type_name in TYPE_NAMES[name].items()
+} | {TRANSFORMS: "tf"}
 #: Field of each that is a vector; of joints all count.
 _VECTORS = {
     "wrench": "wrench.force",
@@ -90,7 +87,7 @@ def read(
     path : path
     selection : Selection, optional
     frames : str, optional
-        ``BASE,PROBE``: the displacement is the way of one frame in the other, by transforms; so
+        ``BASE,PROBE``: the displacement is the path of one frame in the other, by transforms; so
         it is, too, where a bag has nothing else.
 
     Raises
@@ -102,8 +99,8 @@ def read(
     if chosen.columns is not None or looks_like_a_table(path):
         return _read_table(Path(path), chosen)
     topics = BagReader(path).topics
-    carriers = [t for t in topics if t.type_name in USABLE_TYPES["displacement"]]
-    has_way = any(t.message_count for t in carriers) or chosen.displacement_topic is not None
+    carriers = [t for t in topics if t.type_name in TYPE_NAMES["displacement"].values()]
+    has_way = any(t.message_count for t in carriers) or "displacement" in chosen.topics
     has_transforms = any(topic.type_name == TRANSFORMS for topic in topics)
     if frames is not None or (has_transforms and not has_way):
         return _read_transforms(Path(path), chosen, frames)
@@ -121,7 +118,7 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     times, kept = _times(stamps, int(stamps.min()), np.isfinite(values).all(axis=1))
     streams = Streams(str(path), times, values[kept, :1], times, values[kept, 1:])
     names = {"force": columns.force.name, "displacement": columns.displacement.name}
-    inputs = {what: f"column {name}" for what, name in names.items()}
+    inputs = {stream: f"column {name}" for stream, name in names.items()}
     return Reading(path, streams, selection, inputs, warnings=table.warnings)
 
 
@@ -134,13 +131,13 @@ class Column:
     topic : Topic
     field : str, optional
         Of the messages; None: the type says what is read.
-    what : str
+    stream : str
         ``force`` or ``displacement``.
     """
 
     topic: Topic
     field: str | None
-    what: str
+    stream: str
     frame: str = ""
     damaged: int = 0
 
@@ -178,12 +175,12 @@ class Column:
             torque = message.wrench.torque
             self.torques.append((torque.x, torque.y, torque.z))
         turn = self._path.orientation_beside(message) if self._path is not None else None
-        if self.what == "displacement" and turn is not None:
+        if self.stream == "displacement" and turn is not None:
             self.turns.append(turn)
 
     def _value(self, message: Any) -> tuple[float, ...] | None:
         if self._path is None:
-            values = message.effort if self.what == "force" else message.position
+            values = message.effort if self.stream == "force" else message.position
             self.joints = self.joints or tuple(message.name)
             same = tuple(message.name) == self.joints and len(values) >= len(self.joints) > 0
             return tuple(float(v) for v in values[: len(self.joints)]) if same else None
@@ -197,8 +194,8 @@ class Column:
 def _read_bag(path: Path, selection: Selection) -> Reading:
     source = BagSource(path, check({}), selection)
     columns = {
-        what: Column(topic, getattr(selection, f"{what}_field"), what)
-        for what, topic in source.topics.items()
+        stream: Column(topic, selection.fields.get(stream), stream)
+        for stream, topic in source.topics.items()
     }
 
     def take(message: RawMessage) -> None:
@@ -217,7 +214,7 @@ def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Re
     """Return a recording whose displacement stands in transforms, the force turned with them."""
     any_frames = {"frames.base": "base", "frames.probe": "probe", "displacement.message": "tf"}
     source = BagSource(path, check(any_frames), selection)
-    force = Column(source.force, selection.force_field, "force")
+    force = Column(source.force, selection.fields.get("force"), "force")
     tree = FrameTree(str(path))
 
     def take(message: RawMessage) -> None:
@@ -228,19 +225,18 @@ def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Re
 
     _read_messages(source, {topic.name for topic in source.topics.values()}, take)
     base, probe = tree.frames_for(frames, force.frame)
-    way = tree.way(base, probe)
-    if min(len(force.stamps), way.stamps.size) < _LEAST_SAMPLES:
+    moved = tree.path(base, probe)
+    if min(len(force.stamps), moved.stamps.size) < _LEAST_SAMPLES:
         raise InputError(
-            f"{path}: {len(force.stamps)} forces and {way.stamps.size} transforms of {probe} in "
+            f"{path}: {len(force.stamps)} forces and {moved.stamps.size} transforms of {probe} in "
             f"{base}: at least {_LEAST_SAMPLES} of each are needed"
         )
-    turned = tree.way(base, force.frame or probe, np.array(force.stamps, dtype=np.int64)).turns
+    turned = tree.path(base, force.frame or probe, np.array(force.stamps, dtype=np.int64)).turns
     values = [tuple(value) for value in turned.apply(np.array(force.values, dtype=float))]
-    in_base = replace(force, frame=base)
-    in_base.stamps, in_base.values = force.stamps, values
+    force.values = values
     return Reading(
         path,
-        _streams(str(path), in_base, way.stamps, way.places),
+        _streams(str(path), force, moved.stamps, moved.places),
         selection,
         {"force": force.topic.name, "displacement": f"{probe} in {base}"},
         {"force": force.topic.type_name, "displacement": TRANSFORMS},
@@ -269,11 +265,11 @@ def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) 
     InputError
         If one of them has too few samples.
     """
-    for what, column in columns.items():
+    for stream, column in columns.items():
         if len(column.stamps) < _LEAST_SAMPLES:
             raise InputError(
                 f"{path}: {column.topic.name} has {len(column.stamps)} usable samples of the "
-                f"{what}: at least {_LEAST_SAMPLES} are needed"
+                f"{stream}: at least {_LEAST_SAMPLES} are needed"
             )
     moved = columns["displacement"]
     places, turns = (np.array(values, dtype=float) for values in (moved.values, moved.turns))
@@ -289,10 +285,10 @@ def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) 
         path,
         streams,
         selection,
-        {what: column.topic.name for what, column in columns.items()},
-        {what: column.topic.type_name for what, column in columns.items()},
+        {stream: column.topic.name for stream, column in columns.items()},
+        {stream: column.topic.type_name for stream, column in columns.items()},
         joints,
-        {what: column.frame for what, column in columns.items()},
+        {stream: column.frame for stream, column in columns.items()},
         left_out,
     )
 

@@ -22,7 +22,7 @@ from fden_ros.core.arrays import Array
 #: Delays that are tried [s], and the steps of Gauss and Newton from the best of them.
 _DELAYS = np.linspace(-0.03, 0.08, 12)
 _STEPS = 4
-#: The part of a press that counts: above this share of its largest force.
+#: The part of a press that counts: above this part of its largest force.
 _LEAST_PUSH = 0.1
 #: The force is averaged over this time [s], and at least over 5 of its steps, so that reading it
 #: between samples adds no ripple.
@@ -30,7 +30,7 @@ _SMOOTH, _SMOOTH_STEPS = 0.06, 5.0
 #: Fewer samples of a press make no line.
 _LEAST_SAMPLES = 15
 #: What a line may leave: 1.5 deviations of the noise, or 2 % of the stroke.
-_MOST_NOISE, _MOST_SHARE = 1.5, 0.02
+_MOST_NOISE, _MOST_PART = 1.5, 0.02
 #: The probe comes and leaves within this time [s], by more than 10 deviations of the noise, and
 #: the recording goes on around it for some chunks.
 _COMES = 1.0
@@ -39,9 +39,9 @@ _AROUND = 5
 #: A rigid press is this many times as stiff as the softest contact of the recordings.
 STIFFER = 3.0
 #: A compliance is stated as such up to this relative deviation: 10 % are then 2.5 deviations.
-_LARGEST_SHARE = 0.04
+_LARGEST_PART = 0.04
 #: Least deviation, relative, in the file: a tool bends differently at other places.
-_LEAST_SHARE = 0.02
+_LEAST_PART = 0.02
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
     level = np.interp(times, session.times, session.baseline @ axes.force.direction)
     push = session.unloaded[near] @ axes.force.direction - level
     inside = (streams.motion_times > contact.start) & (streams.motion_times < contact.end)
-    stamps, way = streams.motion_times[inside], streams.position[inside] @ into
+    stamps, moved = streams.motion_times[inside], streams.position[inside] @ into
     if stamps.size < 20 or push.size < 20:
         return None
     grid, smooth = _smoothed(times, push)
@@ -120,7 +120,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         chosen = np.interp(at, grid, smooth) > _LEAST_PUSH * float(push.max())
         at = at[chosen]
         columns = [np.interp(at, *force), np.interp(at, grid, rate), np.ones(at.size)]
-        return np.stack(columns, axis=1), way[chosen]
+        return np.stack(columns, axis=1), moved[chosen]
 
     def misfit(delay: float) -> float:
         columns, motion = design(delay, (grid, smooth))
@@ -144,7 +144,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
     noise = float(np.linalg.norm(session.motion_noise * into))
     steps = [step_of(column) or 0.0 for column in streams.position.T]
     noise = max(noise, max(steps) / math.sqrt(12.0))
-    limit = max(_MOST_NOISE * noise, _MOST_SHARE * abs(slope) * float(np.ptp(push)))
+    limit = max(_MOST_NOISE * noise, _MOST_PART * abs(slope) * float(np.ptp(push)))
     return Press(
         session,
         contact,
@@ -153,7 +153,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         delay,
         float(sds[1]) / max(abs(slope), 1e-12),
         found.sd < limit and _is_whole(session, contact, into, noise),
-        float(push.max()) / max(float(np.ptp(way)), 1e-9),
+        float(push.max()) / max(float(np.ptp(moved)), 1e-9),
     )
 
 
@@ -183,16 +183,16 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
     value, sd = pooled(found, [press.compliance_sd for press in presses])
     seconds = tuple(press.session.seconds((press.contact,))[0] for press in presses)
     evidence = f"{len(presses)} presses in which the displacement is a line of the force"
-    least_sd = max(sd, _LEAST_SHARE * value, 1e-7)
-    if sd > _LARGEST_SHARE * abs(value):
+    least_sd = max(sd, _LEAST_PART * value, 1e-7)
+    if sd > _LARGEST_PART * abs(value):
         value = max(value, 0.0)
         limit = 1e3 * (value + 2.0 * sd)
         evidence = f"too small to measure: below {limit:.2g} mm/N, by {evidence}"
     elif value < 0.0:
         evidence = f"the probe goes back as the force rises, by {evidence}: not one axis"
         return unknown("compliance", evidence)
-    told = {
+    values = {
         "displacement.compliance": float(f"{value:.5g}"),
         "displacement.compliance_sd": float(f"{least_sd:.3g}"),
     }
-    return Finding("compliance", value, sd, evidence, seconds, parameters=told)
+    return Finding("compliance", value, sd, evidence, seconds, parameters=values)

@@ -95,7 +95,7 @@ def robot_named(name: str) -> Robot:
         raise InputError(f"no robot {name} is known: {', '.join(robot_names())}")
     path = shipped("config/robots") / f"{name}.yaml"
     content: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-    force, displacement = (Quantity(**content.pop(what)) for what in ("force", "displacement"))
+    force, displacement = (Quantity(**content.pop(stream)) for stream in ("force", "displacement"))
     return Robot(name, force=force, displacement=displacement, **content)
 
 
@@ -117,31 +117,32 @@ def robot_selection(
     InputError
         If none of the topics is the robot's, or those of several arms.
     """
-    chosen: dict[str, Any] = {}
-    for what, quantity in robot.quantities.items():
-        topic, field = (getattr(selection, f"{what}_{part}") for part in ("topic", "field"))
-        chosen[f"{what}_field"] = field or (None if topic else quantity.field or None)
-        chosen[f"{what}_topic"] = topic or _topic(robot, what, where, topics)
-    return Selection(**chosen)
+    names, fields = dict(selection.topics), dict(selection.fields)
+    for stream, quantity in robot.quantities.items():
+        if stream not in names:
+            names[stream] = _topic(robot, stream, where, topics)
+            if quantity.field:
+                fields.setdefault(stream, quantity.field)
+    return Selection(names, fields)
 
 
-def _topic(robot: Robot, what: str, where: str, present: Sequence[Topic]) -> str:
-    quantity = robot.quantities[what]
+def _topic(robot: Robot, stream: str, where: str, present: Sequence[Topic]) -> str:
+    quantity = robot.quantities[stream]
     types = (quantity.type, quantity.older_type)
     usable = [topic.name for topic in present if topic.type_name in types and topic.message_count]
     for pattern in quantity.topics:
         names = [name for name in usable if fnmatchcase(name, pattern)]
         if len(names) > 1:
             raise InputError(
-                f"{where}: several topics of {robot.says} carry the {what}: "
-                f"{', '.join(names)}; name it with --{what}-topic"
+                f"{where}: several topics of {robot.says} carry the {stream}: "
+                f"{', '.join(names)}; name it with --{stream}-topic"
             )
         if names:
             return names[0]
     listed = ", ".join(f"{topic.name} ({topic.type_name})" for topic in present) or "none"
     raise InputError(
         f"{where}: no topic {' or '.join(quantity.topics)} of {quantity.type}, where "
-        f"{robot.says} has its {what}: it has {listed}; name it with --{what}-topic"
+        f"{robot.says} has its {stream}: it has {listed}; name it with --{stream}-topic"
     )
 
 
@@ -169,13 +170,13 @@ def robot_notes(robot: Robot, survey: Survey) -> list[str]:
 
 def robot_file(robot: Robot) -> str:
     """Return the beginning of a parameter file, from the robot's conventions alone."""
-    remaps = " ".join(f"-r {what}:={one.example}" for what, one in robot.quantities.items())
+    remaps = " ".join(f"-r {stream}:={one.example}" for stream, one in robot.quantities.items())
     lines = [
         f"# {robot.says}: what its driver's conventions say, before any recording.",
         f"{LIVE_LINE}{remaps}",
     ]
-    for what, one in robot.quantities.items():
-        lines.append(f"# {what}: {one.type}, {one.reliability}; {one.convention}")
+    for stream, one in robot.quantities.items():
+        lines.append(f"# {stream}: {one.type}, {one.reliability}; {one.convention}")
     lines += [f"# {note}" for note in robot.notes]
     lines += [f"# source: {' '.join(source.split())}" for source in robot.sources]
     lines += ["/**:", "  ros__parameters:", "    force:"]

@@ -18,32 +18,32 @@ from fden_ros.core.arrays import Array
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02
-#: Values are in steps where no more than this share of them are different.
+#: Values are in steps where no more than this part of them are different.
 _REPEATED = 0.5
 #: The rate that a contact of a second needs [Hz].
 _SLOW = 50.0
-#: White noise stays the same within this share where every other sample is left out.
+#: White noise stays the same within this part where every other sample is left out.
 _SAME = 0.15
 #: Fewer samples at rest do not tell the noise.
 _LEAST = 60
 #: The air that a bias rests on: the first stretch of at least this long, up to 5 s.
 _LEAST_AIR, _MOST = 1.0, 5.0
-#: A drift is told from air that is spread over at least this time [s].
+#: A drift is known from air that is spread over at least this time [s].
 _SPREAD = 10.0
 #: `force.drift_sd` stays at its default up to this drift [N/s].
 _DEFAULT_DRIFT = 0.005
 
 
 def sampling_findings(
-    what: str, sessions: Sequence[Session], axis: Axis | None
+    stream: str, sessions: Sequence[Session], axis: Axis | None
 ) -> tuple[Finding, ...]:
     """Return rate, noise and resolution of ``force`` or ``displacement``."""
-    return _rate(what, sessions), _noise(what, sessions, axis), _resolution(what, sessions)
+    return _rate(stream, sessions), _noise(stream, sessions, axis), _resolution(stream, sessions)
 
 
-def _values(what: str, session: Session) -> tuple[Array, Array]:
+def _values(stream: str, session: Session) -> tuple[Array, Array]:
     streams = session.streams
-    if what == "force":
+    if stream == "force":
         return streams.force_times, streams.force
     return streams.motion_times, streams.position
 
@@ -52,8 +52,8 @@ def _all(sessions: Sequence[Session]) -> Seconds:
     return tuple((0.0, s.streams.end - s.streams.start) for s in sessions)
 
 
-def _rate(what: str, sessions: Sequence[Session]) -> Finding:
-    steps = np.concatenate([np.diff(_values(what, session)[0]) for session in sessions])
+def _rate(stream: str, sessions: Sequence[Session]) -> Finding:
+    steps = np.concatenate([np.diff(_values(stream, session)[0]) for session in sessions])
     usual = float(np.median(steps))
     is_gap = (steps > _GAP_STEPS * usual) & (steps > _GAP)
     mean, jitter = float(steps[~is_gap].mean()), float(steps[~is_gap].std())
@@ -63,13 +63,13 @@ def _rate(what: str, sessions: Sequence[Session]) -> Finding:
     slow = f"raise the rate: below {_SLOW:g} Hz touches are seen late"
     motion = "" if 1.0 / mean >= _SLOW else slow
     sd = jitter / mean**2 / math.sqrt(steps.size)
-    return Finding(f"{what} rate", 1.0 / mean, sd, evidence, _all(sessions), motion)
+    return Finding(f"{stream} rate", 1.0 / mean, sd, evidence, _all(sessions), motion)
 
 
-def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding:
-    subject, apart = f"{what} noise", []
+def _noise(stream: str, sessions: Sequence[Session], axis: Axis | None) -> Finding:
+    subject, apart = f"{stream} noise", []
     for session in sessions:
-        times, values = _values(what, session)
+        times, values = _values(stream, session)
         # Without an axis all components count, which scatter alike.
         size = math.sqrt(values.shape[1])
         line = values @ (np.full(values.shape[1], 1.0 / size) if axis is None else axis.direction)
@@ -79,12 +79,12 @@ def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding
                 apart.append(apart_from_neighbours(times[part], line[part, None]).ravel())
     count = sum(part.size for part in apart)
     if count < _LEAST:
-        return _noise_in_motion(what, sessions)
+        return _noise_in_motion(stream, sessions)
     value = float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
     # Neighbouring distances share samples: the sum of their squared correlations is 1.94.
     sd = value * math.sqrt(1.94 / (2.0 * count))
     evidence = f"{count} samples at rest in the air"
-    rounded = max(step_of(c) or 0.0 for s in sessions for c in _values(what, s)[1].T)
+    rounded = max(step_of(c) or 0.0 for s in sessions for c in _values(stream, s)[1].T)
     if rounded > 2.0 * value:
         # Such steps hide the noise: what is left is the error of rounding.
         value = rounded / math.sqrt(12.0)
@@ -93,10 +93,10 @@ def _noise(what: str, sessions: Sequence[Session], axis: Axis | None) -> Finding
     return Finding(subject, value, sd, evidence, _all(sessions))
 
 
-def _noise_in_motion(what: str, sessions: Sequence[Session]) -> Finding:
+def _noise_in_motion(stream: str, sessions: Sequence[Session]) -> Finding:
     """Return the noise of moving samples: stated where every other sample shows the same."""
-    subject, noises, thinned = f"{what} noise", [], []
-    for times, values in (_values(what, session) for session in sessions):
+    subject, noises, thinned = f"{stream} noise", [], []
+    for times, values in (_values(stream, session) for session in sessions):
         noises.append(float(np.median(noise_of(times, values))))
         thinned.append(float(np.median(noise_of(times[::2], values[::2]))))
     value = float(np.mean(noises))
@@ -119,9 +119,9 @@ def _at_rest(session: Session, times: Array) -> Mask:
     return np.asarray(inside & rest[np.clip(chunk, 0, rest.size - 1)])
 
 
-def _resolution(what: str, sessions: Sequence[Session]) -> Finding:
-    subject = f"{what} resolution"
-    found = [step_of(column) for one in sessions for column in _values(what, one)[1].T]
+def _resolution(stream: str, sessions: Sequence[Session]) -> Finding:
+    subject = f"{stream} resolution"
+    found = [step_of(column) for one in sessions for column in _values(stream, one)[1].T]
     steps = [step for step in found if step is not None]
     if len(steps) < len(found):
         evidence = "no steps are seen: finer than the noise"
@@ -202,8 +202,8 @@ def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
     worst = abs(slope) + 2.0 * sd
     evidence = f"line through {len(seconds)} stretches in the air"
     if worst > _DEFAULT_DRIFT:
-        told = {"force.drift_sd": round(worst, 5)}
-        return Finding("force drift", slope, sd, evidence, tuple(seconds), parameters=told)
+        values = {"force.drift_sd": round(worst, 5)}
+        return Finding("force drift", slope, sd, evidence, tuple(seconds), parameters=values)
     evidence += "; within the default of force.drift_sd, which stays"
     return Finding("force drift", slope, sd, evidence, tuple(seconds))
 
@@ -226,7 +226,7 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
     first = min(s.contacts[0].start - s.streams.start for s in touched)
     late = f"begin with 2 s in the air: there is only {first:.1f} s"
     motion = "" if first >= _LEAST_AIR else late
-    share = float(np.mean(np.concatenate([session.air for session in sessions])))
-    evidence = f"{count} contacts, in the air for {100.0 * share:.0f} % of the time"
+    in_air = float(np.mean(np.concatenate([session.air for session in sessions])))
+    evidence = f"{count} contacts, in the air for {100.0 * in_air:.0f} % of the time"
     seconds = tuple(span for session in sessions for span in session.air_seconds())
     return Finding("lift-off", "yes", None, evidence, seconds, motion)

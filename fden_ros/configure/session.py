@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings of one rig cut into air and contact, once it is known which way the probe presses."""
+"""Recordings of one rig cut into air and contact, once it is known how the probe presses."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _CHUNK = 0.05
 _TURNING = 0.02
 #: A change counts from 6 standard deviations of a chunk, and 0.3 % of the range of the force.
 _DEVIATIONS = 6.0
-_SHARE = 0.003
+_PART = 0.003
 #: Medians over this time [s] show the level in the air, which drifts by 0.2 % of the range a
 #: second at most.
 _WINDOW = 0.6
-_DRIFT_SHARE = 0.002
+_DRIFT_PART = 0.002
 #: The force in the air is followed by medians over this time [s].
 _FOLLOW = 2.0
 #: Force and motion are compared by their changes over this part of a recording.
 _CHANGES = 100
-#: In the air the probe travels by this share of its way in contact, at least.
+#: In the air the probe travels by this part of its stroke in contact, at least.
 _TRAVEL = 0.2
-#: The force in the air follows the motion by less than this share of that in contact.
+#: The force in the air follows the motion by less than this part of that in contact.
 _FLAT = 0.15
 #: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off.
 _SAME = 0.5
@@ -190,7 +190,7 @@ def make_sessions(
     signs = find_signs(
         [Course(c.times, c.position @ into, c.force @ grows, ~c.turning) for c in pressed]
     )
-    lines = Lines(signs.force * grows, signs.way * into, signs)
+    lines = Lines(signs.force * grows, signs.motion * into, signs)
     return tuple(_cut(one, lines) if one.is_pressed else one for one in sessions)
 
 
@@ -236,7 +236,7 @@ def _cut(session: Session, lines: Lines) -> Session:
     still = ~session.turning
     push = session.force @ lines.grows
     limit = _DEVIATIONS * float(np.linalg.norm(session.force_chunk_noise * lines.grows))
-    limit = max(limit, _SHARE * float(np.ptp(push[still])))
+    limit = max(limit, _PART * float(np.ptp(push[still])))
     height = push - _lowest(session.times, push, still, limit)
     air: Mask = still & (np.abs(height) < limit)
     leaves = lines.signs.is_stated and _is_air(
@@ -311,7 +311,7 @@ def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
         while len(hull) > 1 and _is_above(knots, levels, hull[-2], hull[-1], new):
             hull.pop()
         hull.append(new)
-    steepest = _DRIFT_SHARE * float(np.ptp(push[still]))
+    steepest = _DRIFT_PART * float(np.ptp(push[still]))
     middle = int(np.argmin(levels[hull]))
     kept = [hull[middle]]
     for some in (hull[middle + 1 :], hull[:middle][::-1]):
@@ -347,17 +347,19 @@ def _followed(times: Array, values: Array, air: Mask) -> Array:
     return np.stack([np.interp(times, knots, column) for column in levels.T], axis=1)
 
 
-def _is_air(times: Array, height: Array, way: Array, air: Mask, still: Mask) -> bool:
+def _is_air(times: Array, height: Array, motion: Array, air: Mask, still: Mask) -> bool:
     """Whether the probe travels in what is taken for air, and the force does not follow it."""
     pressed = still & ~air
     if min(int(air.sum()), int(pressed.sum())) < _LEAST:
         return bool(air.sum() >= _LEAST)
-    longest = max((float(np.ptp(way[a:b])) for a, b in runs(air) if b - a >= _LEAST), default=0.0)
-    if longest < _TRAVEL * float(np.ptp(way[pressed])):
+    longest = max(
+        (float(np.ptp(motion[a:b])) for a, b in runs(air) if b - a >= _LEAST), default=0.0
+    )
+    if longest < _TRAVEL * float(np.ptp(motion[pressed])):
         return False
-    design = np.stack([way, np.ones_like(times), times - times[0]], axis=1)
+    design = np.stack([motion, np.ones_like(times), times - times[0]], axis=1)
     free = fit(design[air], height[air])
-    change, steps = np.diff(height), np.diff(way)
+    change, steps = np.diff(height), np.diff(motion)
     contact = still[1:] & still[:-1] & (pressed[1:] | pressed[:-1])
     in_contact = float(steps[contact] @ change[contact]) / float(steps[contact] @ steps[contact])
     slope, sd = float(free.solution[0]), math.sqrt(float(free.covariance[0, 0]))

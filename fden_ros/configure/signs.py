@@ -46,7 +46,7 @@ _MOST_PARTS, _LEAST_CHUNKS = 40, 10
 #: A reading explains the whole where it leaves this part of what the worst one leaves [1].
 _EXPLAINED = 0.01
 
-#: Signs of force and way.
+#: Signs of force and motion.
 _READINGS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 
 Cuts = list[tuple[int, int]]
@@ -57,7 +57,7 @@ class Course:
     """Force and motion of one recording along their lines, in chunks."""
 
     times: Array  #: (n,) [s]
-    way: Array  #: (n,)
+    motion: Array  #: (n,)
     push: Array  #: (n,)
     seen: Mask  #: chunks that count (n,)
 
@@ -68,14 +68,14 @@ class Signs:
 
     Parameters
     ----------
-    force, way : float
+    force, motion : float
         1 where it grows into the tissue, -1 where it falls.
     log_ratio : float
         Logarithm of its likelihood over that of the next best reading.
     """
 
     force: float
-    way: float
+    motion: float
     log_ratio: float
 
     @property
@@ -113,8 +113,8 @@ def _compared(course: Course) -> Array:
 
 
 def _shifted(course: Course, delay: float) -> Course:
-    way = np.interp(course.times + delay, course.times, course.way)
-    return replace(course, way=way)
+    motion = np.interp(course.times + delay, course.times, course.motion)
+    return replace(course, motion=motion)
 
 
 def _misfit(course: Course) -> float:
@@ -136,23 +136,23 @@ def _log_likelihoods(residuals: Sequence[Array]) -> Array:
 
 def _partitions(course: Course) -> list[Cuts]:
     """Return the whole, and the parts from one turning point of the motion to the next but one."""
-    way = course.way
-    found: list[Cuts] = [[(0, way.size)]]
+    motion = course.motion
+    found: list[Cuts] = [[(0, motion.size)]]
     changes = np.abs(np.diff(course.push))
     active = changes > 3.0 * float(np.median(changes))
-    middles = 0.5 * (way[1:] + way[:-1])
+    middles = 0.5 * (motion[1:] + motion[:-1])
     if not active.any():
         return found
     stroke = float(np.ptp(np.quantile(middles[active], [0.05, 0.95])))
     for sign in (1.0, -1.0):
-        turns = find_peaks(sign * way, prominence=max(_STROKE * stroke, 1e-300))[0]
+        turns = find_peaks(sign * motion, prominence=max(_STROKE * stroke, 1e-300))[0]
         turns = turns[:: max(math.ceil(turns.size / _MOST_PARTS), 1)]
         ends = [0]
         for turn in turns:
-            if min(turn - ends[-1], way.size - turn) >= _LEAST_CHUNKS:
+            if min(turn - ends[-1], motion.size - turn) >= _LEAST_CHUNKS:
                 ends.append(int(turn))
         if len(ends) > 1:
-            found.append(list(zip(ends, [*ends[1:], way.size], strict=True)))
+            found.append(list(zip(ends, [*ends[1:], motion.size], strict=True)))
     return found
 
 
@@ -163,7 +163,7 @@ def _residual(course: Course, first: int, last: int, reading: tuple[float, float
     if seen.sum() < _LEAST_CHUNKS:
         return np.empty(0)
     since = course.times[span] - course.times[first]
-    push, depth = reading[0] * course.push[span], reading[1] * course.way[span]
+    push, depth = reading[0] * course.push[span], reading[1] * course.motion[span]
     free = [np.ones_like(since), since, *(np.exp(-since / time) for time in _TIMES)]
     axes = np.linalg.qr(np.stack(free, axis=1)[seen])[0]
     columns = np.column_stack([_contact(since, depth, push), push])[seen]

@@ -74,9 +74,9 @@ def apart_from_neighbours(times: Array, values: Array) -> Array:
     Scaled so that its standard deviation is that of white noise on the values.
     """
     step = np.diff(times)
-    share = (step[:-1] / (step[:-1] + step[1:]))[:, None]
-    apart = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
-    return np.asarray(apart / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
+    part = (step[:-1] / (step[:-1] + step[1:]))[:, None]
+    apart = values[1:-1] - (1.0 - part) * values[:-2] - part * values[2:]
+    return np.asarray(apart / np.sqrt(1.0 + part**2 + (1.0 - part) ** 2))
 
 
 def noise_of(times: Array, values: Array) -> Array:

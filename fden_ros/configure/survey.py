@@ -28,7 +28,7 @@ class Survey:
     Parameters
     ----------
     findings : tuple of Finding
-        In the order in which they are told.
+        In the order in which they are said.
     sessions : tuple of Session
     axes : Axes
     weight : Weight or None
@@ -113,8 +113,8 @@ def _indenter(stated: dict[str, float | str] | None) -> Finding:
     if stated is None:
         return unknown("indenter", "force and displacement do not show a face or a thickness")
     words = ", ".join(f"{name} {value}" for name, value in stated.items())
-    told = {f"geometry.{name}": value for name, value in stated.items()}
-    return Finding("indenter", words, None, "as stated", parameters=told)
+    values = {f"geometry.{name}": value for name, value in stated.items()}
+    return Finding("indenter", words, None, "as stated", parameters=values)
 
 
 def _one_place(sessions: Sequence[Session]) -> Finding:
@@ -125,10 +125,10 @@ def _one_place(sessions: Sequence[Session]) -> Finding:
         for earlier, later in itertools.pairwise(session.contacts)
     ]
     if sessions[0].position.shape[1] == 3:
-        return Finding("place", "one", None, "as stated; by its positions a touch is told apart")
+        return Finding("place", "one", None, "as stated; by its positions touches are told apart")
     longest = math.ceil(2.0 * max(away, default=2.0))
-    told = {"site.timeout": float(longest)}
-    return Finding("place", "one", None, "as stated", parameters=told)
+    values = {"site.timeout": float(longest)}
+    return Finding("place", "one", None, "as stated", parameters=values)
 
 
 def _in_known_units(finding: Finding, units: Units) -> Finding:

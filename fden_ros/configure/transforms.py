@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A probe whose motion stands in transforms alone: which frames count, and its way in the base."""
+"""A probe whose motion stands in transforms alone: which frames count, its path in the base."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fden_ros.errors import InputError
 from fden_ros.ros.messages import stamp_ns
 
 
-class Way(NamedTuple):
+class Path(NamedTuple):
     """Where a frame is in the base."""
 
     stamps: NDArray[np.int64]  #: [ns], (n,)
@@ -67,10 +67,10 @@ class FrameTree:
             return given[0], given[1]
         tips = [frame for frame in known if frame not in self._parents.values()]
         if force_frame in self._parents:
-            tips = [tip for tip in tips if force_frame in self._way_up(tip)]
+            tips = [tip for tip in tips if force_frame in self._chain(tip)]
         if len(tips) != 1:
             raise self._unclear("the probe's tip may be one of several frames", known)
-        return self._way_up(tips[0])[-1], tips[0]
+        return self._chain(tips[0])[-1], tips[0]
 
     def _unclear(self, why: str, known: list[str]) -> InputError:
         listed = ", ".join(known) or "none"
@@ -79,34 +79,34 @@ class FrameTree:
             f"--frames BASE,PROBE, of {listed}"
         )
 
-    def _way_up(self, frame: str) -> list[str]:
+    def _chain(self, frame: str) -> list[str]:
         """Return a frame, its parent and so on up to the root."""
         return chain_up(frame, self._parents.get)
 
-    def way(self, base: str, frame: str, stamps: NDArray[np.int64] | None = None) -> Way:
-        """Return a frame's way in the base; by default at the stamps of what moves most often.
+    def path(self, base: str, frame: str, stamps: NDArray[np.int64] | None = None) -> Path:
+        """Return a frame's path in the base; by default at the stamps of what moves most often.
 
         Raises
         ------
         InputError
             If no transforms lead from one to the other.
         """
-        ways = self._way_up(frame), self._way_up(base)
-        if ways[0][-1] != ways[1][-1]:
+        chains = self._chain(frame), self._chain(base)
+        if chains[0][-1] != chains[1][-1]:
             known = sorted({*self._parents, *self._parents.values()})
             raise self._unclear(f"no transforms lead from {base} to {frame}", known)
         if stamps is None:
-            links = [self._links[one] for one in {*ways[0]} ^ {*ways[1]} if one in self._links]
+            links = [self._links[one] for one in {*chains[0]} ^ {*chains[1]} if one in self._links]
             most = max(map(len, links), default=0)
             chosen = next((link for link in links if len(link) == most), {})
             stamps = np.array(sorted(chosen), dtype=np.int64)
         places, turns = self._in_root(frame, stamps)
         origin, facing = self._in_root(base, stamps)
-        return Way(stamps, facing.inv().apply(places - origin), facing.inv() * turns)
+        return Path(stamps, facing.inv().apply(places - origin), facing.inv() * turns)
 
     def _in_root(self, frame: str, stamps: NDArray[np.int64]) -> tuple[Array, Rotation]:
         places, turns = np.zeros((stamps.size, 3)), Rotation.identity(stamps.size)
-        for child in self._way_up(frame)[:-1]:
+        for child in self._chain(frame)[:-1]:
             link = sorted(self._links[child].items())
             times = np.array([stamp for stamp, _ in link])
             numbers = np.array([values for _, values in link])

@@ -46,7 +46,7 @@ _NOT_BELOW = "level in the air"
 
 @dataclass(frozen=True)
 class Units:
-    """One unit of the recorded force [N] and position [m]; 1 where they are not told."""
+    """One unit of the recorded force [N] and position [m]; 1 where they are not known."""
 
     newton: float
     metre: float
@@ -111,13 +111,13 @@ def _log_likelihood(clues: Mapping[str, float], unit: float) -> float:
 def _motion_clues(sessions: Sequence[Session], axes: Axes) -> dict[str, float]:
     clues = {"travel": max(float(np.ptp(s.position, axis=0).max()) for s in sessions)}
     if axes.displacement is not None:
-        ways = []
+        strokes = []
         for session in axes.sessions:
             along = session.position @ axes.displacement.direction
             for contact in session.contacts:
                 near = (session.times > contact.start - 1.0) & (session.times < contact.end + 1.0)
-                ways.append(_range(along[near & ~session.turning]))
-        clues["lift and press"] = max(ways, default=0.0)
+                strokes.append(_range(along[near & ~session.turning]))
+        clues["lift and press"] = max(strokes, default=0.0)
     return {name: value for name, value in clues.items() if value > 0.0}
 
 
@@ -146,9 +146,9 @@ def _softest(axes: Axes, metre: float) -> float:
     found = []
     for session in axes.sessions:
         for contact in session.contacts:
-            way = metre * _range(session.position[contact.span] @ axes.displacement.direction)
-            if way > 0.0:
-                found.append(_range(session.net[contact.span] @ axes.force.direction) / way)
+            stroke = metre * _range(session.position[contact.span] @ axes.displacement.direction)
+            if stroke > 0.0:
+                found.append(_range(session.net[contact.span] @ axes.force.direction) / stroke)
     return min(found, default=0.0)
 
 

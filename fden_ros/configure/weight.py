@@ -35,20 +35,20 @@ _STEP = 0.1
 #: The delay of the poses is solved for in this many steps of Gauss and Newton.
 _STEPS = 4
 #: The mass is claimed from this relative deviation on: 2 % are then 2.5 deviations.
-_LARGEST_SHARE = 0.008
+_LARGEST_PART = 0.008
 #: A fit holds where it leaves less than 2.5 deviations of noise, or 3 % of the weight.
 _MOST_NOISE = 2.5
-_MOST_SHARE = 0.03
+_MOST_PART = 0.03
 #: Gravity is upright within this angle [rad] or 3 deviations.
 _UPRIGHT = math.radians(2.0)
 #: Rate of a turn [rad/s] that the poses are interpolated in.
 _USUAL_RATE = 1.0
 #: The largest angle between orientations that is enough [rad].
 _LEAST_TURN = math.radians(40.0)
-#: Share of the orientations' scatter below which all turns are about one axis: the weight along
+#: Scatter of the orientations [1] below which all turns are about one axis: the weight along
 #: it cannot be told from the bias. Turns by 28 degrees about a second axis give this much.
 _LEAST_SPREAD = 0.02
-#: Below this share, half a degree of wobble, least squares have no solution of their own.
+#: Below this one, half a degree of wobble, least squares have no solution of their own.
 _NO_SPREAD = 1e-5
 #: The driver has taken the weight off if less than this is left [N], or less than 5 deviations.
 _TAKEN_OFF = 0.05
@@ -224,10 +224,10 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
     size = float(np.linalg.norm(aligned.solution))
     is_aligned = better < 60.0 / len(turns.force()) + 1e-3 or aligned.fit.sd < 0.004 * size
     found = _as_aligned(turns, aligned) if is_aligned else _as_turned(turns, free)
-    # Lines between the poses miss this share of a turn.
+    # Lines between the poses miss this part of a turn.
     step = max(float(np.median(np.diff(one.motion_times))) for one in turns.streams)
     sd = math.hypot(found.weight_sd, found.weight * (step * _USUAL_RATE) ** 2 / 8.0)
-    limit = max(_MOST_NOISE * turns.noise(), _MOST_SHARE * found.weight)
+    limit = max(_MOST_NOISE * turns.noise(), _MOST_PART * found.weight)
     found = replace(found, weight_sd=sd, holds=found.left < limit)
     return _with_centre(turns, found) if found.is_clear else found
 
@@ -331,7 +331,7 @@ def _with_centre(turns: _Turns, weight: Weight) -> Weight:
     columns = np.stack([np.cross(axis, force) for axis in np.eye(3)], axis=2)
     found = _solved(turns, columns, turns.without_drift(torque))
     centre = found.solution
-    # A weight that is off moves the centre along its own direction by the same share.
+    # A weight that is off moves the centre along its own direction by the same part.
     moved = float(np.linalg.norm(centre)) * weight.weight_sd / weight.weight
     sd = math.hypot(math.sqrt(float(np.mean(np.diag(found.covariance)))), moved)
     return replace(weight, centre=centre, centre_sd=sd)
@@ -342,7 +342,7 @@ def weight_findings(
 ) -> tuple[Finding, Finding]:
     """Return what to say of mass and centre; the force is in newtons."""
     if weight is None or not weight.holds:
-        return _untold(weight, recordings)
+        return _unknown(weight, recordings)
     size, sd = weight.weight, weight.weight_sd
     mass, mass_sd = size / GRAVITY, sd / GRAVITY
     if size < max(5.0 * sd, _TAKEN_OFF):
@@ -358,8 +358,8 @@ def weight_findings(
         )
         nothing = "nothing: there is no weight to take off"
         return none, unknown("tool centre of mass", evidence, nothing)
-    if mass_sd > _LARGEST_SHARE * mass:
-        return _untold(weight, recordings)
+    if mass_sd > _LARGEST_PART * mass:
+        return _unknown(weight, recordings)
     if weight.turned_by > 0.0:
         turned = math.degrees(weight.turned_by)
         evidence = (
@@ -371,8 +371,8 @@ def weight_findings(
         return found, unknown("tool centre of mass", evidence, motion)
     gravity = [round(float(v), 4) for v in GRAVITY * weight.down]
     evidence = f"least squares over the turns leave {weight.left:.2g} N of {size:.3g} N"
-    told: dict[str, Value] = {"tool.mass": round(mass, 5), "tool.gravity": gravity}
-    found = Finding("tool mass", mass, mass_sd, evidence, weight.seconds, parameters=told)
+    values: dict[str, Value] = {"tool.mass": round(mass, 5), "tool.gravity": gravity}
+    found = Finding("tool mass", mass, mass_sd, evidence, weight.seconds, parameters=values)
     return found, _centre_finding(weight)
 
 
@@ -390,7 +390,7 @@ def _centre_finding(weight: Weight) -> Finding:
     )
 
 
-def _untold(weight: Weight | None, recordings: Sequence[Streams]) -> tuple[Finding, Finding]:
+def _unknown(weight: Weight | None, recordings: Sequence[Streams]) -> tuple[Finding, Finding]:
     """Say why mass and centre are not known, and what would tell them."""
     why, motion = _turns_of(recordings).lack(), ""
     if all(one.orientation is None for one in recordings):

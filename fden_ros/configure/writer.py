@@ -27,10 +27,10 @@ _SCALES = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/N": (1e3, "mm/N"), "rad": (1.0
 def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, Value]:
     """Return the proposed parameters, by dotted name, in the order of the table."""
     values: dict[str, Value] = {}
-    for what, type_name in readings[0].types.items():
-        values[f"{what}.message"] = MESSAGES.get(type_name, "")
-    for what, joint in readings[0].joints.items():
-        values[f"{what}.name"] = joint
+    for stream, type_name in readings[0].types.items():
+        values[f"{stream}.message"] = MESSAGES.get(type_name, "")
+    for stream, joint in readings[0].joints.items():
+        values[f"{stream}.name"] = joint
     values.update(readings[0].parameters)
     for finding in survey.findings:
         values.update(finding.parameters)
@@ -46,14 +46,14 @@ def replay_problems(survey: Survey) -> list[str]:
     """Return why `fden replay` with the file will not give numbers to rely on, a line each."""
     problems = []
     unknown: dict[str, list[str]] = {}
-    for what in ("force", "displacement"):
-        unit, axis = survey.finding(f"{what} unit"), survey.finding(f"{what} axis")
+    for stream in ("force", "displacement"):
+        unit, axis = survey.finding(f"{stream} unit"), survey.finding(f"{stream} axis")
         if not unit.claim:
             problems.append(f"{unit.subject}: {unit.evidence}; {unit.motion}")
         elif unit.value in ("mm", "g"):
-            problems.append(f"{what}: {unit.evidence.partition(': ')[2]}")
+            problems.append(f"{stream}: {unit.evidence.partition(': ')[2]}")
         if not axis.claim:
-            unknown.setdefault(f"{axis.evidence}. To find out: {axis.motion}", []).append(what)
+            unknown.setdefault(f"{axis.evidence}. To find out: {axis.motion}", []).append(stream)
     for why, names in unknown.items():
         problems.append(f"the axis of the {' and of the '.join(names)} is not known: {why}")
     if survey.finding("lift-off").value == "never":
@@ -125,15 +125,15 @@ def _sentence(finding: Finding) -> str:
 def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> list[str]:
     lines = ["# Proposed by fden configure from"]
     for reading in readings:
-        force, displacement = (_source(reading, what) for what in ("force", "displacement"))
+        force, displacement = (_source(reading, stream) for stream in ("force", "displacement"))
         lines += _comment(f"{reading.path}: force {force}, displacement {displacement}", "")
         for warning in reading.warnings:
             lines += _comment(f"warning: {warning}", "")
     first = readings[0]
     if first.types:
-        topics = [what for what, kind in first.types.items() if MESSAGES.get(kind) != "tf"]
-        names = {what: first.inputs[what].partition(" ")[0] for what in topics}
-        remaps = " ".join(f"-r {what}:={name}" for what, name in names.items())
+        topics = [stream for stream, kind in first.types.items() if MESSAGES.get(kind) != "tf"]
+        names = {stream: first.inputs[stream].partition(" ")[0] for stream in topics}
+        remaps = " ".join(f"-r {stream}:={name}" for stream, name in names.items())
         lines.append(f"{LIVE_LINE}{remaps}")
     if chosen := _chosen(first):
         lines.append(f"{SELECTION_LINE}{shlex.join(chosen)}")
@@ -152,16 +152,13 @@ def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> 
 def _chosen(reading: Reading) -> list[str]:
     """Return the options that say what in a recording was read, where they are needed."""
     chosen: Selection = reading.selection
-    options = {
-        "--force-topic": chosen.force_topic,
-        "--displacement-topic": chosen.displacement_topic,
-        "--force-field": chosen.force_field,
-        "--displacement-field": chosen.displacement_field,
-        "--rows": "=".join(chosen.where) if chosen.where else None,
-    }
+    options = {f"--{stream}-topic": name for stream, name in chosen.topics.items()}
+    options |= {f"--{stream}-field": path for stream, path in chosen.fields.items()}
+    if chosen.where is not None:
+        options["--rows"] = "=".join(chosen.where)
     if chosen.columns is not None and str(chosen.columns) != _said(reading):
         options["--columns"] = str(chosen.columns)
-    return [word for option, value in options.items() if value for word in (option, value)]
+    return [word for option, value in options.items() for word in (option, value)]
 
 
 def _said(reading: Reading) -> str | None:
@@ -169,11 +166,11 @@ def _said(reading: Reading) -> str | None:
     return guessed_columns(headings_of(reading.path))
 
 
-def _source(reading: Reading, what: str) -> str:
-    said = reading.types.get(what, "").replace("/msg/", "/")
+def _source(reading: Reading, stream: str) -> str:
+    said = reading.types.get(stream, "").replace("/msg/", "/")
     for name, named in (("joint", reading.joints), ("frame", reading.frames)):
-        said += f", {name} {named[what]}" if named.get(what) else ""
-    return f"{reading.inputs[what]} ({said})" if said else reading.inputs[what]
+        said += f", {name} {named[stream]}" if named.get(stream) else ""
+    return f"{reading.inputs[stream]} ({said})" if said else reading.inputs[stream]
 
 
 def _comment(text: str, indent: str) -> list[str]:

@@ -101,9 +101,9 @@ _CERTAIN = 3.0
 _BELIEVED = 1.5
 #: A measured stiffening is forgotten at this rate while the probe moves [1/s].
 _FORGETTING = 2.0
-#: The integral acts within this share of the target, at this share of the bandwidth.
+#: The integral acts within this part of the target, at this part of the bandwidth.
 _NEAR = 0.1
-_INTEGRAL_SHARE = 0.25
+_INTEGRAL_PART = 0.25
 
 
 class ForceController:
@@ -175,7 +175,7 @@ class ForceController:
         if target != self._target:
             self._target, self._integral = target, 0.0
         if abs(error) < _NEAR * abs(target):
-            self._integral += self.config.bandwidth * _INTEGRAL_SHARE * error * elapsed
+            self._integral += self.config.bandwidth * _INTEGRAL_PART * error * elapsed
         return self.config.bandwidth * self._integral
 
     def _schedule(

@@ -23,15 +23,15 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: A hold lasts while the strain stays within this share of where it began [1].
-_HOLD_SHARE = 0.02
-#: Points are kept from this time in the hold on [s], as far apart as this share of it [1], and as
+#: A hold lasts while the strain stays within this part of where it began [1].
+_HOLD_PART = 0.02
+#: Points are kept from this time in the hold on [s], as far apart as this part of it [1], and as
 #: many of them at most.
 _FIRST_POINT, _SPACING, _MOST_POINTS = 0.1, 0.04, 24
 #: The slope is that of the newest part of ln A [1]; it takes so many points, and so much of it. On
 #: 78 presses of beef what half of it leaves is 0.045 of the stress for each factor e of A (root
 #: mean square); 0.053 by a part of 0.5, 0.058 by one of 0.7, and 0.055 where nothing goes on.
-_SPAN, _LEAST_POINTS, _LEAST_SHARE = 0.4, 4, 0.5
+_SPAN, _LEAST_POINTS, _LEAST_PART = 0.4, 4, 0.5
 
 
 class Point(NamedTuple):
@@ -69,7 +69,7 @@ class Hold:
 
     def is_due(self, step: float, strain: float) -> bool:
         """Take `step` seconds to a strain [1]; return whether a point is to be kept there."""
-        if not abs(strain - self._strain) <= _HOLD_SHARE * abs(self._strain):
+        if not abs(strain - self._strain) <= _HOLD_PART * abs(self._strain):
             self.end()
             self._strain = strain
             return False
@@ -90,7 +90,7 @@ class Hold:
         log_ages = np.log1p(-times / age)
         newest = log_ages >= -_SPAN
         log_ages, times = log_ages[newest], times[newest]
-        if log_ages.size < _LEAST_POINTS or np.ptp(log_ages) < _LEAST_SHARE * _SPAN:
+        if log_ages.size < _LEAST_POINTS or np.ptp(log_ages) < _LEAST_PART * _SPAN:
             return None
         off = log_ages - log_ages.mean()
         return Slope(off / (off @ off), times, points[-log_ages.size :])

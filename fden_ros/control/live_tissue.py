@@ -44,12 +44,12 @@ REFUSED_FLAGS = (
 #: no gap, an estimate that was not heard does.
 _LONGEST_STEP = 0.05
 _LONGEST_STEP_RATIO, _USUAL_STEPS = 1.5, 9
-#: Share of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
+#: Part of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
 #: says.
-_UNLOADED_SHARE = 0.05
+_UNLOADED_PART = 0.05
 #: The force contradicts what was known where three estimates in a row are surprised by more than
 #: 20 % of what was predicted and by five deviations.
-_SURPRISING_SHARE = 0.2
+_SURPRISING_PART = 0.2
 _SURPRISING_NIS = 25.0
 _SURPRISES = 3
 #: How fast the least delay seen is forgotten, as clocks drift [s/s].
@@ -124,7 +124,7 @@ class LiveTissue:
         What must have converged: by default G and Gn. G alone is enough for the stiffness about
         the present strain; predictions need both.
     change : float
-        `on_change` is called when the apparent stiffness has moved by more than this share.
+        `on_change` is called when the apparent stiffness has moved by more than this part.
     real_time : bool
         The stamps advance with the clock; false for bags played at another pace: then an estimate
         that was held up on its way is not told from a fresh one.
@@ -293,7 +293,7 @@ class LiveTissue:
         if predicted is None:
             predicted = innovation.predicted_fractional_stress
         surprised = (
-            abs(innovation.innovation) > _SURPRISING_SHARE * abs(predicted)
+            abs(innovation.innovation) > _SURPRISING_PART * abs(predicted)
             and innovation.normalized_squared > _SURPRISING_NIS
         )
         self._surprises = self._surprises + 1 if surprised else 0
@@ -343,7 +343,7 @@ class LiveTissue:
 
         The law alone does not say so: where it is off by a fifth, pressed tissue would seem free.
         """
-        return stress <= _UNLOADED_SHARE * self._peak_stress
+        return stress <= _UNLOADED_PART * self._peak_stress
 
     def _is_gap(self, step: float) -> bool:
         """Whether an estimate may have been missed in the `step` seconds since the last."""

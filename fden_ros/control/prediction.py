@@ -61,13 +61,13 @@ from fden_ros.errors import InputError
 
 #: Just after the present [s]: the first instant of which the memory knows the whole past.
 _AT_ONCE = 1e-5
-#: Points of a plan are this close at most, as a share of its length.
-_FINEST_SHARE = 40
+#: Points of a plan are this close at most, as a part of its length.
+_FINEST_PART = 40
 #: Before a hold has shown the relaxation its deviation is this multiple of the stated one [1]: at
 #: the end of a ramp a linear solid of 1 s looks like the law of a wrong alpha.
 _UNSEEN_RELAXATION = 2.0
-#: Share of the slope of what was left out that goes on [1], share of it by which that is
-#: uncertain [1], and share of the kernel's stated deviation by which it changes besides [1]. On 78
+#: Part of the slope of what was left out that goes on [1], part of it by which that is
+#: uncertain [1], and part of the kernel's stated deviation by which it changes besides [1]. On 78
 #: presses of beef the 95 % interval holds 99 % of the hold to come then, with a half width of 3.7
 #: median errors, and on linear and poroelastic solids 90 to 100 %; with 0.6, 0.5 and 0.4 it holds
 #: 89 % on a linear solid of 1 s, with 0.6, 0.6 and 0.45 the half width is 4.3 median errors.
@@ -102,7 +102,7 @@ class _Trend(NamedTuple):
     """Where what the law leaves out is going, by the hold so far."""
 
     slope: Slope
-    kept: float  #: share of the slope that goes on [1]
+    kept: float  #: part of the slope that goes on [1]
     variance: float  #: of the slope, by noise and rig [Pa^2]
 
 
@@ -140,7 +140,7 @@ class Predictor:
         times : array_like, shape (n,)
             Seconds from the present, positive, increasing.
         displacements : array_like, shape (n,)
-            Way further into the tissue by then [m], linear in between; negative: back.
+            Distance further into the tissue by then [m], linear in between; negative: back.
 
         Raises
         ------
@@ -149,8 +149,8 @@ class Predictor:
         """
         wanted, moves = _plan(times, displacements)
         grid = _grid(wanted)
-        way = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
-        compressions = self.memory.compression + way / self.geometry.length
+        moved = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
+        compressions = self.memory.compression + moved / self.geometry.length
         strains = np.array([self.geometry.strain(float(u)) for u in compressions])
 
         path = self._path(grid, strains)
@@ -298,7 +298,7 @@ def _plan(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
 
 def _grid(wanted: Array) -> Array:
     """Return the plan's times with enough others in between, shape (m,)."""
-    finest = wanted[-1] / _FINEST_SHARE
+    finest = wanted[-1] / _FINEST_PART
     parts = [
         np.linspace(start, stop, max(math.ceil((stop - start) / finest), 1) + 1)[1:]
         for start, stop in zip(np.append(0.0, wanted[:-1]), wanted, strict=True)

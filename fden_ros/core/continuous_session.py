@@ -26,7 +26,6 @@ from fden_ros.core.oscillation.local_stiffness import Stiffness
 from fden_ros.core.oscillation.palpation import Palpated
 from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
 from fden_ros.core.outputs import (
-    ApparentStiffness,
     ContactSummary,
     DynamicModulus,
     Flag,
@@ -274,12 +273,6 @@ class ContinuousSession:
 
     # Outputs
 
-    def _apparent(self, found: Palpated | None) -> ApparentStiffness | None:
-        if found is None:
-            return None
-        time_scale = self._config.apparent_stiffness_time_scale
-        return ApparentStiffness(found.apparent, found.apparent_sd, time_scale)
-
     def _state(self, stamp_ns: int, time: float, displacement: float) -> TissueState:
         found = self._meter.current(time)
         estimate = found.estimate if found is not None else None
@@ -294,7 +287,7 @@ class ContinuousSession:
             phase=self._phase.add(stamp_ns, displacement / self._config.geometry.length),
             order_source=order_source(estimate, self._config.estimator),
             estimate=estimate,
-            apparent_stiffness=self._apparent(found),
+            apparent_stiffness=found.apparent if found is not None else None,
         )
 
     def _modulus(
@@ -341,5 +334,5 @@ class ContinuousSession:
             sample_count=place.samples,
             rejected_count=count,
             classes=None,
-            apparent_stiffness=self._apparent(place.found),
+            apparent_stiffness=place.found.apparent if place.found is not None else None,
         )

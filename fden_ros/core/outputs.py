@@ -20,6 +20,7 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.law.apparent_stiffness import ApparentStiffness as ApparentStiffness
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus
@@ -85,15 +86,6 @@ class Signals:
     strain: float  #: x from the strain origin [1]
     stress: float  #: f [Pa]
     fractional_stress: float  #: f' [Pa s^alpha]
-
-
-@dataclass(frozen=True)
-class ApparentStiffness:
-    """dF/dd for a small motion that lasts `time_scale`."""
-
-    value: float  #: [N/m]
-    sd: float  #: [N/m]
-    time_scale: float  #: tau [s]
 
 
 @dataclass(frozen=True)
@@ -269,8 +261,8 @@ def apparent_stiffness_of(
     if estimate.nonlinear_stiffness * geometry.strain(depth) > 1.0:
         covariance = covariance - np.diag((*estimate.hidden, 0.0))
         of_gn = estimate.hidden[1]
-    value, sd = apparent_stiffness(mean, covariance, geometry, depth, time_scale)
-    return ApparentStiffness(value, math.hypot(sd, value * math.sqrt(of_gn)), time_scale)
+    found = apparent_stiffness(mean, covariance, geometry, depth, time_scale)
+    return replace(found, sd=math.hypot(found.sd, found.value * math.sqrt(of_gn)))
 
 
 def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:

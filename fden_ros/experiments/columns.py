@@ -70,8 +70,8 @@ class Table:
             try:
                 value = float(cell)
             except ValueError:
-                what = f"{cell!r} is not a number" if cell else "is empty"
-                raise InputError(f"{self.path}, line {line}: {name} {what}") from None
+                problem = f"{cell!r} is not a number" if cell else "is empty"
+                raise InputError(f"{self.path}, line {line}: {name} {problem}") from None
             if not math.isfinite(value):
                 raise InputError(
                     f"{self.path}, line {line}: {name} is {cell}; leave the row out or mend it"
@@ -95,12 +95,12 @@ class Table:
                 )
         return values
 
-    def require_rows(self, count: int, what: str) -> None:
+    def require_rows(self, count: int, user: str) -> None:
         """Raise unless there are `count` rows."""
         if len(self.rows) < count:
             have = len(self.rows)
             raise InputError(
-                f"{self.path} has {have} row{'s' if have != 1 else ''}; {what} needs at least "
+                f"{self.path} has {have} row{'s' if have != 1 else ''}; {user} needs at least "
                 f"{count}"
             )
 

@@ -147,7 +147,7 @@ def _filter(log_omega: Array, logs: Array, noise: Array) -> tuple[Array, Array]:
     return np.array(ekf.x), np.array(ekf.P)
 
 
-def contradiction(slope: float, variance: float, angles: Array, what: str) -> tuple[str, ...]:
+def contradiction(slope: float, variance: float, angles: Array, source: str) -> tuple[str, ...]:
     """Return a warning if a slope of this variance is not the alpha of the loss angles (n,)."""
     if angles.size < 3:
         return ()
@@ -158,6 +158,6 @@ def contradiction(slope: float, variance: float, angles: Array, what: str) -> tu
         return ()
     return (
         f"slope and phase contradict each other: alpha is {slope:.3f} by the slope, "
-        f"{from_angle.mean():.3f} by {what} ({abs(difference) / max(sd, 1e-12):.0f} deviations "
+        f"{from_angle.mean():.3f} by {source} ({abs(difference) / max(sd, 1e-12):.0f} deviations "
         "apart); one springpot does not describe both",
     )

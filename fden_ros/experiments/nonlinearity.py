@@ -24,12 +24,6 @@ from scipy.special import digamma, gamma, gammaln
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import log_phi, log_strain
 from fden_ros.errors import InputError
-from fden_ros.experiments.characteristic import (
-    LOG_NONLINEAR_RANGE,
-    start_from_points,
-    stiffness_parameters,
-    undetermined_nonlinearity,
-)
 from fden_ros.experiments.columns import csv_files, read_table
 from fden_ros.experiments.creep import CreepTest, fit_creep, read_creep_test
 from fden_ros.experiments.kinds import Options
@@ -39,10 +33,12 @@ from fden_ros.experiments.regression import (
     minimise_logarithms,
     require_positive,
 )
-from fden_ros.experiments.result import Fit, plain, r_squared
+from fden_ros.experiments.result import Fit, Parameter, plain, r_squared
 
 #: Stresses at which creep must be known.
 _LEAST_STRESSES = 3
+#: Gn outside of this is no tissue; the fits stay within.
+_LOG_RANGE = (math.log(0.3), math.log(100.0))
 
 
 def from_file(path: Path, options: Options) -> Fit:
@@ -109,7 +105,7 @@ def fit_nonlinearity(
     by_order = 0.0 if fractional_order is None else float(digamma(1.0 + fractional_order))
     # ln G carries -ln Gamma(1 + alpha), and with it alpha's own uncertainty.
     solution.covariance[0, 0] += (by_order * fractional_order_sd) ** 2
-    parameters = stiffness_parameters(solution, 0)
+    parameters = _parameters(solution, 0)
     if fractional_order is not None:
         parameters["alpha"] = plain(fractional_order, fractional_order_sd)
     log_g, log_g_n = solution.values
@@ -118,7 +114,7 @@ def fit_nonlinearity(
         parameters,
         r_squared(stress, np.exp(log_phi(coefficient, log_g, log_g_n)) * factor),
         stress.size,
-        (*undetermined_nonlinearity(float(coefficient.max()), log_g_n), *solution.warnings()),
+        (*_undetermined(float(coefficient.max()), log_g_n), *solution.warnings()),
     )
 
 
@@ -147,17 +143,17 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
         return _log_creep(time, np.log(stress), values)
 
     start = np.array([alpha, math.log(pairs["g"].value), math.log(pairs["g_n"].value)])
-    low, high = LOG_NONLINEAR_RANGE
+    low, high = _LOG_RANGE
     bounds = np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high])
     logs = np.log(strain)
     solution = minimise_logarithms(predicted, logs, start, *bounds)
     return Fit(
         "nonlinearity",
-        {"alpha": solution.plain(1.0), **stiffness_parameters(solution, 1)},
+        {"alpha": solution.plain(1.0), **_parameters(solution, 1)},
         r_squared(logs, predicted(solution.values)),
         time.size,
         (
-            *undetermined_nonlinearity(float(strain.max()), solution.values[2]),
+            *_undetermined(float(strain.max()), solution.values[2]),
             *solution.warnings(),
         ),
         {"coefficients": pairs.parameters},
@@ -165,8 +161,8 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
 
 
 def _fit_pairs(static: Array, coefficient: Array) -> Solution:
-    logs, start = np.log(coefficient), start_from_points(coefficient, static)
-    low, high = LOG_NONLINEAR_RANGE
+    logs, start = np.log(coefficient), _start(coefficient, static)
+    low, high = _LOG_RANGE
     bounds = (np.array([-np.inf, low]), np.array([np.inf, high]))
     return minimise(
         lambda values: log_strain(np.log(static), *values) - logs,
@@ -179,3 +175,38 @@ def _log_creep(time: Array, log_stress: Array | float, values: Array) -> Array:
     """Return ln x of the exact creep at times (n,) for (alpha, ln G, ln Gn)."""
     log_phis = log_stress + values[0] * np.log(time) - gammaln(1.0 + values[0])
     return log_strain(log_phis, values[1], values[2])
+
+
+def _start(strain: Array, phi_values: Array) -> Array:
+    """Return (ln G, ln Gn), shape (2,), roughly: the best of a grid for points of phi (n,)."""
+    secants = np.log(phi_values / strain)
+    deepest = float(strain.max())
+    log_g = np.linspace(secants.min() - 1.0, secants.max(), 40)
+    scaled = np.geomspace(1.0, 12.0, 40)
+    log_g_n = np.clip(np.log(scaled / deepest), *_LOG_RANGE)
+    shapes = np.array([log_phi(strain, 0.0, n) for n in log_g_n]) - np.log(phi_values)
+    misfit = np.sum((log_g[:, None, None] + shapes) ** 2, axis=2)
+    best_g, best_n = np.unravel_index(int(np.argmin(misfit)), misfit.shape)
+    return np.array([log_g[best_g], log_g_n[best_n]])
+
+
+def _parameters(solution: Solution, index: int) -> dict[str, Parameter]:
+    """Return g, g_n, g_i and x_b of a solution with ln G, ln Gn at `index` and the next place."""
+    before = (0.0,) * index
+    log_g, log_g_n = solution.values[index : index + 2]
+    return {
+        "g": solution.positive(*before, 1.0),
+        "g_n": solution.positive(*before, 0.0, 1.0),
+        "g_i": solution.positive(*before, 1.0, -1.0, log_value=log_g - log_g_n - 1.0),
+        "x_b": solution.positive(*before, 0.0, -1.0),
+    }
+
+
+def _undetermined(deepest: float, log_g_n: float) -> tuple[str, ...]:
+    """Return a warning if no strain lies beyond 1/Gn, where alone Gn shows."""
+    if deepest * math.exp(log_g_n) > 1.0 + 1e-9:
+        return ()
+    return (
+        f"no strain is beyond 1/Gn (the largest is {deepest:.3g}): the data do not determine Gn; "
+        "go deeper",
+    )

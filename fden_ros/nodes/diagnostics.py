@@ -121,8 +121,8 @@ class _Report:
         if pipeline.is_failed:
             problems.insert(0, str(pipeline.failures[-1]))
         values = {
-            **{f"topic.{one.what}": one.subscription.topic_name for one in session.listened_to},
-            **{f"received.{one.what}": received[one.what] for one in session.listened_to},
+            **{f"topic.{one.stream}": one.subscription.topic_name for one in session.listened_to},
+            **{f"received.{one.stream}": received[one.stream] for one in session.listened_to},
             "waiting": backlog.waiting,
             "most waiting": backlog.most_waiting,
             "batches": backlog.batches,
@@ -134,11 +134,11 @@ class _Report:
         }
         return diagnostic_status(name, problems, pipeline, news.pairs, values, hardware_id)
 
-    def _warn(self, what: str, words: str) -> None:
+    def _warn(self, kind: str, words: str) -> None:
         """Log a warning, of one kind no more often than every ten seconds."""
         now = time.monotonic()
-        if now - self._warned.get(what, -math.inf) >= _THROTTLE:
-            self._warned[what] = now
+        if now - self._warned.get(kind, -math.inf) >= _THROTTLE:
+            self._warned[kind] = now
             self._node.get_logger().warning(words)
 
     def _first_problems(self) -> list[str]:
@@ -157,10 +157,10 @@ class _Report:
         return [*first, *always]
 
     def _problems_of(self, one: ListenedTo) -> list[str]:
-        if one.what in TRANSFORM_TOPICS:
+        if one.stream in TRANSFORM_TOPICS:
             # Many publish them, or none: what counts is whether they connect the frames.
             return one.wrong_publishers(self._node)
-        return one.problems(self._node, has_come=self._session.inputs.has_come(one.what))
+        return one.problems(self._node, has_come=self._session.inputs.has_come(one.stream))
 
     def _say_once(self, problems: Sequence[str]) -> None:
         """Log, once each, the problems that were seen at the last look too.
@@ -180,10 +180,10 @@ class _Report:
         words = [
             lost_problem(
                 one,
-                received[one.what],
-                self._fastest[one.what],
-                lost[one.what] - self._lost_before[one.what],
-                dropped[one.what] - self._dropped_before[one.what],
+                received[one.stream],
+                self._fastest[one.stream],
+                lost[one.stream] - self._lost_before[one.stream],
+                dropped[one.stream] - self._dropped_before[one.stream],
             )
             for one in self._session.listened_to
         ]

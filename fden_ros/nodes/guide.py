@@ -20,9 +20,9 @@ from fden_ros.configure.robots import Robot, robot_selection
 from fden_ros.configure.survey import Survey, steps_for
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
-from fden_ros.recording.reader import Topic
+from fden_ros.recording.reader import Topic, topic_named
 from fden_ros.recording.source import Selection
-from fden_ros.recording.topics import USABLE_TYPES, sensible_topics
+from fden_ros.recording.topics import find_topic
 from fden_ros.ros.plain_node import plain_node, spin_for
 
 #: Best effort hears every publisher; the queue holds what comes while a survey is made.
@@ -30,8 +30,8 @@ _QOS = QoSProfile(depth=20000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: How long topics are waited for, and between two looks at what has come [s].
 _TOPICS_WITHIN = 20.0
 _LOOK_EVERY = 2.0
-#: Surveys take no more than this share of the time.
-_BUSY_SHARE = 0.5
+#: Surveys take no more than this part of the time.
+_BUSY_PART = 0.5
 
 Look = Callable[[Reading], Survey]
 
@@ -80,10 +80,10 @@ class _Guide:
 
     def run(self) -> tuple[Reading, Survey]:
         topics = self._find_topics()
-        for what, topic in topics.items():
-            field = getattr(self._selection, f"{what}_field")
-            self._columns[what] = Column(topic, field, what)
-            self._say(f"{what} from {topic.name} ({topic.type_name.replace('/msg/', '/')})")
+        for stream, topic in topics.items():
+            field = self._selection.fields.get(stream)
+            self._columns[stream] = Column(topic, field, stream)
+            self._say(f"{stream} from {topic.name} ({topic.type_name.replace('/msg/', '/')})")
         for topic in {topic.name: topic for topic in topics.values()}.values():
             self._subscribe(topic)
         try:
@@ -115,7 +115,7 @@ class _Guide:
                 reading = self._reading()
                 found = self._look(reading)
                 took = time.monotonic() - began
-                spin_for(self._executor, max(_LOOK_EVERY, took * (1.0 / _BUSY_SHARE - 1.0)))
+                spin_for(self._executor, max(_LOOK_EVERY, took * (1.0 / _BUSY_PART - 1.0)))
             answer = "done" if step.is_done(found) else "given up"
             self._say(f"{answer}: {step.name}")
         reading = self._reading()
@@ -161,22 +161,10 @@ class _Guide:
             selection = robot_selection(self._robot, "the robot", present, selection)
             self._selection = selection
         chosen: dict[str, Topic] = {}
-        for what in ("force", "displacement"):
-            name = getattr(selection, f"{what}_topic")
-            named = [topic for topic in present if topic.name in (name, f"/{name}")]
-            candidates = [
-                topic
-                for topic in present
-                if topic.type_name in USABLE_TYPES[what]
-                and topic.message_count
-                and topic not in chosen.values()
-            ]
-            found = named if name else sensible_topics(candidates, what)
-            if len(found) != 1:
-                listed = ", ".join(f"{t.name} ({t.type_name})" for t in found or present)
-                raise InputError(
-                    f"which topic is the {what}? There are {listed or 'none'}; name it with "
-                    f"--{what}-topic"
-                )
-            chosen[what] = found[0]
+        for stream in ("force", "displacement"):
+            name = selection.topics.get(stream)
+            if name is not None and stream in selection.fields:
+                chosen[stream] = topic_named("the robot", present, name)
+            else:
+                chosen[stream] = find_topic("the robot", present, name, stream, chosen.values())
         return chosen

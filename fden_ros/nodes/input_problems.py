@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +14,9 @@ from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import Reason
-from fden_ros.ros.inputs import INPUT_MESSAGES, TRANSFORM_TOPICS, Inputs
-from fden_ros.ros.status import type_name
+from fden_ros.ros.inputs import TRANSFORM_TOPICS, TYPE_NAMES, Inputs
+from fden_ros.ros.messages import type_name
 
-#: By the name of an input, the type that each value of its parameter ``message`` stands for.
-_KINDS: Mapping[str, Mapping[str, str]] = {
-    what: {name: type_name(kind) for name, kind in kinds.items()}
-    for what, kinds in INPUT_MESSAGES.items()
-}
 #: What a subscription can ask for that not every publisher offers: the weaker and the stronger.
 _POLICIES = (
     ("reliability", ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
@@ -38,7 +32,7 @@ _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 class ListenedTo:
     """One input of a node."""
 
-    what: str  #: ``force``, ``displacement`` or ``surface``, the name before any remapping
+    stream: str  #: ``force``, ``displacement`` or ``surface``, the name before any remapping
     subscription: Subscription
 
     def problems(self, node: Node, *, has_come: bool) -> list[str]:
@@ -78,7 +72,7 @@ class ListenedTo:
 
     def _nothing_publishes(self, node: Node, expected: str) -> str:
         topic = self.subscription.topic_name
-        others = _published(node, self.what)
+        others = _published(node, self.stream)
         same = [name for name, kind in others.items() if kind == expected]
         found = f"nothing publishes {topic}, where {expected} is expected"
         if same:
@@ -91,7 +85,7 @@ class ListenedTo:
 
     def _other_type(self, kind: str, expected: str) -> str:
         found = f"{self.subscription.topic_name} is published as {kind}, expected {expected}"
-        mend = f"{self._set(kind)}, or " if kind in _KINDS[self.what].values() else ""
+        mend = f"{self._set(kind)}, or " if kind in TYPE_NAMES[self.stream].values() else ""
         return f"{found}: {mend}remap it, {self._remap('TOPIC')}"
 
     def _incompatible(self, offered: Any) -> list[str]:
@@ -105,13 +99,13 @@ class ListenedTo:
         ]
 
     def _remap(self, topic: str) -> str:
-        if self.what in TRANSFORM_TOPICS:
-            return f"-r {self.what}:={topic}"
-        return f"-r {self.what}:={topic} (launch: {self.what}_topic:={topic})"
+        if self.stream in TRANSFORM_TOPICS:
+            return f"-r {self.stream}:={topic}"
+        return f"-r {self.stream}:={topic} (launch: {self.stream}_topic:={topic})"
 
     def _set(self, kind: str) -> str:
-        value = next(name for name, known in _KINDS[self.what].items() if known == kind)
-        return f"set {self.what}.message to {value}"
+        value = next(name for name, known in TYPE_NAMES[self.stream].items() if known == kind)
+        return f"set {self.stream}.message to {value}"
 
 
 def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
@@ -184,9 +178,9 @@ def clock_problem(node: Node) -> str | None:
     )
 
 
-def _published(node: Node, what: str) -> dict[str, str]:
-    """Return other topics, and their types, that could be the input `what`."""
-    kinds = set(_KINDS[what].values())
+def _published(node: Node, stream: str) -> dict[str, str]:
+    """Return other topics, and their types, that could be the input `stream`."""
+    kinds = set(TYPE_NAMES[stream].values())
     own = {subscription.topic_name for subscription in node.subscriptions}
     return {
         name: kind

@@ -8,6 +8,8 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fden_msgs.msg import PalpationSummary, TissueClassification
@@ -33,23 +35,18 @@ class Monitor:
     ----------
     identifier : str
         Fully qualified name of the node.
-
-    Attributes
-    ----------
-    summaries : list of ContactSummary
-        The newest of each contact.
     """
 
     def __init__(self, identifier: str) -> None:
         self._identifier = identifier
         self._opened = ExitStack()
-        self.summaries: list[ContactSummary] = []
+        self._view = MonitorView(identifier)
         self._arrivals: deque[float] = deque()
-        self._state: TissueState | None = None
-        self._heard: float | None = None
-        self._classification: TissueClassification | None = None
-        self._diagnostics: dict[str, str] = {}
-        self._gains = ""
+
+    @property
+    def summaries(self) -> tuple[ContactSummary, ...]:
+        """The newest of each contact."""
+        return self._view.summaries
 
     def __enter__(self) -> Monitor:
         node, self._executor = self._opened.enter_context(plain_node("fden_monitor"))
@@ -81,50 +78,42 @@ class Monitor:
 
     def view(self) -> MonitorView:
         """Return what is known now."""
-        now = time.monotonic()
-        while self._arrivals and now - self._arrivals[0] > _RATE_WINDOW:
+        now, heard = time.monotonic(), self._arrivals[-1] if self._arrivals else None
+        while len(self._arrivals) > 1 and now - self._arrivals[0] > _RATE_WINDOW:
             self._arrivals.popleft()
-        classification = self._classification
-        return MonitorView(
-            identifier=self._identifier,
-            state=self._state,
-            age=None if self._heard is None else now - self._heard,
-            rate=len(self._arrivals) / _RATE_WINDOW,
+        recent = sum(now - arrival <= _RATE_WINDOW for arrival in self._arrivals)
+        return replace(
+            self._view,
+            age=None if heard is None else now - heard,
+            rate=recent / _RATE_WINDOW,
             refusal=self._feed.refusal(),
-            label=classification.label if classification is not None else "",
-            probabilities=dict(
-                zip(classification.class_names, classification.probabilities, strict=True)
-            )
-            if classification is not None
-            else {},
-            summaries=tuple(self.summaries),
-            diagnostics=dict(self._diagnostics),
-            gains=self._gains,
         )
 
+    def _see(self, **news: Any) -> None:
+        self._view = replace(self._view, **news)
+
     def _on_state(self, state: TissueState) -> None:
-        self._state, self._heard = state, time.monotonic()
-        self._arrivals.append(self._heard)
+        self._see(state=state)
+        self._arrivals.append(time.monotonic())
 
     def _on_classification(self, message: TissueClassification) -> None:
-        self._classification = message
+        probabilities = zip(message.class_names, message.probabilities, strict=True)
+        self._see(label=message.label, probabilities=dict(probabilities))
 
     def _on_summary(self, message: PalpationSummary) -> None:
         summary = summary_of(message)
         # The air after it may contradict a contact.
-        self.summaries = [s for s in self.summaries if s.contact_id != summary.contact_id]
-        self.summaries.append(summary)
+        others = (s for s in self.summaries if s.contact_id != summary.contact_id)
+        self._see(summaries=(*others, summary))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if is_of(status, self._identifier):
-                self._diagnostics = {
-                    "message": status.message,
-                    **{value.key: value.value for value in status.values},
-                }
+                values = {value.key: value.value for value in status.values}
+                self._see(diagnostics={"message": status.message, **values})
 
     def _on_gains(self, message: String) -> None:
-        self._gains = message.data
+        self._see(gains=message.data)
 
 
 def is_of(status: DiagnosticStatus, identifier: str) -> bool:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
@@ -20,11 +19,11 @@ from fden_ros.errors import InputError
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.qos import RELIABLE, Qos
 from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.recording.topics import USABLE_TYPES
+from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.plain_node import plain_node
 
 #: Types that carry force or displacement.
-INPUT_TYPES = frozenset((*USABLE_TYPES["force"], *USABLE_TYPES["displacement"]))
+INPUT_TYPES = {*TYPE_NAMES["force"].values(), *TYPE_NAMES["displacement"].values()}
 _POLL_S = 0.02
 _WAIT_TIMEOUT_S = 30.0
 # What shared memory's queue does not hold is lost and sent again at the next heartbeat, every 3 s:
@@ -82,18 +81,12 @@ class Player:
             self.bag.topic(old)
             self._names[old] = new
         self._publishers: dict[tuple[str, str], Any] = {}
-        self._stop = threading.Event()
         self._opened = ExitStack()
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What cannot be played or may not have arrived, a line each."""
         return tuple(self._warnings)
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """The topics that are played, with their names in the bag."""
-        return self._topics
 
     @property
     def message_count(self) -> int:
@@ -126,10 +119,6 @@ class Player:
         """Destroy the node; latched messages vanish with it."""
         self._opened.close()
 
-    def stop(self) -> None:
-        """End waiting and playing, from any thread."""
-        self._stop.set()
-
     def wait_for_subscribers(
         self,
         timeout_s: float = _WAIT_TIMEOUT_S,
@@ -151,14 +140,13 @@ class Player:
             When a topic still lacks subscribers; it says which, and whether one is incompatible.
         """
         deadline = time.monotonic() + timeout_s
-        told = ""
+        said = ""
         while lacking := self._lacking():
             topics, why = ", ".join(lacking), self._incompatible(lacking)
-            if on_wait is not None and topics + why != told:
-                told = topics + why
-                on_wait(told)
-            if self._stop.wait(_POLL_S):
-                return
+            if on_wait is not None and topics + why != said:
+                said = topics + why
+                on_wait(said)
+            time.sleep(_POLL_S)
             if time.monotonic() > deadline:
                 raise InputError(
                     f"{topics}: no subscriber after {timeout_s:g} s: "
@@ -186,8 +174,6 @@ class Player:
         sent = 0
         for message in self.bag.messages([topic.name for topic in self._topics]):
             self._sleep_until(began, message.log_time_ns - start_ns, sent)
-            if self._stop.is_set():
-                break
             self._publishers[message.topic, message.type_name].publish(message.data)
             sent += 1
             if on_progress is not None:
@@ -244,7 +230,7 @@ class Player:
             due = began + sent / _FASTEST_HZ
         delay = due - time.monotonic()
         if delay > 0.0:
-            self._stop.wait(delay)
+            time.sleep(delay)
 
     def _select(self) -> tuple[Topic, ...]:
         selected = []

@@ -9,17 +9,15 @@ One object an activation: what was learned before an interruption is not trusted
 from __future__ import annotations
 
 import copy
-import struct
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle.publisher import LifecyclePublisher
-from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
@@ -30,9 +28,8 @@ from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall
 from fden_ros.parameters import Parameters, pipeline_config
-from fden_ros.ros.decoding import UnusualError, fast_handler
-from fden_ros.ros.inputs import DAMAGED, INPUT_MESSAGES, Inputs, stream_of
-from fden_ros.ros.status import type_name
+from fden_ros.ros.decoding import handler_of
+from fden_ros.ros.inputs import INPUT_MESSAGES, Inputs
 from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 
 #: Whether the input has stopped is looked at so often [s].
@@ -147,29 +144,8 @@ class Session:
             raw=True,
         )
         self.listened_to.append(ListenedTo(topic, subscription))
-        source = Input(topic, taker(subscription), self._reader(kind, topic))
+        source = Input(topic, taker(subscription), handler_of(topic, kind, self.inputs))
         self.backlog.inputs.append(source)
-
-    def _reader(self, kind: type, topic: str) -> Callable[[bytes], None]:
-        inputs = self.inputs
-        fast = fast_handler(topic, type_name(kind), inputs)
-
-        def read(data: bytes) -> None:
-            try:
-                if fast is not None:
-                    fast(data)
-                    return
-            except (UnusualError, struct.error):
-                pass
-            try:
-                message = deserialize_message(data, kind)
-            except Exception:
-                # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(stream_of(topic), DAMAGED)
-                return
-            inputs.add(topic, message)
-
-        return read
 
     # Out
 

@@ -9,12 +9,13 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import UNKNOWN
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
@@ -51,50 +52,44 @@ class Source:
         return Source(Path(match["path"]), match["tissue"].strip(), match["specimen"] or "")
 
 
+class _Row(NamedTuple):
+    """One contact: its tissue and specimen, and (ln G, ln Gn, alpha) as estimated."""
+
+    tissue: str
+    specimen: str
+    mean: Array
+    covariance: Array
+    order_counts: bool
+    mismatch: bool
+
+
+@dataclass
 class _Rows:
     """Contacts as they come in."""
 
-    def __init__(self, prior: Prior | None) -> None:
-        self._prior = prior
-        self._tissues: list[str] = []
-        self._specimens: list[str] = []
-        self._means: list[Any] = []
-        self._covariances: list[Any] = []
-        self._counts: list[bool] = []
-        self.mismatched = 0
-        self.skipped: Counter[str] = Counter()
+    prior: Prior | None
+    found: list[_Row] = field(default_factory=list)
+    skipped: Counter[str] = field(default_factory=Counter)
 
-    def add(
-        self,
-        group: tuple[str, str],
-        estimate: tuple[Any, Any],
-        order_counts: bool,
-        mismatch: bool,
-        name: str,
-    ) -> None:
-        tissue, specimen = group
-        if tissue == UNKNOWN:
+    def add(self, row: _Row, name: str) -> None:
+        if row.tissue == UNKNOWN:
             raise InputError(
                 f"{name}: a tissue cannot be called `{UNKNOWN}`: that is what fits none; leave "
                 "these contacts out"
             )
-        self._tissues.append(tissue)
-        self._specimens.append(specimen)
-        self._means.append(estimate[0])
-        self._covariances.append(estimate[1])
-        self._counts.append(order_counts)
-        self.mismatched += mismatch
+        self.found.append(row)
 
     def contacts(self, source: str) -> Contacts:
+        rows = self.found
         return contacts_of(
-            self._tissues,
-            self._specimens,
-            np.array(self._means, dtype=float).reshape(-1, 3),
-            np.array(self._covariances, dtype=float).reshape(-1, 3, 3),
-            self._prior,
-            self._counts,
+            [row.tissue for row in rows],
+            [row.specimen for row in rows],
+            np.array([row.mean for row in rows], dtype=float).reshape(-1, 3),
+            np.array([row.covariance for row in rows], dtype=float).reshape(-1, 3, 3),
+            self.prior,
+            [row.order_counts for row in rows],
             sources=(source,),
-            mismatched=self.mismatched,
+            mismatched=sum(row.mismatch for row in rows),
             skipped=dict(self.skipped),
         )
 
@@ -152,13 +147,10 @@ def _add_summary(rows: _Rows, summary: ContactSummary, source: Source, name: str
     elif not summary.converged:
         rows.skipped[_NOT_CONVERGED] += 1
     else:
-        rows.add(
-            (source.tissue, source.specimen),
-            (estimate.mean, estimate.covariance),
-            summary.order_source is not OrderSource.GIVEN,
-            bool(summary.flags & Flag.MODEL_MISMATCH),
-            name,
-        )
+        is_learned = summary.order_source is not OrderSource.GIVEN
+        mismatch = bool(summary.flags & Flag.MODEL_MISMATCH)
+        group = source.tissue, source.specimen
+        rows.add(_Row(*group, estimate.mean, estimate.covariance, is_learned, mismatch), name)
 
 
 # Tables
@@ -226,13 +218,10 @@ def _add_row(found: _Rows, row: Mapping[str, str], source: Source, where: str) -
     for name, (i, j) in CORRELATIONS.items():
         correlation = _number(row, name, where) or 0.0
         covariance[i, j] = covariance[j, i] = correlation * scale[i] * scale[j]
-    found.add(
-        _group(row, source, where),
-        (np.array([math.log(g), math.log(g_n), order]), covariance),
-        order_counts,
-        "model_mismatch" in row.get("flags", ""),
-        where,
-    )
+    mean, flags = np.array([math.log(g), math.log(g_n), order]), row.get("flags", "")
+    group = _group(row, source, where)
+    own = _Row(*group, mean, covariance, order_counts, "model_mismatch" in flags)
+    found.add(own, where)
 
 
 def _number(row: Mapping[str, str], name: str, where: str) -> float | None:

@@ -9,14 +9,13 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import KEYS, Estimate
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import Sink
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.planning.tissue import TissueBelief
 from fden_ros.progress import progress as bar
@@ -25,7 +24,7 @@ from fden_ros.recording.source import Selection, open_source
 
 _LOGGER = logging.getLogger(__name__)
 
-#: A progress bar is told of this many messages at once.
+#: A progress bar moves by this many messages at once.
 _PROGRESS_STEP = 500
 
 
@@ -54,7 +53,6 @@ def replay(
     progress: bool = False,
     on_output: Callable[[Output, str], None] | None = None,
     on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
-    listener: Sink | None = None,
 ) -> Replay:
     """Run a recording through the pipeline.
 
@@ -73,8 +71,6 @@ def replay(
     on_input : callable, optional
         Called before each message or row with its time of recording (ns), the message or None,
         and the pipeline.
-    listener : Sink, optional
-        Given every sample too, before the pipeline.
 
     Raises
     ------
@@ -99,9 +95,8 @@ def replay(
             on_input(log_time_ns, message, pipeline)
 
     pipeline = Pipeline(pipeline_config(parameters), keep)
-    sink = pipeline if listener is None else cast(Sink, _Both(listener, pipeline))
     with bar("replaying", source.total, visible=progress) as show:
-        for done in source.feed(sink, before):
+        for done in source.feed(pipeline, before):
             if done % _PROGRESS_STEP == 0:
                 show(done)
     pipeline.finish()
@@ -115,24 +110,6 @@ def replay(
         inputs=source.inputs,
         failures=tuple(pipeline.failures),
     )
-
-
-class _Both:
-    """Gives every sample to two sinks, one after the other."""
-
-    def __init__(self, first: Sink, second: Sink) -> None:
-        self._sinks = first, second
-
-    def __getattr__(self, name: str) -> Callable[..., None]:
-        calls = [getattr(sink, name) for sink in self._sinks]
-
-        def give(*arguments: Any, **named: Any) -> None:
-            for call in calls:
-                call(*arguments, **named)
-
-        # Looked up once: there are millions of samples.
-        setattr(self, name, give)
-        return give
 
 
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
@@ -223,7 +200,7 @@ def _modes_object(estimate: Estimate | None) -> list[dict[str, Any]]:
 
 
 def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:
-    """Return the shares of the variances of ln G and ln Gn by their sources."""
+    """Return which part of the variances of ln G and ln Gn comes from each source."""
     if budget is None:
         return None
     return {

@@ -18,8 +18,8 @@ from fden_ros.recording.qos import Qos
 from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
-from fden_ros.ros.messages import to_stamp
-from fden_ros.ros.status import PipelineProblems, diagnostic_status, type_name
+from fden_ros.ros.messages import to_stamp, type_name
+from fden_ros.ros.status import PipelineProblems, diagnostic_status
 from fden_ros.ros.topics import OUTPUT_TOPICS, OutputMessages
 
 NODE = "/identifier"

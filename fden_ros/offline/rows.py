@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from fden_ros.core.estimation.estimate import KEYS
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import contact_object
-from fden_ros.offline.session import Session
 
 #: The columns, in their order. x, y, z: place of the touch [m] in `frame`; mean_nis: mean of the
 #: normalised innovation squared, 1 where model and noise are right. apparent_stiffness [N/m]: for
@@ -58,11 +57,3 @@ def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, An
             scale = math.sqrt(covariance[i, i] * covariance[j, j])
             row[name] = float(covariance[i, j]) / scale if scale > 0.0 else 0.0
     return {name: row[name] for name in COLUMNS}
-
-
-def session_rows(session: Session) -> Iterator[dict[str, Any]]:
-    """Yield one row a contact of a session, headed by the recording's path."""
-    means = {c.contact_id: c.innovations.mean_square for c in session.contacts}
-    for summary in session.replay.summaries:
-        row = contact_row(summary, means.get(summary.contact_id))
-        yield {"recording": str(session.path), **row}

@@ -34,8 +34,8 @@ def sensors_of(
     """
     found = {"force noise": parameters.force.noise}
     for path in files:
-        for stream, what, number, unit in _MEASURED.findall(path.read_text(encoding="utf-8")):
-            found[f"{stream} {what}"] = float(number) * _UNITS.get(unit, 1.0)
+        for stream, quantity, number, unit in _MEASURED.findall(path.read_text(encoding="utf-8")):
+            found[f"{stream} {quantity}"] = float(number) * _UNITS.get(unit, 1.0)
     noise, rate = noise or found["force noise"], rate or found.get("force rate", 0.0)
     if not noise or not rate:
         raise InputError(

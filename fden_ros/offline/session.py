@@ -25,16 +25,17 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.offline.signals import Envelope, Signals, before
+from fden_ros.offline.signals import Envelope, signals_of
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.reader import BagReader
-from fden_ros.recording.source import Selection, is_table
+from fden_ros.recording.source import Selection, is_table, open_source
 from fden_ros.recording.truth import read_truth
 
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60
-_STATES_A_CONTACT = 1500
-#: The share of white innovations that a test takes for white.
+#: More points than a curve needs: a series has this many, or half of it at least.
+_STATES_A_CONTACT = 700
+#: So many of white innovations are taken for white by a test [1].
 _CONFIDENCE = 0.99
 
 
@@ -195,15 +196,9 @@ def gather(
     InputError
         As :func:`fden_ros.offline.replay.replay`.
     """
-    gatherer, signals = _Gatherer(), Signals()
-    result = replay(
-        bag,
-        parameters,
-        selection,
-        progress=progress,
-        on_output=gatherer.take,
-        listener=before(signals, parameters),
-    )
+    gatherer = _Gatherer()
+    result = replay(bag, parameters, selection, progress=progress, on_output=gatherer.take)
+    signals = signals_of(open_source(bag, parameters, selection), parameters)
     return Session(
         path=Path(bag),
         parameters=parameters,

@@ -16,6 +16,7 @@ from fden_ros.core.streams.rotation import Quaternion, Transform
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Sink
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.recording.source import Source
 
 _BUCKETS = 1500
 
@@ -122,8 +123,11 @@ class _Paired:
         self._signals.add_displacement(pair.stamp_ns, pair.displacement)
 
 
-def before(signals: Signals, parameters: Parameters) -> Sink:
-    """Return what takes the samples of a recording and gives them to `signals`."""
-    config = pipeline_config(parameters).synchronize
+def signals_of(source: Source, parameters: Parameters) -> Signals:
+    """Return force and displacement of a recording."""
+    signals, config = Signals(), pipeline_config(parameters).synchronize
     is_turned = config.frames is not None or config.tool_path is not None
-    return cast(Sink, _Paired(config, signals)) if is_turned else signals
+    sink = cast(Sink, _Paired(config, signals)) if is_turned else signals
+    for _ in source.feed(sink, lambda log_time_ns, message: None):
+        pass
+    return signals

@@ -138,40 +138,21 @@ TINY = 1e-9
 
 
 def number(
-    default: float,
+    default: float | tuple[float, ...],
     unit: str,
     description: str,
     minimum: float = -math.inf,
     maximum: float = math.inf,
     *,
     may_be_zero: bool = False,
+    most: int = 0,
 ) -> Any:
-    """Return the field of a number in an inclusive range, or 0 beside it."""
-    limits = {"minimum": minimum, "maximum": maximum}
-    return _field(default, unit, description, **limits, may_be_zero=may_be_zero)
+    """Return the field of a number in an inclusive range, or of 1 to `most` of them, or three.
 
-
-def whole_number(default: int, unit: str, description: str, minimum: int, maximum: int) -> Any:
-    """Return the field of a whole number in an inclusive range."""
-    return _field(default, unit, description, minimum=minimum, maximum=maximum)
-
-
-def numbers(
-    default: tuple[float, ...],
-    unit: str,
-    description: str,
-    minimum: float,
-    maximum: float,
-    *,
-    most: int,
-) -> Any:
-    """Return the field of a list of 1 to `most` numbers, each in an inclusive range."""
-    return _field(default, unit, description, minimum=minimum, maximum=maximum, most=most)
-
-
-def vector(default: Vector, unit: str, description: str, *, may_be_zero: bool = False) -> Any:
-    """Return the field of three numbers."""
-    return _field(default, unit, description, may_be_zero=may_be_zero)
+    It is whole where its default is; it may be 0 beside the range, or three of them all 0.
+    """
+    limits = {"minimum": minimum, "maximum": maximum, "may_be_zero": may_be_zero, "most": most}
+    return _field(default, unit, description, **limits)
 
 
 def flag(default: bool, description: str) -> Any:

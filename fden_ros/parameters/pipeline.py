@@ -28,10 +28,10 @@ from fden_ros.errors import InputError
 from fden_ros.parameters.table import Parameters
 from fden_ros.tissues.library import library_for
 
-#: Two touches this share of the probe's radius apart [1] are of two sites, which share most of
+#: Two touches this part of the probe's radius apart [1] are of two sites, which share most of
 #: their tissue but not its memory: so a scan of 3 mm has a site at each touch. Positions are known
 #: to half a millimetre [m] or better.
-_SITE_SHARE, _LEAST_SITE_DISTANCE, _LARGEST_SITE_DISTANCE = 0.2, 5e-4, 2e-3
+_SITE_PART, _LEAST_SITE_DISTANCE, _LARGEST_SITE_DISTANCE = 0.2, 5e-4, 2e-3
 
 
 #: Sizes that stand in for those that are not stated [m^2, m].
@@ -244,7 +244,7 @@ def _site_distance(parameters: Parameters) -> float:
     radius = parameters.geometry.radius or _RADIUS
     if kind == "flat_punch":
         radius = math.sqrt((parameters.geometry.area or _AREA) / math.pi)
-    return min(max(_SITE_SHARE * radius, _LEAST_SITE_DISTANCE), _LARGEST_SITE_DISTANCE)
+    return min(max(_SITE_PART * radius, _LEAST_SITE_DISTANCE), _LARGEST_SITE_DISTANCE)
 
 
 def geometry_of(parameters: Parameters) -> Geometry:

@@ -22,10 +22,7 @@ from fden_ros.parameters.parameter import (
     Value,
     flag,
     number,
-    numbers,
     text,
-    vector,
-    whole_number,
 )
 
 
@@ -33,7 +30,7 @@ from fden_ros.parameters.parameter import (
 class ForceParameters:
     """The force: where it is in its messages, and how noisy it is."""
 
-    axis: tuple[float, float, float] = vector(
+    axis: tuple[float, float, float] = number(
         (0.0, 0.0, 1.0),
         "1",
         "Direction in the wrench's frame in which the measured force grows when the probe "
@@ -118,7 +115,7 @@ class ForceParameters:
 class DisplacementParameters:
     """The displacement: where it is in its messages, and how it is related to the force."""
 
-    axis: tuple[float, float, float] = vector(
+    axis: tuple[float, float, float] = number(
         (0.0, 0.0, 1.0),
         "1",
         "Direction into the tissue, in the frame of the positions or, with along_tool, in the "
@@ -189,14 +186,14 @@ class SurfaceParameters:
         "own. none: it is not measured.",
         choices=("none", "joint_state", "pose", "transform", "point"),
     )
-    axis: tuple[float, float, float] = vector(
+    axis: tuple[float, float, float] = number(
         (0.0, 0.0, 0.0),
         "1",
         "Direction into the tissue, in the frame of the surface's positions; zeros: "
         "displacement.axis.",
         may_be_zero=True,
     )
-    normal: tuple[float, float, float] = vector(
+    normal: tuple[float, float, float] = number(
         (0.0, 0.0, 0.0),
         "1",
         "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
@@ -289,13 +286,13 @@ class ToolParameters:
         0.0,
         1000.0,
     )
-    centre_of_mass: tuple[float, float, float] = vector(
+    centre_of_mass: tuple[float, float, float] = number(
         (0.0, 0.0, 0.0),
         "m",
         "Its centre in the sensor's frame; counts for a torque.",
         may_be_zero=True,
     )
-    gravity: tuple[float, float, float] = vector(
+    gravity: tuple[float, float, float] = number(
         (0.0, 0.0, -9.80665),
         "m/s^2",
         "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
@@ -589,7 +586,7 @@ class EstimateParameters:
 class DitherParameters:
     """A small oscillation of the probe at which the complex modulus is measured."""
 
-    frequencies: tuple[float, ...] = numbers(
+    frequencies: tuple[float, ...] = number(
         (0.0,),
         "Hz",
         "Frequencies of a small oscillation of the probe at which the complex modulus is "
@@ -598,7 +595,7 @@ class DitherParameters:
         1000.0,
         most=8,
     )
-    periods: int = whole_number(
+    periods: int = number(
         4,
         "1",
         "One complex modulus per this number of periods of the lowest frequency.",

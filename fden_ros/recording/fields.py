@@ -56,9 +56,9 @@ class FieldPath:
         Raises
         ------
         InputError
-            If a name on the way does not exist.
+            If a name of the path does not exist.
         IndexError
-            If a sequence on the way is too short.
+            If a sequence of the path is too short.
         """
         for name, index in _STEP.findall(self.text):
             if index:

@@ -63,14 +63,14 @@ class Qos:
             "avoid_ros_namespace_conventions": False,
         }
 
-    def to_profile(self, minimum_depth: int = 1) -> QoSProfile:
-        """Return the ``rclpy`` profile, with a queue of at least `minimum_depth` messages."""
+    def to_profile(self) -> QoSProfile:
+        """Return the ``rclpy`` profile, with a queue of at least one message."""
         from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
         is_all = self.history == "keep_all"
         return QoSProfile(
             history=HistoryPolicy.KEEP_ALL if is_all else HistoryPolicy.KEEP_LAST,
-            depth=0 if is_all else max(self.depth, minimum_depth),
+            depth=0 if is_all else max(self.depth, 1),
             reliability=ReliabilityPolicy[("BEST_EFFORT", "RELIABLE")[self.reliable]],
             durability=DurabilityPolicy[("VOLATILE", "TRANSIENT_LOCAL")[self.latched]],
         )

@@ -9,7 +9,7 @@ import bisect
 import heapq
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,6 +49,21 @@ class Topic:
     offered_qos: tuple[Qos, ...] = ()  #: by its publishers; empty when the bag does not say
     schema: str = ""  #: definition of the type as the bag carries it
     schema_encoding: str = ""  #: its format: ``ros2msg``, ``ros2idl``
+
+
+def topic_named(where: str, present: Sequence[Topic], name: str) -> Topic:
+    """Return the topic called `name`, with or without the leading slash.
+
+    Raises
+    ------
+    InputError
+        When there is none; the line says `where`.
+    """
+    for topic in present:
+        if topic.name in (name, f"/{name}"):
+            return topic
+    names = ", ".join(topic.name for topic in present) or "none"
+    raise InputError(f"{where} has no topic {name}: it has {names}")
 
 
 class RawMessage(NamedTuple):
@@ -121,11 +136,7 @@ class BagReader:
         InputError
             When the bag has no such topic.
         """
-        for topic in self._topics:
-            if topic.name in (name, f"/{name}"):
-                return topic
-        names = ", ".join(topic.name for topic in self._topics) or "none"
-        raise InputError(f"{self.path} has no topic {name}: it has {names}")
+        return topic_named(str(self.path), self._topics, name)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages by log time; those of one time in the order of the file.

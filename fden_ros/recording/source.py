@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,14 +18,13 @@ from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
 from fden_ros.recording.topics import find_topic
-from fden_ros.ros.decoding import UnusualError, fast_handler
+from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
     TRANSFORM_TOPICS,
     Inputs,
     NumberOrVector,
     measured_inputs,
-    stream_of,
 )
 from fden_ros.ros.messages import stamp_ns
 
@@ -40,20 +38,16 @@ SELECTION_LINE = "# Recording: "
 
 @dataclass(frozen=True)
 class Selection:
-    """Where in a recording force, displacement and surface are; what is None is found.
+    """Where in a recording force, displacement and the like are; what is not named is found.
 
     A field is one of that topic's messages, of whatever type they are: a number, or a vector that
     is projected on the configured axis.
     """
 
-    force_topic: str | None = None
-    displacement_topic: str | None = None
-    force_field: str | None = None
-    displacement_field: str | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)  #: by the name of the input
+    fields: Mapping[str, str] = field(default_factory=dict)
     columns: Columns | None = None  #: of a table
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
-    surface_topic: str | None = None
-    surface_field: str | None = None
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -97,9 +91,9 @@ class BagSource:
         # The surface and the like first: what carries them could be taken for the displacement.
         wanted = measured_inputs(parameters)
         wanted += ["force"] if moves_probe(parameters) else _ALWAYS
-        for what in wanted:
-            self._fields[what] = getattr(selection, f"{what}_field", None)
-            self.topics[what] = self._find(what, getattr(selection, f"{what}_topic", None))
+        for stream in wanted:
+            self._fields[stream] = selection.fields.get(stream)
+            self.topics[stream] = self._find(stream, selection.topics.get(stream))
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
@@ -108,20 +102,21 @@ class BagSource:
 
     def _find_transforms(self) -> None:
         for topic in self.reader.topics:
-            what = "/" + topic.name.rpartition("/")[2]
-            if what in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
-                self._fields[what] = None
-                self.topics[what] = topic
+            stream = "/" + topic.name.rpartition("/")[2]
+            if stream in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
+                self._fields[stream] = None
+                self.topics[stream] = topic
         if not set(self.topics) & set(TRANSFORM_TOPICS):
             raise InputError(
                 f"{self.reader.path}: frames.base is set, but the bag has no transforms: record "
                 "/tf and /tf_static too, or unset frames.base"
             )
 
-    def _find(self, what: str, topic: str | None) -> Topic:
-        if self._fields[what] is not None and topic is not None:
+    def _find(self, stream: str, topic: str | None) -> Topic:
+        if self._fields[stream] is not None and topic is not None:
             return self.reader.topic(topic)
-        return find_topic(self.reader, topic, what, self.topics.values())
+        present, where = self.reader.topics, str(self.reader.path)
+        return find_topic(where, present, topic, stream, self.topics.values())
 
     @property
     def force(self) -> Topic:
@@ -141,12 +136,12 @@ class BagSource:
     @property
     def inputs(self) -> dict[str, str]:
         """Topic of each quantity, with the field where one is configured."""
-        fields = {what: f" {field}" if field else "" for what, field in self._fields.items()}
-        names = {what: topic.name + fields[what] for what, topic in self.topics.items()}
+        fields = {stream: f" {field}" if field else "" for stream, field in self._fields.items()}
+        names = {stream: topic.name + fields[stream] for stream, topic in self.topics.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
         order = (*_ALWAYS, *measured_inputs(self._parameters), *TRANSFORM_TOPICS)
-        return {what.lstrip("/"): names[what] for what in order if what in names}
+        return {stream.lstrip("/"): names[stream] for stream in order if stream in names}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -171,43 +166,21 @@ class BagSource:
         """
         self._inputs = Inputs(self._parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
-        for what, topic in self.topics.items():
-            handlers.setdefault(topic.name, []).append(self._handler(what, topic))
+        for stream, topic in self.topics.items():
+            handlers.setdefault(topic.name, []).append(self._handler(stream, topic))
         for done, message in enumerate(self.reader.messages(handlers), start=1):
             before(message.log_time_ns, message)
             for handle in handlers[message.topic]:
                 handle(message)
             yield done
 
-    def _handler(self, what: str, topic: Topic) -> Callable[[RawMessage], None]:
-        from rclpy.serialization import deserialize_message
-
-        field, inputs = self._fields[what], self._inputs
+    def _handler(self, stream: str, topic: Topic) -> Callable[[RawMessage], None]:
+        field, inputs = self._fields[stream], self._inputs
         assert inputs is not None
         if field is not None:
-            return _FieldHandler(what, topic, FieldPath(field), inputs, self.note)
-        kind = message_class(topic.type_name)
-
-        def handle(message: RawMessage) -> None:
-            try:
-                sample = deserialize_message(message.data, kind)
-            except Exception:
-                # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
-                inputs.reject(stream_of(what), DAMAGED)
-                return
-            inputs.add(what, sample)
-
-        fast = fast_handler(what, topic.type_name, inputs)
-        if fast is None:
-            return handle
-
-        def handle_fast(message: RawMessage) -> None:
-            try:
-                fast(message.data)
-            except (UnusualError, struct.error):
-                handle(message)
-
-        return handle_fast
+            return _FieldHandler(stream, topic, FieldPath(field), inputs, self.note)
+        handle = handler_of(stream, message_class(topic.type_name), inputs)
+        return lambda message: handle(message.data)
 
     def note(self, text: str) -> None:
         """Add a warning, once."""
@@ -220,13 +193,13 @@ class _FieldHandler:
 
     def __init__(
         self,
-        what: str,
+        stream: str,
         topic: Topic,
         path: FieldPath,
         inputs: Inputs,
         note: Callable[[str], None],
     ) -> None:
-        self._what, self._topic, self._path = what, topic, path
+        self._stream, self._topic, self._path = stream, topic, path
         self._inputs, self._note = inputs, note
         self._decode = decoder_of(topic)
         self._seen = False
@@ -235,16 +208,16 @@ class _FieldHandler:
         try:
             sample = self._decode(message.data)
         except Exception:
-            self._inputs.reject(self._what, DAMAGED)
+            self._inputs.reject(self._stream, DAMAGED)
             return
         value = self._value(sample)
         stamp = self._stamp(sample, message.log_time_ns)
         frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
-        if self._what == "force":
+        if self._stream == "force":
             self._inputs.add_force_value(frame, stamp, value)
         else:
             turn = self._path.orientation_beside(sample)
-            self._inputs.places[self._what].add_value(frame, stamp, value, turn)
+            self._inputs.places[self._stream].add_value(frame, stamp, value, turn)
 
     def _value(self, sample: Any) -> NumberOrVector | None:
         try:
@@ -257,7 +230,7 @@ class _FieldHandler:
         if value is None and not self._seen:
             raise InputError(
                 f"{self._topic.name}: {self._path.text} is neither a number nor a vector: "
-                f"choose another field with --{self._what}-field"
+                f"choose another field with --{self._stream}-field"
             )
         self._seen = True
         return value
@@ -321,7 +294,7 @@ class TableSource:
             "displacement": self._columns.displacement,
             "surface": self._columns.surface,
         }
-        return {what: f"column {column.name}" for what, column in columns.items() if column}
+        return {stream: f"column {column.name}" for stream, column in columns.items() if column}
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -118,15 +118,15 @@ def guessed_columns(headings: list[str]) -> str | None:
     found: dict[str, str] = {}
     for heading in headings:
         parts = [part for part in re.split(r"[^a-z0-9]+", heading.lower()) if part]
-        for what, words in _WORDS.items():
-            if what in found or not parts or parts[0] not in words:
+        for quantity, words in _WORDS.items():
+            if quantity in found or not parts or parts[0] not in words:
                 continue
-            factors = [_UNITS[what][part] for part in parts[1:] if part in _UNITS[what]]
+            factors = [_UNITS[quantity][part] for part in parts[1:] if part in _UNITS[quantity]]
             if len(factors) != 1 or "," in heading or "*" in heading:
                 continue
-            found[what] = heading if factors[0] == 1.0 else f"{heading}*{factors[0]:g}"
+            found[quantity] = heading if factors[0] == 1.0 else f"{heading}*{factors[0]:g}"
             break
-    return ",".join(found[what] for what in _WORDS) if len(found) == len(_WORDS) else None
+    return ",".join(found[quantity] for quantity in _WORDS) if len(found) == len(_WORDS) else None
 
 
 def stated_columns(path: str | Path) -> Columns:

@@ -6,17 +6,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 from fden_ros.errors import InputError
-from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.ros.inputs import INPUT_MESSAGES
-from fden_ros.ros.status import type_name
-
-#: By the name of an input, the types of the messages that hold it.
-USABLE_TYPES: Mapping[str, Sequence[str]] = {
-    what: [type_name(kind) for kind in kinds.values()] for what, kinds in INPUT_MESSAGES.items()
-}
+from fden_ros.recording.reader import Topic, topic_named
+from fden_ros.ros.inputs import TYPE_NAMES
 
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
@@ -31,20 +25,22 @@ _WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "ref
 
 
 def find_topic(
-    reader: BagReader, name: str | None, what: str, others: Collection[Topic] = ()
+    where: str, present: Sequence[Topic], name: str | None, stream: str, others: Collection[Topic]
 ) -> Topic:
-    """Return the topic called `name`, or the only sensible one for `what`.
+    """Return the topic called `name`, or the only sensible one for `stream`.
 
     Without a name the candidates are the topics of a usable type that have messages. One is
-    sensible if it is the only one left after, in this order: its name's last part is `what`; it
+    sensible if it is the only one left after, in this order: its name's last part is `stream`; it
     is measured, not wanted (``setpoint_cp``, ``goal``); it is no joint states, which are of the
-    arm more often than of the probe; its name speaks of `what`.
+    arm more often than of the probe; its name speaks of `stream`.
 
     Parameters
     ----------
-    reader : BagReader
+    where : str
+        What has the topics, for the line that says what is wrong.
+    present : sequence of Topic
     name : str or None
-    what : str
+    stream : str
         ``force``, ``displacement`` or ``surface``.
     others : collection of Topic
         The topics of the other quantities, which are no candidates.
@@ -54,43 +50,43 @@ def find_topic(
     InputError
         If there is none, several, or one of a type that cannot be read; the line lists them.
     """
-    usable = USABLE_TYPES[what]
+    usable = TYPE_NAMES[stream].values()
     if name is not None:
-        topic = reader.topic(name)
+        topic = topic_named(where, present, name)
         if topic.type_name not in usable:
             raise InputError(
-                f"{name} carries {topic.type_name}, which holds no {what} by itself: name the "
-                f"field with --{what}-field, or choose a topic of {', '.join(sorted(usable))}"
+                f"{name} carries {topic.type_name}, which holds no {stream} by itself: name the "
+                f"field with --{stream}-field, or choose a topic of {', '.join(sorted(usable))}"
             )
         return topic
     candidates = [
-        t for t in reader.topics if t.type_name in usable and t.message_count and t not in others
+        t for t in present if t.type_name in usable and t.message_count and t not in others
     ]
-    chosen = sensible_topics(candidates, what)
+    chosen = _sensible(candidates, stream)
     if len(chosen) == 1:
         return chosen[0]
-    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or reader.topics) or "none"
+    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or present) or "none"
     problem = "several topics could carry" if chosen else "no topic can carry"
-    hint = f"name it with --{what}-topic"
+    hint = f"name it with --{stream}-topic"
     if (
-        what == "displacement"
+        stream == "displacement"
         and not chosen
-        and any(t.type_name == _TRANSFORMS for t in reader.topics)
+        and any(t.type_name == _TRANSFORMS for t in present)
     ):
         hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
-    raise InputError(f"{reader.path}: {problem} the {what}: {listed}; {hint}")
+    raise InputError(f"{where}: {problem} the {stream}: {listed}; {hint}")
 
 
-def sensible_topics(candidates: list[Topic], what: str) -> list[Topic]:
-    """Return those of the topics that most likely carry `what`; see :func:`find_topic`."""
+def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
+    """Return those of the topics that most likely carry `stream`; see :func:`find_topic`."""
     joints = "sensor_msgs/msg/JointState"
-    named = [t for t in candidates if t.name.rsplit("/", 1)[-1] == what]
+    named = [t for t in candidates if t.name.rsplit("/", 1)[-1] == stream]
     if len(named) == 1:
         return named
     for keep in (
         lambda t: not _words(t) & _WANTED,
         lambda t: t.type_name != joints,
-        lambda t: _words(t) & _WORDS.get(what, {what}),
+        lambda t: _words(t) & _WORDS.get(stream, {stream}),
     ):
         candidates = [t for t in candidates if keep(t)] or candidates
         if len(candidates) == 1:

@@ -13,7 +13,7 @@ from fden_ros.core.arrays import Array
 _ASTRAY = 20.0
 #: Intervals are shown up to this many times their value, and down to its inverse.
 _INTERVAL = 3.0
-#: Share of the way between the limits that is left free at each end.
+#: Part of the distance between the limits that is left free at each end.
 _MARGIN = 0.08
 
 
@@ -43,22 +43,13 @@ def interval_limits(values: Array, low: Array, high: Array) -> tuple[float, floa
     return least - margin, most + margin
 
 
-def symmetric_limit(
-    reaches: Array, least: float, share: float = 0.9, factor: float = 5.0
-) -> float:
-    """Return the limit of an axis about 0 that leaves out reaches `factor` beyond most others.
+def symmetric_limit(reaches: Array, least: float) -> float:
+    """Return the limit of an axis about 0, of at least `least`, for distances from 0 (n,).
 
-    Parameters
-    ----------
-    reaches : ndarray, shape (n,)
-        Distances from 0.
-    least : float
-        The limit is at least this.
-    share, factor : float
-        What lies beyond `factor` times the quantile at `share` is left out.
+    What lies beyond five times the quantile at 0.9 is left out.
     """
     finite = np.abs(reaches[np.isfinite(reaches)])
     if not finite.size:
         return least
-    usual = factor * float(np.quantile(finite, share, method="lower"))
+    usual = 5.0 * float(np.quantile(finite, 0.9, method="lower"))
     return max(least, 1.1 * float(np.max(finite[finite <= usual], initial=0.0)))

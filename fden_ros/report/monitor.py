@@ -145,8 +145,8 @@ def _how_known(estimate: Estimate, index: int) -> str:
 def _tissue(view: MonitorView) -> str:
     if not view.label:
         return "undetermined"
-    shares = ", ".join(f"{name} {share:.0%}" for name, share in view.probabilities.items())
-    return f"{view.label}   ({shares})"
+    listed = ", ".join(f"{name} {value:.0%}" for name, value in view.probabilities.items())
+    return f"{view.label}   ({listed})"
 
 
 def _warnings(view: MonitorView) -> list[Text]:

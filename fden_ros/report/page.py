@@ -101,8 +101,8 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         start = datetime.fromtimestamp(session.start_ns // 10**9, tz=timezone.utc)
         yield "Recorded", f"{start:%Y-%m-%d %H:%M:%S} UTC"
     yield "Length", f"{session.duration:.1f} s"
-    for what, name in session.replay.inputs.items():
-        yield what.capitalize(), name
+    for stream, name in session.replay.inputs.items():
+        yield stream.capitalize(), name
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
     kind = session.parameters.geometry.kind.replace("_", " ")

@@ -19,27 +19,27 @@ from fden_ros.report import style
 def draw_path(figure: Figure, summaries: Sequence[ContactSummary]) -> None:
     """Draw dF/dd and alpha of the places that have them, with ±2 standard deviations.
 
-    Over the way along the path where positions are known, else over time.
+    Over the distance along the path where positions are known, else over time.
     """
     places = [one for one in summaries if one.is_of_path]
     is_located = all(one.position is not None for one in places)
-    way, label = _way(places) if is_located else _time(places)
+    distance, label = _distance(places) if is_located else _time(places)
     stiffness, order = figure.subplots(2, 1, sharex=True)
     found = [one.apparent_stiffness for one in places if one.apparent_stiffness is not None]
-    _draw(stiffness, way, [(one.value, one.sd) for one in found])
+    _draw(stiffness, distance, [(one.value, one.sd) for one in found])
     scale = f"{found[0].time_scale:g}" if found else ""
     stiffness.set_title(f"dF/dd for a motion of {scale} s [N/m], ±2 sd")
     estimates = [one.estimate for one in places if one.estimate is not None]
-    _draw(order, way, [(one.fractional_order, one.fractional_order_sd) for one in estimates])
+    _draw(order, distance, [(one.fractional_order, one.fractional_order_sd) for one in estimates])
     order.set_title("α, ±2 sd")
     order.set_xlabel(label)
 
 
-def _way(places: Sequence[ContactSummary]) -> tuple[Sequence[float], str]:
+def _distance(places: Sequence[ContactSummary]) -> tuple[Sequence[float], str]:
     positions = np.array([one.position for one in places], dtype=float)
     steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
-    way: list[float] = (1e3 * np.cumsum(steps)).tolist()
-    return way, "along the path [mm]"
+    distance: list[float] = (1e3 * np.cumsum(steps)).tolist()
+    return distance, "along the path [mm]"
 
 
 def _time(places: Sequence[ContactSummary]) -> tuple[Sequence[float], str]:
@@ -47,6 +47,6 @@ def _time(places: Sequence[ContactSummary]) -> tuple[Sequence[float], str]:
     return [(one.end_ns - first) / NANOSECONDS for one in places], "time [s]"
 
 
-def _draw(axes: Axes, way: Sequence[float], found: Sequence[tuple[float, float]]) -> None:
+def _draw(axes: Axes, distance: Sequence[float], found: Sequence[tuple[float, float]]) -> None:
     value, sd = np.array(found, dtype=float).reshape(-1, 2).T
-    style.intervals(axes, way, value, value - 2.0 * sd, value + 2.0 * sd, joined=True)
+    style.intervals(axes, distance, value, value - 2.0 * sd, value + 2.0 * sd, joined=True)

@@ -170,16 +170,16 @@ def signals(session: Session, contact: Contact) -> str:
     def plot(figure: Figure) -> None:
         lower, upper = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
         seconds = _since(states, states[0].stamp_ns)
-        _curve(lower, seconds, depth, color=MEASURED)
+        lower.plot(seconds, depth, color=MEASURED)
         lower.set_ylabel("depth [mm]")
         lower.set_title("Depth and force")
-        _curve(upper, seconds, force, color=MEASURED, label="measured")
+        upper.plot(seconds, force, color=MEASURED, label="measured")
         if time.size:
             first = next(s for s in states if s.innovation is not None)
             shifted = time + _since([first], states[0].stamp_ns)
             modelled = predicted / geometry.stress_per_force
             label = "predicted, one step ahead"
-            _curve(upper, shifted, modelled, color=ESTIMATE, linestyle="--", label=label)
+            upper.plot(shifted, modelled, color=ESTIMATE, linestyle="--", label=label)
             style.limit_by(upper, force, 0.25)
         upper.set_ylabel("force [N]")
         upper.set_xlabel("time since the touch [s]")
@@ -201,8 +201,7 @@ def characteristic(contact: Contact, summary: ContactSummary) -> str:
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        shown = points[style.thinned(len(points))]
-        axes.plot(*shown.T, ".", color=MEASURED, markersize=3, label="measured")
+        axes.plot(*points.T, ".", color=MEASURED, markersize=3, label="measured")
         estimate = summary.estimate
         if estimate is not None:
             strain = np.linspace(0.0, max(summary.max_strain, 1e-6), 120)
@@ -246,8 +245,7 @@ def _law(strain: Array, summary: ContactSummary) -> tuple[Array, Array]:
 
 def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
     """How G and Gn became known."""
-    every = [s for s in contact.states.items if s.estimate is not None]
-    states = [every[i] for i in style.thinned(len(every))]
+    states = [s for s in contact.states.items if s.estimate is not None]
 
     def plot(figure: Figure) -> None:
         time = _since(states, contact.states.items[0].stamp_ns)
@@ -280,8 +278,7 @@ def innovations(contact: Contact) -> str:
         values = np.array([normalized_innovation(s.innovation) for s in states if s.innovation])
         axes.axhspan(-2.0, 2.0, color=SHADE, zorder=0, linewidth=0)
         axes.axhline(0.0, color=MUTED, linewidth=0.8)
-        shown = style.thinned(time.size)
-        axes.plot(time[shown], values[shown], ".", color=MEASURED, markersize=3)
+        axes.plot(time, values, ".", color=MEASURED, markersize=3)
         axes.set_title("Innovations over their standard deviation")
         axes.set_xlabel("time since the touch [s]")
         extent = symmetric_limit(values, 3.0)
@@ -308,11 +305,6 @@ def _seconds(stamp_ns: int, session: Session) -> float:
 def _since(states: Sequence[TissueState], start_ns: int) -> Array:
     """Return the times of states since `start_ns` [s], shape (n,)."""
     return np.array([(s.stamp_ns - start_ns) / NANOSECONDS for s in states])
-
-
-def _curve(axes: Axes, x: Array, y: Array, **style_of_line: Any) -> None:
-    shown = style.thinned(x.size)
-    axes.plot(x[shown], y[shown], **style_of_line)
 
 
 def _envelope(axes: Axes, envelope: Envelope, start_ns: int, scale: float) -> None:

@@ -66,7 +66,6 @@ _STYLE = {
 #: Sizes of a picture [inch]: one of several side by side, and one as wide as the page.
 PANEL, WIDE = (5.2, 2.9), (10.8, 3.4)
 G_LABEL, GN_LABEL = "G [Pa s^α]", "Gn"
-_POINTS = 350
 #: Logarithms beyond this are drawn as this.
 _LARGEST_LOG = 600.0
 #: Half width of bands and intervals, in standard deviations.
@@ -85,10 +84,10 @@ def draw(plot: Plot, size: tuple[float, float] = PANEL) -> str:
     return _for_page(buffer.getvalue())
 
 
-def save(plot: Plot, path: str | Path, size: tuple[float, float] = WIDE) -> None:
+def save(plot: Plot, path: str | Path) -> None:
     """Save what `plot` draws as PNG, SVG or PDF, by the ending of `path`."""
     with mpl.rc_context(_STYLE):
-        _drawn(plot, size).savefig(path, dpi=110)
+        _drawn(plot, WIDE).savefig(path, dpi=110)
 
 
 def _drawn(plot: Plot, size: tuple[float, float]) -> Figure:
@@ -117,9 +116,9 @@ def _for_page(svg: str) -> str:
 # What is drawn on axes
 
 
-def band(axes: Axes, x: Array, low: Array, high: Array, colour: str = ESTIMATE) -> None:
+def band(axes: Axes, x: Array, low: Array, high: Array) -> None:
     """Fill between the ends of an interval."""
-    axes.fill_between(x, low, high, color=colour, alpha=0.25, linewidth=0, label=_BAND)
+    axes.fill_between(x, low, high, color=ESTIMATE, alpha=0.25, linewidth=0, label=_BAND)
 
 
 def intervals(
@@ -202,10 +201,3 @@ def exp(logs: Array) -> Array:
     """Return e^logs, without an overflow."""
     result: Array = np.exp(np.minimum(logs, _LARGEST_LOG))
     return result
-
-
-def thinned(count: int) -> Array:
-    """Return the indices of at most so many points as a curve needs, the last among them."""
-    step = max(1, -(-count // _POINTS))
-    indices: Array = np.unique(np.append(np.arange(0, count, step), count - 1))
-    return indices

@@ -5,7 +5,7 @@
 
 A replay needs a stamp, a frame and one to three numbers of each message, and nothing else of it.
 They are read at their places in the CDR encoding (little-endian, version 1, as every ROS 2 writes
-on today's machines); anything else takes the way through the class. Both ways give the same
+on today's machines); anything else is decoded by the class. Both give the same
 numbers, bit for bit, which the tests show. A stream's messages differ in stamp and numbers only:
 where all other bytes are those of the last message, its places hold and are not looked for.
 """
@@ -15,8 +15,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
+from rclpy.serialization import deserialize_message
+
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.ros.inputs import TRANSFORM_TOPICS, Inputs, Places
+from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, Places, stream_of
+from fden_ros.ros.messages import type_name
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -36,14 +39,46 @@ class UnusualError(Exception):
     """The bytes are not as expected: the message's class has to decode them."""
 
 
-def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
+def handler_of(stream: str, kind: type, inputs: Inputs) -> Handler:
+    """Return what feeds the bytes of a message to `inputs`, or counts them as damaged.
+
+    Parameters
+    ----------
+    stream : str
+        Name of the input.
+    kind : type
+        Class of its messages.
+    inputs : Inputs
+    """
+    fast = fast_handler(stream, type_name(kind), inputs)
+
+    def handle(data: bytes) -> None:
+        try:
+            if fast is not None:
+                fast(data)
+                return
+        except (UnusualError, struct.error):
+            pass
+        try:
+            message = deserialize_message(data, kind)
+        except Exception:
+            # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+            inputs.reject(stream_of(stream), DAMAGED)
+            return
+        inputs.add(stream, message)
+
+    return handle
+
+
+def fast_handler(stream: str, kind: str, inputs: Inputs) -> Handler | None:
     """Return what feeds the bytes of a message to `inputs`; None for other types.
 
     Parameters
     ----------
-    what : str
+    stream : str
         ``force``, ``displacement`` or ``surface``.
-    type_name : str
+    kind : str
+        Name of the type of its messages.
     inputs : Inputs
 
     Returns
@@ -51,19 +86,19 @@ def fast_handler(what: str, type_name: str, inputs: Inputs) -> Handler | None:
     callable
         Raises `UnusualError` or ``struct.error`` where the class has to decode instead.
     """
-    if what in TRANSFORM_TOPICS:
+    if stream in TRANSFORM_TOPICS:
         return None
-    if type_name == "sensor_msgs/msg/JointState":
-        return _joint_handler(what, inputs)
-    if what == "force":
-        return _wrench_handler(inputs) if type_name.endswith("/WrenchStamped") else None
+    if kind == "sensor_msgs/msg/JointState":
+        return _joint_handler(stream, inputs)
+    if stream == "force":
+        return _wrench_handler(inputs) if kind.endswith("/WrenchStamped") else None
     # Bytes from the position on, of which three numbers are read: shorter is damaged.
     sizes = {"PoseStamped": 56, "TransformStamped": 56, "PointStamped": 24}
-    name = type_name.rpartition("/")[2]
+    name = kind.rpartition("/")[2]
     if name not in sizes:
         return None
     return _position_handler(
-        inputs.places[what], sizes[name], has_child=name == "TransformStamped"
+        inputs.places[stream], sizes[name], has_child=name == "TransformStamped"
     )
 
 
@@ -167,10 +202,10 @@ def _position_handler(places: Places, size: int, has_child: bool) -> Handler:
     return handle
 
 
-def _joint_handler(what: str, inputs: Inputs) -> Handler:
-    is_force = what == "force"
-    joint = (inputs.force_joint if is_force else inputs.places[what].joint).encode()
-    take = None if is_force else inputs.places[what].take_joint
+def _joint_handler(stream: str, inputs: Inputs) -> Handler:
+    is_force = stream == "force"
+    joint = (inputs.force_joint if is_force else inputs.places[stream].joint).encode()
+    take = None if is_force else inputs.places[stream].take_joint
     layout: _Layout | None = None
     place: int | None = None
 

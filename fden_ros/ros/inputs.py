@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The only way from measurements into the pipeline: projection, signs, frames, the tool's weight.
+"""From measurements to the pipeline: projection, signs, frames, the tool's weight.
 
 Live messages, those of a bag, fields of messages of any type and the rows of a table all come
 through :class:`Inputs`, so that the same measurement is the same sample everywhere.
@@ -26,7 +26,7 @@ from fden_ros.parameters import (
     tool_weight,
     unit_vector,
 )
-from fden_ros.ros.messages import stamp_ns
+from fden_ros.ros.messages import stamp_ns, type_name
 
 FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
 DISPLACEMENT_MESSAGES: dict[str, type] = {
@@ -43,6 +43,12 @@ INPUT_MESSAGES: Mapping[str, Mapping[str, type]] = {
     "surface": DISPLACEMENT_MESSAGES,
     "/tf": {"transforms": TFMessage},
     "/tf_static": {"transforms": TFMessage},
+}
+
+#: By the name of an input, the type that each value of its parameter ``message`` stands for.
+TYPE_NAMES: Mapping[str, Mapping[str, str]] = {
+    name: {value: type_name(kind) for value, kind in kinds.items()}
+    for name, kinds in INPUT_MESSAGES.items()
 }
 
 #: Of transforms, by names that are the same in every namespace.
@@ -343,7 +349,7 @@ class Inputs:
             load = self._tool.load(turn) if self._tool is not None else 0.0
             turn = normalised(turn)
         except ValueError:
-            # Without an orientation neither the weight nor the way along the tool is known.
+            # Without an orientation neither the weight nor the path along the tool is known.
             self._sink.reject("displacement", Reason.MISSING_FIELD)
             return
         if self._is_along_tool:

@@ -35,6 +35,8 @@ _COLOURS = np.array(
 #: A relative deviation of G of 10 % is drawn half transparent.
 _HALF_TRANSPARENT = 0.1
 _LEAST_OPACITY = 0.1
+#: Of the markers [m].
+_DIAMETER = 0.005
 #: The map holds the 1,000 newest sites: a cloud of 80 kB.
 _MOST_SITES = 1000
 #: x, y, z as RViz wants them; the rest from the next multiple of 8 bytes on.
@@ -51,16 +53,9 @@ _DATATYPES = {"<f4": PointField.FLOAT32, "<f8": PointField.FLOAT64}
 
 
 class StiffnessMap:
-    """The newest summary of every site whose position is known.
+    """The newest summary of every site whose position is known."""
 
-    Parameters
-    ----------
-    diameter : float
-        Of the markers [m].
-    """
-
-    def __init__(self, diameter: float = 0.005) -> None:
-        self._diameter = diameter
+    def __init__(self) -> None:
         self._sites: OrderedDict[int, ContactSummary] = OrderedDict()
         self._newest: ContactSummary | None = None
 
@@ -110,25 +105,9 @@ class StiffnessMap:
         newest = self._newest
         frame_id = newest.position_frame if newest is not None else ""
         sites = [s for s in self._sites.values() if s.position_frame == frame_id]
-        points = np.zeros(len(sites), _POINT)
-        for index, summary in enumerate(sites):
-            points[index] = _values_of(summary)
-        return PointCloud2(
-            header=Header(
-                stamp=to_stamp(newest.stamp_ns if newest is not None else 0), frame_id=frame_id
-            ),
-            height=1,
-            width=len(sites),
-            fields=[
-                PointField(name=name, offset=offset, datatype=_DATATYPES[kind.str], count=1)
-                for name, (kind, offset, *_) in (_POINT.fields or {}).items()
-            ],
-            is_bigendian=False,
-            point_step=_POINT.itemsize,
-            row_step=_POINT.itemsize * len(sites),
-            data=array.array("B", points.tobytes()),
-            is_dense=True,
-        )
+        stamp = to_stamp(newest.stamp_ns if newest is not None else 0)
+        points = np.array([_values_of(summary) for summary in sites], _POINT)
+        return cloud_of_points(points, Header(stamp=stamp, frame_id=frame_id))
 
     def _site_markers(self, site_id: int, summary: ContactSummary) -> tuple[Marker, Marker]:
         assert summary.position is not None and summary.estimate is not None
@@ -139,7 +118,7 @@ class StiffnessMap:
         ball = Marker(header=header, ns="sites", id=site_id, type=Marker.SPHERE, action=Marker.ADD)
         ball.pose.position = Point(x=x, y=y, z=z)
         ball.pose.orientation.w = 1.0
-        ball.scale = Vector3(x=self._diameter, y=self._diameter, z=self._diameter)
+        ball.scale = Vector3(x=_DIAMETER, y=_DIAMETER, z=_DIAMETER)
         ball.color = colour_of(stiffness, deviation)
         word = Marker(
             header=header,
@@ -149,19 +128,37 @@ class StiffnessMap:
             action=Marker.ADD,
             text=f"{stiffness:.0f} ± {stiffness * deviation:.0f}",
         )
-        word.pose.position = Point(x=x, y=y, z=z - self._diameter)
+        word.pose.position = Point(x=x, y=y, z=z - _DIAMETER)
         word.pose.orientation.w = 1.0
-        word.scale = Vector3(x=0.0, y=0.0, z=0.5 * self._diameter)
+        word.scale = Vector3(x=0.0, y=0.0, z=0.5 * _DIAMETER)
         word.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
         return ball, word
 
 
+def cloud_of_points(points: np.ndarray, header: Header) -> PointCloud2:
+    """Return a structured array as a cloud, a field a name."""
+    kind = points.dtype
+    return PointCloud2(
+        header=header,
+        height=1,
+        width=points.size,
+        fields=[
+            PointField(name=name, offset=offset, datatype=_DATATYPES[own.str], count=1)
+            for name, (own, offset, *_) in (kind.fields or {}).items()
+        ],
+        point_step=kind.itemsize,
+        row_step=points.nbytes,
+        data=array.array("B", points.tobytes()),
+        is_dense=True,
+    )
+
+
 def colour_of(linear_stiffness: float, log_sd: float) -> ColorRGBA:
     """Return the colour of G [Pa s^alpha] whose logarithm has a deviation."""
-    share = math.log(linear_stiffness / _SOFTEST) / math.log(_STIFFEST / _SOFTEST)
+    place = math.log(linear_stiffness / _SOFTEST) / math.log(_STIFFEST / _SOFTEST)
     places = np.linspace(0.0, 1.0, len(_COLOURS))
     red, green, blue = (
-        float(np.interp(share, places, _COLOURS[:, channel])) for channel in range(3)
+        float(np.interp(place, places, _COLOURS[:, channel])) for channel in range(3)
     )
     opacity = max(1.0 / (1.0 + (log_sd / _HALF_TRANSPARENT) ** 2), _LEAST_OPACITY)
     return ColorRGBA(r=red, g=green, b=blue, a=float(opacity))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,12 @@ def to_stamp(nanoseconds: int) -> Time:
     """Return integer nanoseconds as a stamp."""
     seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
+
+
+def type_name(kind: Callable[..., Any]) -> str:
+    """Return the name of a message class, such as ``geometry_msgs/msg/WrenchStamped``."""
+    package, _, _ = kind.__module__.partition(".")
+    return f"{package}/msg/{kind.__name__}"
 
 
 def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:

@@ -17,26 +17,13 @@ from rclpy.signals import SignalHandlerOptions
 
 
 @contextmanager
-def plain_node(
-    name: str, domain_id: int | None = None
-) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+def plain_node(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
     """Make a node and what spins it; destroy both at the end.
 
     Interrupts stay with Python, so that they end a wait at once.
-
-    Parameters
-    ----------
-    name : str
-    domain_id : int, optional
-        The ROS domain; None: the environment's.
     """
     context = Context()
-    rclpy.init(
-        args=[],
-        context=context,
-        domain_id=domain_id,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(
             name, context=context, start_parameter_services=False, enable_rosout=False

@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-import array
-
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from fden_ros.core.arrays import Array
 from fden_ros.planning.region import Region, RegionMap
+from fden_ros.ros.markers import cloud_of_points
 
 _FIELDS = ("x", "y", "z", "log_stiffness", "log_stiffness_sd", "probability")
 _LINE = 5e-4  #: width of the boundary [m]
@@ -24,20 +23,8 @@ def cloud_of(region: Region, found: RegionMap, height: float, header: Header) ->
     """Return the cells as points: x, y, z [m], ln of N/m, its deviation, P(stiffer); float32."""
     z = np.full(len(region.cells), height)
     rows = np.column_stack([region.cells, z, found.mean, found.sd, found.probability])
-    data = rows.astype("<f4").tobytes()
-    return PointCloud2(
-        header=header,
-        height=1,
-        width=len(rows),
-        fields=[
-            PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-            for k, name in enumerate(_FIELDS)
-        ],
-        point_step=4 * len(_FIELDS),
-        row_step=len(data),
-        data=array.array("B", data),
-        is_dense=True,
-    )
+    points = np.array(list(map(tuple, rows.tolist())), [(name, "<f4") for name in _FIELDS])
+    return cloud_of_points(points, header)
 
 
 def boundary_of(sides: Array, height: float, header: Header) -> Marker:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,9 +116,3 @@ def _values(pipeline: Pipeline, pairs: int) -> dict[str, Any]:
     values.update({f"rejected.{k}": n for k, n in sorted(pipeline.rejected.items())})
     values.update(sorted(pipeline.warnings.items()))
     return values
-
-
-def type_name(kind: Callable[..., Any]) -> str:
-    """Return the name of a message class, such as ``geometry_msgs/msg/WrenchStamped``."""
-    package, _, _ = kind.__module__.partition(".")
-    return f"{package}/msg/{kind.__name__}"

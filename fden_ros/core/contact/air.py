@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from itertools import chain, islice
 from typing import NamedTuple
 
@@ -25,7 +26,52 @@ from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.streams.guard import Resolution
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """When a contact begins and ends, and when it is at a new site.
+
+    Parameters
+    ----------
+    force_threshold : float
+        Force above its bias that is a contact [N]; 0: four standard deviations of the measured
+        noise.
+    measure_bias : bool
+        Take the force's bias from each approach. False: the force is trusted as it is (after any
+        tare).
+    force_noise : float
+        Standard deviation of the force per sample [N]; 0: measured in the air.
+    noise_floor : float
+        Least force noise that is believed [N], so that a quantised or noise-free signal does not
+        look perfect.
+    lookback : float
+        How far before its detection the onset is looked for [s].
+    site_distance : float
+        Lateral distance beyond which a contact is at a new site [m]; needs positions.
+    site_timeout : float
+        Time in the air after which a contact is at a new site, where there are no positions [s].
+    approach_axis : tuple of float
+        Unit vector into the tissue, in the frame of the positions.
+    series_compliance : float
+        Compliance of tool and robot in series with the tissue [m/N].
+    """
+
+    force_threshold: float = 0.0
+    measure_bias: bool = True
+    force_noise: float = 0.0
+    noise_floor: float = 1e-5
+    lookback: float = 5.0
+    site_distance: float = 0.2 * math.sqrt(1e-4 / math.pi)  # of the usual punch
+    site_timeout: float = 2.0
+    approach_axis: Position = (0.0, 0.0, 1.0)
+    series_compliance: float = 0.0
+
+    def compliance_free(self, pair: Pair, force: float) -> float:
+        """Return the displacement of the tissue's surface [m], without the tool's own give."""
+        return pair.displacement - self.series_compliance * force
+
 
 #: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
 CHUNK_NS = 20_000_000
@@ -201,32 +247,13 @@ class Baseline:
 
     Parameters
     ----------
-    lookback : float
-        Chunks older than this, and than 24 chunks last, are forgotten [s]; than 4 times this while
-        a slow contact may be on.
-    force_noise : float
-        Standard deviation of the force per sample [N]; 0: measured.
-    noise_floor : float
-        Smallest standard deviation that is believed [N].
-    measure_bias : bool
-        False: the bias is 0.
-    force_threshold : float
-        Force above the bias that a contact takes at least [N].
+    config : ContactConfig
+        Chunks older than its lookback, and than 24 chunks last, are forgotten; than 4 times that
+        while a slow contact may be on.
     """
 
-    def __init__(
-        self,
-        lookback: float,
-        force_noise: float,
-        noise_floor: float,
-        measure_bias: bool,
-        force_threshold: float,
-    ) -> None:
-        self._lookback_ns = round(lookback * NANOSECONDS)
-        self._force_noise = force_noise
-        self._noise_floor = noise_floor
-        self._measure_bias = measure_bias
-        self._force_threshold = force_threshold
+    def __init__(self, config: ContactConfig) -> None:
+        self._config = config
         self.resolution = Resolution()  #: of the force
         self._thresholds: Array = np.zeros(len(SCALES))  # of contact [N]
         self._rises: Array = np.zeros(0)  # of the newest means above the bias [N]
@@ -254,7 +281,9 @@ class Baseline:
     @property
     def reach_ns(self) -> int:
         """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
-        reach_ns = max(self._lookback_ns, _LEAST_REMEMBERED * self._chunk_ns)
+        reach_ns = max(
+            round(self._config.lookback * NANOSECONDS), _LEAST_REMEMBERED * self._chunk_ns
+        )
         return reach_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
 
     def mean(self) -> float | None:
@@ -287,7 +316,9 @@ class Baseline:
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
-        return self._force_noise or max(air.fast_noise, self._rounding, self._noise_floor)
+        return self._config.force_noise or max(
+            air.fast_noise, self._rounding, self._config.noise_floor
+        )
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""
@@ -297,7 +328,7 @@ class Baseline:
         limits = self._thresholds[: rises.size]
         best = int(np.argmax(rises / limits))
         rise, limit, scale = float(rises[best]), float(limits[best]), SCALES[best]
-        if rise > limit and self._measure_bias:
+        if rise > limit and self._config.measure_bias:
             # Where the bias is given, what is below it may be the bias.
             limit = max(limit, _SWING_FACTOR * deepest_fall(self._above_bias(), scale))
         return Excess(rise / limit, limit, scale)
@@ -313,7 +344,9 @@ class Baseline:
                 # The next touch may come before the air is known anew.
                 self._is_carried = True
                 return self._air
-            if self._measure_bias or not (self._force_noise or self._force_threshold):
+            if self._config.measure_bias or not (
+                self._config.force_noise or self._config.force_threshold
+            ):
                 return None
             air = _air_of(chunks)
             self._thresholds = self._thresholds_in(chunks, air, chunk.size)
@@ -345,20 +378,20 @@ class Baseline:
             means, air.size / len(chunks) if chunks else size, self.noise_of(air)
         )
         step = self.resolution.step
-        is_dithered = self._force_noise or air.fast_noise >= _DITHER * step
+        is_dithered = self._config.force_noise or air.fast_noise >= _DITHER * step
         rounding = 0.0 if is_dithered else self._rounding
         self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
         wander = max(self._wander, 0.0)
         sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
         least = thresholds_of(sd, freedom)
-        if not self._measure_bias:
+        if not self._config.measure_bias:
             # A longer mean tells no better whether the bias is what it is said to be.
             least = np.maximum(least, least[0])
-        return np.maximum(least, self._force_threshold)
+        return np.maximum(least, self._config.force_threshold)
 
     def bias_at(self, stamp_ns: int) -> float:
         """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""
-        if not self._measure_bias:
+        if not self._config.measure_bias:
             return 0.0
         elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
         return self._trend.value + self._trend.slope * elapsed
@@ -371,13 +404,13 @@ class Baseline:
         chunks = tuple(chunk for chunk in self._chunks if chunk.end_ns < before_ns)
         air = _air_of(chunks)
         measured = _noise_of_means(chunks, air) if chunks else noise
-        noise = self._force_noise or max(measured, self._noise_floor)
+        noise = self._config.force_noise or max(measured, self._config.noise_floor)
         rounding = 0.0
-        if not self._force_noise and air.fast_noise < _DITHER * self.resolution.step:
+        if not self._config.force_noise and air.fast_noise < _DITHER * self.resolution.step:
             # Hardly any noise over the steps: what is rounded off stays for many samples.
             rounding = self._rounding
             noise = max(noise, rounding * math.sqrt(max((c.size for c in chunks), default=1)))
-        if not self._measure_bias:
+        if not self._config.measure_bias:
             return Level(0.0, 0.0, noise)
         if air.size == 0:
             return Level(bias, noise, noise)

@@ -20,8 +20,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import CHUNK_NS, MIN_CHUNKS, Baseline, Chunk, Chunks, Excess
+from fden_ros.core.contact.air import ContactConfig as ContactConfig
 from fden_ros.core.contact.surface import FIRST_WINDOW, Rise, Surface, find_surface
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A probe has come to the surface through the air when its way there is more than this many
 #: deviations of the surface, and than this many usual steps of the displacement: noise
@@ -103,50 +104,6 @@ class Approach(NamedTuple):
         moved = np.abs(np.diff(places)) * NANOSECONDS / CHUNK_NS
         moving = np.count_nonzero(moved >= _MOTION_SHARE * speed)
         return bool(moving * CHUNK_NS > _MOTION_TIME * NANOSECONDS)
-
-
-@dataclass(frozen=True)
-class ContactConfig:
-    """When a contact begins and ends, and when it is at a new site.
-
-    Parameters
-    ----------
-    force_threshold : float
-        Force above its bias that is a contact [N]; 0: four standard deviations of the measured
-        noise.
-    measure_bias : bool
-        Take the force's bias from each approach. False: the force is trusted as it is (after any
-        tare).
-    force_noise : float
-        Standard deviation of the force per sample [N]; 0: measured in the air.
-    noise_floor : float
-        Least force noise that is believed [N], so that a quantised or noise-free signal does not
-        look perfect.
-    lookback : float
-        How far before its detection the onset is looked for [s].
-    site_distance : float
-        Lateral distance beyond which a contact is at a new site [m]; needs positions.
-    site_timeout : float
-        Time in the air after which a contact is at a new site, where there are no positions [s].
-    approach_axis : tuple of float
-        Unit vector into the tissue, in the frame of the positions.
-    series_compliance : float
-        Compliance of tool and robot in series with the tissue [m/N].
-    """
-
-    force_threshold: float = 0.0
-    measure_bias: bool = True
-    force_noise: float = 0.0
-    noise_floor: float = 1e-5
-    lookback: float = 5.0
-    site_distance: float = 0.2 * math.sqrt(1e-4 / math.pi)  # of the usual punch
-    site_timeout: float = 2.0
-    approach_axis: Position = (0.0, 0.0, 1.0)
-    series_compliance: float = 0.0
-
-    def compliance_free(self, pair: Pair, force: float) -> float:
-        """Return the displacement of the tissue's surface [m], without the tool's own give."""
-        return pair.displacement - self.series_compliance * force
 
 
 #: What lasts no longer than this before the first contact may be a press as well as the air [ns]:
@@ -253,14 +210,7 @@ class ContactDetector:
         #: Newest time at which what was taken for the air turned out to be a contact.
         self.left_unseen_ns: int | None = None
         self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
-        config = self._config
-        self._baseline = Baseline(
-            config.lookback,
-            config.force_noise,
-            config.noise_floor,
-            config.measure_bias,
-            config.force_threshold,
-        )
+        self._baseline = Baseline(self._config)
         self._chunks = Chunks()
         self._has_released = False
         self._began_ns: int | None = None

@@ -15,6 +15,7 @@ and the stiffness dF/dd follows from the geometry.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +28,13 @@ from fden_ros.core.law.geometry import Geometry
 _LARGEST_LOG = 200.0
 
 
-class Stiffness(NamedTuple):
-    """dF/dd with its deviation."""
+@dataclass(frozen=True)
+class ApparentStiffness:
+    """dF/dd for a small motion that lasts `time_scale`."""
 
     value: float  #: [N/m]
     sd: float  #: [N/m]
+    time_scale: float  #: tau [s]
 
 
 class LogStiffness(NamedTuple):
@@ -43,7 +46,7 @@ class LogStiffness(NamedTuple):
 
 def apparent_stiffness(
     mean: Array, covariance: Array, geometry: Geometry, compression: float, time_scale: float
-) -> Stiffness:
+) -> ApparentStiffness:
     """Return dF/dd and its deviation to first order.
 
     Parameters
@@ -61,7 +64,7 @@ def apparent_stiffness(
     log_value, variance = log_stiffness(mean, covariance, strain, time_scale)
     per_strain = geometry.strain_slope(compression) / (geometry.stress_per_force * geometry.length)
     value = math.exp(min(float(log_value), _LARGEST_LOG)) * per_strain
-    return Stiffness(value, value * math.sqrt(float(variance)))
+    return ApparentStiffness(value, value * math.sqrt(float(variance)), time_scale)
 
 
 def log_stiffness(

@@ -26,6 +26,7 @@ from fden_ros.core.estimation.claims import converged, determined
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
+from fden_ros.core.law.apparent_stiffness import ApparentStiffness
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 
 #: k' lies above 0 by this many standard deviations where the probe is on something.
@@ -42,8 +43,7 @@ class Palpated(NamedTuple):
     """What palpation tells of a place."""
 
     stiffness: Stiffness  #: at the palpation's frequency, with what is not known of the rig
-    apparent: float  #: k_tau [N/m]
-    apparent_sd: float  #: [N/m]
+    apparent: ApparentStiffness  #: k_tau
     estimate: Estimate  #: G and Gn in it are the prior
 
 
@@ -94,8 +94,7 @@ def palpated(
     variance = float(slope @ covariance @ slope) + kernel
     return Palpated(
         stiffness=whole,
-        apparent=apparent,
-        apparent_sd=apparent * math.sqrt(max(variance, 0.0)),
+        apparent=ApparentStiffness(apparent, apparent * math.sqrt(max(variance, 0.0)), time_scale),
         estimate=_estimate(float(order), float(covariance[1, 1]), own_order, config, samples),
     )
 

@@ -12,21 +12,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import Around, Join, JoinLimits, Passed
+from fden_ros.core.streams.join import Around, Join, Matched
 from fden_ros.core.streams.rotation import (
-    Quaternion,
     Transform,
     Vector,
+    conjugate,
     dot,
     normalised,
     rotate,
     slerp,
 )
-from fden_ros.core.streams.samples import Pair, Reason, Sample
-from fden_ros.core.streams.tool import ToolPath, ToolWeight
+from fden_ros.core.streams.samples import Reason
+from fden_ros.core.streams.tool import ToolWeight
 
 #: Samples of a link are kept up to this number, the newest, while it is not known which links
 #: count.
@@ -63,14 +62,6 @@ class StaticLinks(dict[str, tuple[str, Transform]]):
     """By the name of a frame, its parent and where it is in it, at all times."""
 
 
-class _Waiting(NamedTuple):
-    """A pair that waits, and the dynamic transforms at its stamp that are known by now."""
-
-    pair: Pair
-    transforms: tuple[Transform, ...]
-    since_ns: int = 0  #: stamp of the transform before it
-
-
 class _Link:
     """The moving place of a frame in its parent."""
 
@@ -78,67 +69,55 @@ class _Link:
         self.parent = parent
         self.kept: deque[tuple[int, Transform]] = deque(maxlen=_MOST_KEPT)
         self.guard: StreamGuard | None = None
-        self.join: Join[_Waiting] | None = None
+        self.join: Join | None = None
 
 
 class Frames:
-    """Bring pairs into the base frame.
+    """Where the frames that count are in the base, by the transforms between them.
 
     Parameters
     ----------
     config : FramesConfig
-    limits : JoinLimits
-    force_guard : StreamGuard
-        Counts the forces that find no transform.
-    make_guard : callable
-        Makes the guard of a link.
+    make_join : callable
+        Makes the guard of a link's transforms and what lets forces wait for them.
     statics : StaticLinks
         Those known by now; added to.
-    on_pair : callable
-        Called with the force's sample and each pair whose force and displacement are in the base.
-    path : ToolPath, optional
-        The displacement is along the probe's axis.
+
+    Attributes
+    ----------
+    joins : list of Join
+        Of the links that count, in order; empty until all are known, and where all are static.
+    is_known : bool
+        Whether each frame that counts leads to the base.
     """
 
     def __init__(
         self,
         config: FramesConfig,
-        limits: JoinLimits,
-        force_guard: StreamGuard,
-        make_guard: Callable[[], StreamGuard],
+        make_join: Callable[[], tuple[StreamGuard, Join]],
         statics: StaticLinks,
-        on_pair: Callable[[Sample, Pair], None],
-        path: ToolPath | None = None,
     ) -> None:
-        self._config = config
-        self._path = path
-        self._limits = limits
-        self._force_guard, self._make_guard = force_guard, make_guard
+        self._config, self._make_join = config, make_join
         self._statics = statics
-        self._on_pair = on_pair
         self._links: dict[str, _Link] = {}
         self._force_frame: str | None = None
-        #: Which links count, in order, once all are known.
-        self._chain: tuple[str, ...] | None = None
+        self.joins: list[Join] = []
+        self.is_known = False
+        #: Which links count, in order.
+        self._chain: tuple[str, ...] = ()
         #: By a frame, its ancestors below the one that it has in common with the base, and the
         #: base's.
         self._chains: dict[str, tuple[list[str], list[str]]] = {}
-        self._unresolved: deque[tuple[Sample, Pair]] = deque()
-        self._since_ns = 0
-        #: The newest displacements, one between any two transforms.
-        self.passed = Passed()
 
     @property
-    def waiting(self) -> int:
-        """How many samples are kept."""
-        kept = sum(len(link.kept) for link in self._links.values())
-        joins = [link.join for link in self._links.values() if link.join is not None]
-        return len(self._unresolved) + kept + sum(join.waiting for join in joins)
+    def kept(self) -> int:
+        """How many transforms are kept until it is known which links count."""
+        return sum(len(link.kept) for link in self._links.values())
 
     @property
     def missing(self) -> str:
         """The frame that no transform leads to the base from; empty: they all do."""
-        if self._chain is not None or self._force_frame is None:
+        if self.is_known or self._force_frame is None:
             return ""
         found = self._ancestors(self._config.base)[-1]
         return next((f for f in self._wanted() if self._ancestors(f)[-1] != found), "")
@@ -173,28 +152,17 @@ class Frames:
             link = self._links[child] = _Link(parent)
             link.kept.append((stamp_ns, transform))
             self._resolve()
-        elif self._chain is None:
+        elif not self.is_known:
             link.kept.append((stamp_ns, transform))
         elif link.join is not None:
             self._follow(link, stamp_ns, transform)
         return None
 
-    def lead(self, force: Sample, pair: Pair, frame: str) -> None:
-        """Take a pair whose force is given in `frame`."""
+    def name_force(self, frame: str) -> None:
+        """Take the frame of the forces, empty: the probe's; the first one counts."""
         if self._force_frame is None:
             self._force_frame = frame or self._config.probe
             self._resolve()
-        if self._chain is not None:
-            self._next(force, _Waiting(pair, ()))
-            return
-        self._unresolved.append((force, pair))
-        while self._has_waited(self._unresolved[0][0], force):
-            self._unresolved.popleft()
-            self._force_guard.reject(Reason.NO_TRANSFORM)
-
-    def _has_waited(self, oldest: Sample, newest: Sample) -> bool:
-        waited_ns = newest.stamp_ns - oldest.stamp_ns
-        return oldest.epoch != newest.epoch or waited_ns > self._limits.window_ns
 
     # The chain
 
@@ -212,7 +180,7 @@ class Frames:
 
     def _resolve(self) -> None:
         """Find the links between the frames, once each leads to the base."""
-        if self._chain is not None or self._force_frame is None:
+        if self.is_known or self._force_frame is None:
             return
         base = self._ancestors(self._config.base)
         chains: dict[str, tuple[list[str], list[str]]] = {}
@@ -225,25 +193,16 @@ class Frames:
         frames = dict.fromkeys(f for chain in chains.values() for part in chain for f in part)
         self._chains = chains
         self._chain = tuple(frame for frame in frames if frame in self._links)
-        for place, child in enumerate(self._chain):
-            self._begin(self._links[child], place)
+        self.is_known = True
+        for child in self._chain:
+            link = self._links[child]
+            link.guard, link.join = self._make_join()
+            self.joins.append(link.join)
         for child, link in self._links.items():
             kept, link.kept = link.kept, deque(maxlen=1)
             if child in self._chain:
                 for stamp_ns, transform in kept:
                     self._follow(link, stamp_ns, transform)
-        while self._unresolved:
-            force, pair = self._unresolved.popleft()
-            self._next(force, _Waiting(pair, ()))
-
-    def _begin(self, link: _Link, place: int) -> None:
-        guard = link.guard = self._make_guard()
-
-        def on_match(force: Sample, waiting: _Waiting, around: Around) -> None:
-            transforms = (*waiting.transforms, between(around))
-            self._next(force, _Waiting(waiting.pair, transforms, around.before.stamp_ns))
-
-        link.join = Join[_Waiting](self._limits, self._force_guard, guard, on_match)
 
     def _follow(self, link: _Link, stamp_ns: int, transform: Transform) -> None:
         assert link.guard is not None and link.join is not None
@@ -252,47 +211,23 @@ class Frames:
             link.guard.accept(stamp_ns, x + y + z, transform.translation, turn=transform.rotation)
         )
 
-    def _next(self, force: Sample, waiting: _Waiting) -> None:
-        """Let a pair wait for the next link, or compose them all."""
-        assert self._chain is not None
-        if len(waiting.transforms) == len(self._chain):
-            self._compose(force, waiting)
-            return
-        join = self._links[self._chain[len(waiting.transforms)]].join
-        assert join is not None
-        join.lead(force, waiting)
+    # At an instant
 
-    def _compose(self, force: Sample, waiting: _Waiting) -> None:
-        assert self._chain is not None
-        moving = dict(zip(self._chain, waiting.transforms, strict=True))
-        pair, config = waiting.pair, self._config
-        if force.position is not None:
-            assert self._force_frame is not None
-            turn = self._in_base(self._force_frame, moving).rotation
-            pair = pair._replace(force=self._along(force.position, turn))
-        if config.moves_probe:
-            probe = self._in_base(config.probe, moving)
-            displacement, tilt = dot(config.displacement_axis, probe.translation), 0.0
-            if self._path is not None:
-                displacement, tilt = self._path.add(probe)
-                if config.tool is not None:
-                    pair = pair._replace(force=pair.force - config.tool.load(probe.rotation))
-            pair = pair._replace(displacement=displacement, position=probe.translation, tilt=tilt)
-            # One per transform, for its noise.
-            if waiting.since_ns != self._since_ns:
-                self._since_ns = waiting.since_ns
-                key = pair.epoch, pair.stamp_ns
-                self.passed.add(key, Sample(*key, displacement))
-        self._on_pair(force, pair)
+    def probe(self, matched: Matched) -> Transform:
+        """Return where the probe is in the base, by the transforms of the joins."""
+        return self._in_base(self._config.probe, self._moving(matched))
 
-    def _along(self, force: Vector, turn: Quaternion) -> float:
+    def force_along(self, force: Vector, matched: Matched) -> float:
         """Return a force along the axis, less the tool's weight [N]."""
         config = self._config
+        turn = self._in_base(self._force_frame or "", self._moving(matched)).rotation
         net = dot(config.force_axis, rotate(turn, force))
         if config.tool is None:
             return net
-        x, y, z, w = turn
-        return net - config.tool.load(turn, rotate((-x, -y, -z, w), config.force_axis))
+        return net - config.tool.load(turn, rotate(conjugate(turn), config.force_axis))
+
+    def _moving(self, matched: Matched) -> dict[str, Transform]:
+        return dict(zip(self._chain, map(between, matched), strict=True))
 
     def _in_base(self, frame: str, moving: dict[str, Transform]) -> Transform:
         """Return where a frame is in the base."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.samples import Position, Sample
@@ -25,8 +25,6 @@ NOISE_SAMPLES = 256
 _GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
 #: More samples than the pairs of a window leave behind.
 _MOST_AHEAD = 65_536
-
-Payload = TypeVar("Payload")
 
 
 class Around(NamedTuple):
@@ -40,28 +38,26 @@ class Around(NamedTuple):
     def value(self) -> float:
         """Value at the instant, linear in between."""
         before, after, fraction = self
-        if after is before:
-            return before.value
         return before.value + fraction * (after.value - before.value)
 
     @property
     def load(self) -> float:
         """Load at the instant, linear in between."""
         before, after, fraction = self
-        if after is before:
-            return before.load
         return before.load + fraction * (after.load - before.load)
 
     @property
     def position(self) -> Position | None:
         """Position at the instant, linear in between; None where one of the two is not known."""
         before, after, fraction = self
-        if after is before:
-            return before.position
         if before.position is None or after.position is None:
             return None
         (x0, y0, z0), (x1, y1, z1) = before.position, after.position
         return x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0), z0 + fraction * (z1 - z0)
+
+
+#: Of the streams that a sample has been matched with so far, in order.
+Matched = tuple[Around, ...]
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ class Passed:
             self.samples.append(self._ahead.popleft()[1])
 
 
-class Join(Generic[Payload]):
+class Join:
     """Match samples of a leading stream with those of a following one around their stamps.
 
     Parameters
@@ -124,10 +120,13 @@ class Join(Generic[Payload]):
     lead_guard, follow_guard : StreamGuard
         Have accepted the samples; rejected leading samples are counted by theirs.
     on_match : callable
-        Called with each leading sample, its payload, and the :class:`Around` of the other stream,
-        in order.
-    passed : Passed, optional
-        The samples of the following stream that nothing waits for any more; added to.
+        Called in order with each leading sample and what it has been matched with, this stream
+        last.
+
+    Attributes
+    ----------
+    passed : Passed
+        The samples of the following stream that nothing waits for any more.
     """
 
     def __init__(
@@ -135,15 +134,14 @@ class Join(Generic[Payload]):
         limits: JoinLimits,
         lead_guard: StreamGuard,
         follow_guard: StreamGuard,
-        on_match: Callable[[Sample, Payload, Around], None],
-        passed: Passed | None = None,
+        on_match: Callable[[Sample, Matched], None],
     ) -> None:
         self._limits = limits
         self._lead_guard, self._follow_guard = lead_guard, follow_guard
         self._on_match = on_match
-        self._leading: deque[tuple[Sample, Payload]] = deque()
+        self._leading: deque[tuple[Sample, Matched]] = deque()
         self._following: deque[Sample] = deque()
-        self._passed = passed
+        self.passed = Passed()
         self._behind_since_ns: int | None = None
 
     @property
@@ -151,9 +149,9 @@ class Join(Generic[Payload]):
         """How many samples of both streams are kept."""
         return len(self._leading) + len(self._following)
 
-    def lead(self, sample: Sample, payload: Payload) -> None:
-        """Take an accepted sample of the leading stream, and what goes with it to the match."""
-        self._leading.append((sample, payload))
+    def lead(self, sample: Sample, matched: Matched) -> None:
+        """Take an accepted sample of the leading stream, and what it is matched with already."""
+        self._leading.append((sample, matched))
         self._bound_leading(sample)
         self._match()
 
@@ -170,25 +168,23 @@ class Join(Generic[Payload]):
     def _match(self) -> None:
         leading, following = self._leading, self._following
         while leading and following:
-            lead, payload = leading[0]
+            lead, matched = leading[0]
             key = (lead.epoch, lead.stamp_ns)
             while len(following) > 1 and following[1][:2] <= key:
-                passed = following.popleft()
-                if self._passed is not None:
-                    self._passed.add(key, passed)
+                self.passed.add(key, following.popleft())
             before = following[0]
             if before[:2] > key:
                 self._reject_oldest(self._limits.unpaired)
                 self._join_epoch(lead, before)
             elif before[:2] == key:
                 leading.popleft()
-                self._on_match(lead, payload, Around(before, before, 0.0))
+                self._on_match(lead, (*matched, Around(before, before, 0.0)))
             elif len(following) == 1:
                 return
             else:
-                self._between(lead, payload, before, following[1])
+                self._between(lead, matched, before, following[1])
 
-    def _between(self, lead: Sample, payload: Payload, before: Sample, after: Sample) -> None:
+    def _between(self, lead: Sample, matched: Matched, before: Sample, after: Sample) -> None:
         if before.epoch != lead.epoch or after.epoch != lead.epoch:
             self._reject_oldest(self._limits.unpaired)
             return
@@ -198,7 +194,7 @@ class Join(Generic[Payload]):
             return
         self._leading.popleft()
         fraction = (lead.stamp_ns - before.stamp_ns) / gap_ns
-        self._on_match(lead, payload, Around(before, after, fraction))
+        self._on_match(lead, (*matched, Around(before, after, fraction)))
 
     def _join_epoch(self, lead: Sample, follower: Sample) -> None:
         """Let the leading stream join an epoch that only the other entered, after a window."""

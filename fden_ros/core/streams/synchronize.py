@@ -3,8 +3,8 @@
 
 """Streams of stamped samples into pairs: all others interpolated to the stamps of the force.
 
-A force waits for the displacements around its stamp and then, where the tissue's surface is
-measured too, for the surface around it: :class:`~fden_ros.core.streams.join.Join`.
+A force waits for one stream after the other: for the displacements around its stamp, the
+transforms and the surface, where they are measured: :class:`~fden_ros.core.streams.join.Join`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 
 from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import NOISE_SAMPLES, Around, Join, JoinLimits, Passed
-from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
+from fden_ros.core.streams.join import NOISE_SAMPLES, Join, JoinLimits, Matched, Passed
+from fden_ros.core.streams.rotation import Quaternion, Transform, Vector, dot
 from fden_ros.core.streams.samples import (
     NANOSECONDS,
     Pair,
@@ -109,38 +109,43 @@ class Synchronizer:
             is_vector=config.tool_path is not None,
         )
         self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
-        self._passed, self._surfaces_passed = Passed(), Passed()
-        self._displacements = Join[None](
+        self._displacements = Join(
             self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
             self.force_guard,
             self.displacement_guard,
-            self._on_displacement,
-            self._passed,
+            self._advance,
         )
-        self._surfaces = Join[Pair](
+        self._surfaces = Join(
             self._limits(config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP),
             self.force_guard,
             self.surface_guard,
-            self._on_surface,
-            self._surfaces_passed,
+            self._advance,
         )
-
-        self._force_frame = ""
         self.frames: Frames | None = None
+        self._moves_probe = False  # the transforms give the displacement
+        self._moved, self._moved_ns = Passed(), 0
+        self._held: deque[Sample] = deque()  # forces whose frame is not known
         if config.frames is not None:
-            self.frames = Frames(
-                config.frames,
-                self._limits(config.displacement_delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP),
-                self.force_guard,
-                self._transform_guard,
-                statics if statics is not None else StaticLinks(),
-                self._in_base,
-                self._path,
-            )
+            self._moves_probe = config.frames.moves_probe
+            known = statics if statics is not None else StaticLinks()
+            self.frames = Frames(config.frames, self._transforms, known)
+        self._joins: list[Join] = []  # in the order in which a force waits for them
+        if self.frames is None:
+            self._order_joins()
 
-    def _transform_guard(self) -> StreamGuard:
-        limit = self._config.displacement_limit
-        return StreamGuard(limit, self._rejected, "transform", is_vector=True)
+    def _order_joins(self) -> None:
+        first = [] if self._moves_probe else [self._displacements]
+        links = self.frames.joins if self.frames is not None else []
+        last = [self._surfaces] if self._config.takes_surface else []
+        self._joins = [*first, *links, *last]
+
+    def _transforms(self) -> tuple[StreamGuard, Join]:
+        """Return the guard of a link between frames, and what lets forces wait for it."""
+        config = self._config
+        guard = StreamGuard(config.displacement_limit, self._rejected, "transform", is_vector=True)
+        delay = config.displacement_delay
+        limits = self._limits(delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
+        return guard, Join(limits, self.force_guard, guard, self._advance)
 
     def _limits(self, delay: float, unpaired: str, gap: str) -> JoinLimits:
         return JoinLimits(
@@ -154,8 +159,8 @@ class Synchronizer:
     @property
     def waiting(self) -> int:
         """How many samples of all streams are kept for others to come."""
-        in_frames = self.frames.waiting if self.frames is not None else 0
-        return self._displacements.waiting + self._surfaces.waiting + in_frames
+        kept = self.frames.kept if self.frames is not None else 0
+        return kept + len(self._held) + sum(join.waiting for join in self._joins)
 
     def path_noise(self) -> float:
         """Return the noise of the motion: variance per sample times the time between [m^2 s].
@@ -164,9 +169,7 @@ class Synchronizer:
         lines between their neighbours, or from the steps in which they come; 0 while there are
         fewer than 32.
         """
-        streams = [self._passed, self._surfaces_passed]
-        if self.frames is not None:
-            streams.append(self.frames.passed)
+        streams = (self._displacements.passed, self._surfaces.passed, self._moved)
         return sum(_noise_of(passed.samples) for passed in streams)
 
     def add_force(self, stamp_ns: int, force: float) -> None:
@@ -175,9 +178,8 @@ class Synchronizer:
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
         """Add a force [N] or torque [N m] in a frame that moves."""
-        self._force_frame = frame
         x, y, z = force
-        self._lead(self.force_guard.accept(stamp_ns, x + y + z, force))
+        self._lead(self.force_guard.accept(stamp_ns, x + y + z, force), frame)
 
     def add_transform(
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
@@ -190,6 +192,7 @@ class Synchronizer:
         )
         if problem is not None:
             self._rejected[f"transform.{problem}"] += 1
+        self._release()
 
     def add_displacement(
         self,
@@ -212,51 +215,88 @@ class Synchronizer:
         if self._config.takes_surface:
             self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
 
-    def _lead(self, forces: tuple[Sample, ...]) -> None:
-        frames = self._config.frames
+    def _lead(self, forces: tuple[Sample, ...], frame: str = "") -> None:
         for force in forces:
-            if frames is None or not frames.moves_probe:
-                self._displacements.lead(force, None)
-            else:
-                # The transforms give the displacement.
-                self._on_force(force, Pair(force.epoch, force.stamp_ns, force.value, 0.0, None))
+            if self.frames is None or self._joins:
+                self._advance(force, ())
+                continue
+            self.frames.name_force(frame)
+            self._held.append(force)
+            self._release()
+            while self._held and self._has_waited(self._held[0], force):
+                self._held.popleft()
+                self.force_guard.reject(Reason.NO_TRANSFORM)
 
-    def _on_displacement(self, force: Sample, _: None, around: Around) -> None:
-        pair = Pair(
-            force.epoch,
-            force.stamp_ns,
-            force.value - around.load,
-            around.value,
-            around.position,
+    def _has_waited(self, oldest: Sample, newest: Sample) -> bool:
+        waited_ns = newest.stamp_ns - oldest.stamp_ns
+        window_ns = round(self._config.pairing_window * NANOSECONDS)
+        return oldest.epoch != newest.epoch or waited_ns > window_ns
+
+    def _release(self) -> None:
+        """Let the forces go on that were held, once all frames are known."""
+        if self.frames is None or not self.frames.is_known or self._joins:
+            return
+        self._order_joins()
+        while self._held:
+            self._advance(self._held.popleft(), ())
+
+    def _advance(self, force: Sample, matched: Matched) -> None:
+        """Let a force wait for the next stream, or make the pair once it has met all."""
+        if len(matched) < len(self._joins):
+            self._joins[len(matched)].lead(force, matched)
+        else:
+            self._make(force, matched)
+
+    def _make(self, force: Sample, matched: Matched) -> None:
+        count = len(self.frames.joins) if self.frames is not None else 0
+        first = 0 if self._moves_probe else 1
+        links = matched[first : first + count]
+        displacement, position, tilt = self._motion(force, matched, links)
+        place = matched[-1].value if self._config.takes_surface else 0.0
+        key = force.epoch, force.stamp_ns
+        for passed in (self._moved, *(join.passed for join in self._joins)):
+            passed.until(key)
+        self._on_pair(
+            Pair(
+                *key,
+                self._force(force, matched, links),
+                displacement - place,
+                position,
+                tilt,
+                place,
+            )
         )
-        if self._path is not None:
-            displacement, tilt = self._path.add(between(around))
-            pair = pair._replace(displacement=displacement, tilt=tilt)
-        self._on_force(force, pair)
 
-    def _on_force(self, force: Sample, pair: Pair) -> None:
-        if self.frames is not None:
-            self.frames.lead(force, pair, self._force_frame)
-        else:
-            self._in_base(force, pair)
+    def _force(self, force: Sample, matched: Matched, links: Matched) -> float:
+        """Return the force along its axis, the tool's weight taken off [N]."""
+        value = force.value if self._moves_probe else force.value - matched[0].load
+        if self.frames is None:
+            return value
+        if force.position is not None:
+            value = self.frames.force_along(force.position, links)
+        tool = self._config.frames.tool if self._config.frames is not None else None
+        if self._moves_probe and self._path is not None and tool is not None:
+            value -= tool.load(self.frames.probe(links).rotation)
+        return value
 
-    def _in_base(self, force: Sample, pair: Pair) -> None:
-        if self._config.takes_surface:
-            self._surfaces.lead(force, pair)
-        else:
-            self._make(pair)
-
-    def _on_surface(self, _: Sample, pair: Pair, around: Around) -> None:
-        place = around.value
-        self._make(pair._replace(displacement=pair.displacement - place, surface=place))
-
-    def _make(self, pair: Pair) -> None:
-        key = (pair.epoch, pair.stamp_ns)
-        self._passed.until(key)
-        self._surfaces_passed.until(key)
-        if self.frames is not None:
-            self.frames.passed.until(key)
-        self._on_pair(pair)
+    def _motion(
+        self, force: Sample, matched: Matched, links: Matched
+    ) -> tuple[float, Position | None, float]:
+        """Return displacement [m], position [m] and tilt [rad] of the probe."""
+        frames, path = self._config.frames, self._path
+        if self.frames is None or frames is None or not frames.moves_probe:
+            around = matched[0]
+            way = (around.value, 0.0) if path is None else path.add(between(around))
+            return way[0], around.position, way[1]
+        probe = self.frames.probe(links)
+        along = dot(frames.displacement_axis, probe.translation)
+        displacement, tilt = (along, 0.0) if path is None else path.add(probe)
+        if links and links[-1].before.stamp_ns != self._moved_ns:
+            # One per transform, for its noise.
+            self._moved_ns = links[-1].before.stamp_ns
+            key = force.epoch, force.stamp_ns
+            self._moved.add(key, Sample(*key, displacement))
+        return displacement, probe.translation, tilt
 
 
 def _noise_of(samples: deque[Sample]) -> float:
