@@ -44,7 +44,7 @@ from simulation.trajectory import Approach, RampHold, Sinusoid
 EPILOG = """\
 examples:
   fden benchmark plan --quick
-  fden benchmark plan --cases 20mN --presses 60
+  fden benchmark plan --cases 20mN --contacts 60    60 tissues, each pressed four times
 """
 
 RADIUS_M, THICKNESS_M, _RATE_HZ, _MOTION_NOISE_M = 0.02, 0.02, 500.0, 5e-6
@@ -67,7 +67,6 @@ _SHALLOW = Motion(1.8e-3, 4e-3, 1.0, 8e-3)
 _TARGET = Target((0.1, 0.1, math.inf))
 #: Targets for "possible or not" are this much more or less than what is usual [1].
 _SPREAD = 2.0
-_NUMBER = "presses"
 
 
 @dataclass(frozen=True)
@@ -96,9 +95,8 @@ class Trial(NamedTuple):
 
 def run(args: argparse.Namespace) -> Report:
     """Plan, simulate, identify and compare."""
-    count = args.presses or (2 if args.quick else 70)
-    tasks = [(case.name, args.first + number) for case in args.cases for number in range(count)]
-    found = by_case(trial_of, tasks, jobs=args.jobs, what=_NUMBER)
+    tasks = [(case.name, number) for case in args.cases for number in args.numbers]
+    found = by_case(trial_of, tasks, jobs=args.jobs, what="tissues")
     rows = {name: _row(trials) for name, trials in found.items()}
     every = [trial for trials in found.values() for trial in trials]
     return Report(_goals(every), {"noises": Table("Planned presses", rows)})
@@ -244,12 +242,4 @@ def _goals(trials: Sequence[Trial]) -> list[Goal]:
     ]
 
 
-def _more(parser: argparse.ArgumentParser) -> None:
-    words = "tissues of each noise (default: 70, each pressed four times)"
-    parser.add_argument("--presses", type=int, metavar="N", help=words)
-    words = "number of the first of them, which is its seed (default: 0)"
-    parser.add_argument("--first", type=int, default=0, metavar="N", help=words)
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes")
-
-
-BENCHMARK = Benchmark(run, EPILOG, cases=CASES, more=_more)
+BENCHMARK = Benchmark(run, EPILOG, cases=CASES, contacts=(70, 2))

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from benchmark.harness import Benchmark, Report, Table, at_least, at_most
+from benchmark.harness import Benchmark, Report, Table, at_least, at_most, measured
 from fden_ros.core.arrays import Array
 from fden_ros.planning.region import ENOUGH, Presses, Region
 
@@ -119,8 +119,8 @@ def _raster(seed: int) -> float:
 
 def run(args: argparse.Namespace) -> Report:
     """Press phantoms."""
-    count = args.phantoms or (4 if args.quick else 40)
-    trials = [_trial(args.first + number) for number in range(count)]
+    tasks = [(number,) for number in args.numbers]
+    trials = measured(_trial, tasks, jobs=args.jobs, what="phantoms")
     planned, raster, at_stop, costs = (np.array(column) for column in zip(*trials, strict=True))
     row = _row(planned, raster, at_stop, costs)
     median = float(np.median(planned))
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> Report:
         at_least("raster over planned", float(np.median(raster)) / median, 1.8),
         at_most("processor time of a proposal [ms]", float(np.median(costs)), 50.0),
     ]
-    return Report(goals, {"phantoms": Table("Phantoms", {f"{count} phantoms": row})})
+    return Report(goals, {"phantoms": Table("Phantoms", {f"{len(tasks)} phantoms": row})})
 
 
 def _ninth(values: Array) -> float:
@@ -149,11 +149,4 @@ def _row(planned: Array, raster: Array, at_stop: Array, costs: Array) -> dict[st
     }
 
 
-def _more(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--phantoms", type=int, metavar="N", help="how many (default: 40)")
-    parser.add_argument(
-        "--first", type=int, default=0, metavar="N", help="seed of the first (default: 0)"
-    )
-
-
-BENCHMARK = Benchmark(run, EPILOG, more=_more)
+BENCHMARK = Benchmark(run, EPILOG, contacts=(40, 4))

@@ -105,9 +105,9 @@ def last_summaries(outputs: Sequence[Output]) -> dict[int, ContactSummary]:
     return {o.contact_id: o for o in outputs if isinstance(o, ContactSummary)}
 
 
-def truth_of(recording: Recording) -> Array:
-    """Return the true (ln G, ln Gn, alpha) of the first site, shape (3,)."""
-    site = recording.truth["sites"][0]
+def truth_of(recording: Recording, number: int = 0) -> Array:
+    """Return the true (ln G, ln Gn, alpha) of a site, shape (3,)."""
+    site = recording.truth["sites"][number]
     g, g_n = site["linear_stiffness"], site["nonlinear_stiffness"]
     return np.array([math.log(g), math.log(g_n), site["fractional_order"]])
 

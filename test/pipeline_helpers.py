@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
+from benchmark.score import Judged, judged
+from benchmark.trial import truth_of
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
@@ -89,68 +88,14 @@ def summaries_of(outputs: Iterable[Output]) -> list[ContactSummary]:
     return [output for output in outputs if isinstance(output, ContactSummary)]
 
 
-class Errors(NamedTuple):
-    """One contact held against the truth, for ln G and ln Gn in turn; NaN without an estimate."""
-
-    converged: bool
-    error: tuple[float, float]
-    sd: tuple[float, float]
-
-
-def contact_errors(scenario: Any, seed: int, **parameters: object) -> list[Errors]:
-    """Simulate a scenario with one seed, identify it, and hold every contact against the truth.
-
-    ``given_origin=True`` gives the strain origin; other keywords are parameters, with ``__`` for
-    the dot.
-    """
-    given_origin = bool(parameters.pop("given_origin", False))
+def contact_errors(scenario: Any, seed: int, *, given_origin: bool = False) -> list[Judged]:
+    """Simulate a scenario with one seed, identify it, and hold every contact against the truth."""
     recording = simulate(scenario, seed)
-    own = {name.replace("__", "."): value for name, value in parameters.items()}
-    _, outputs = identified(
-        items_of(recording), parameters_of(recording, given_origin=given_origin) | own
-    )
-    found = summaries_of(outputs)
-    contacts, sites = recording.truth["contacts"], recording.truth["sites"]
+    parameters = parameters_of(recording, given_origin=given_origin)
+    found = summaries_of(identified(items_of(recording), parameters)[1])
+    contacts = recording.truth["contacts"]
     assert len(found) == len(contacts), f"seed {seed}: {len(found)} contacts"
-    errors = []
-    for summary, contact in zip(found, contacts, strict=True):
-        truth, estimate = sites[contact["site"] - 1], summary.estimate
-        if estimate is None:
-            errors.append(Errors(False, (math.nan, math.nan), (math.nan, math.nan)))
-            continue
-        errors.append(
-            Errors(
-                summary.converged,
-                (
-                    estimate.log_linear_stiffness - math.log(truth["linear_stiffness"]),
-                    estimate.log_nonlinear_stiffness - math.log(truth["nonlinear_stiffness"]),
-                ),
-                (
-                    math.sqrt(estimate.covariance[0, 0]),
-                    math.sqrt(estimate.covariance[1, 1]),
-                ),
-            )
-        )
-    return errors
-
-
-class Accuracy(NamedTuple):
-    """Figures over the converged contacts, each for ln G and ln Gn."""
-
-    share_converged: float
-    rms: np.ndarray
-    bias: np.ndarray
-    coverage: np.ndarray  #: share of contacts whose two standard deviations hold the truth
-
-
-def accuracy_of(errors: Iterable[Errors]) -> Accuracy:
-    errors = list(errors)
-    converged = [e for e in errors if e.converged]
-    error = np.array([e.error for e in converged])
-    sd = np.array([e.sd for e in converged])
-    return Accuracy(
-        len(converged) / len(errors),
-        np.sqrt(np.mean(error**2, axis=0)),
-        np.mean(error, axis=0),
-        np.mean(np.abs(error) <= 2.0 * sd, axis=0),
-    )
+    return [
+        judged(one.estimate, truth_of(recording, contact["site"] - 1), one.converged, one.flags)
+        for one, contact in zip(found, contacts, strict=True)
+    ]

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
@@ -41,6 +42,7 @@ from fden_ros.recording.cdr import serialize
 from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.topics import OutputMessages
 from simulation.bag import PARAMETER_FILE
+from simulation.simulate import START_NS
 
 NAME = "/identifier"
 RELIABLE = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
@@ -183,6 +185,58 @@ class Bench(Remote):
         return level
 
 
+#: Between two samples that a test publishes.
+STEP_NS = 4_000_000
+
+
+class Live:
+    """One node for many rows: time goes on, and so do the samples."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.now = START_NS
+        self.rng = np.random.default_rng(1)
+
+    def stream(self, seconds: float, depth: Callable[[float], float] = lambda t: 0.0) -> None:
+        """Publish good samples, of the air or of a press to `depth` [m]."""
+        count = round(seconds * 1e9 / STEP_NS)
+        for k in range(count):
+            self.now += STEP_NS
+            d = depth(k * STEP_NS * 1e-9)
+            force = 60.0 * max(d, 0.0) + 1e-4 * self.rng.standard_normal()
+            self.bench.publish(self.now, force, d + 1e-6 * self.rng.standard_normal())
+        self.bench.spin_for(0.0)
+
+    def recovers(self) -> None:
+        """Within a second of good data, by their stamps, the status is true."""
+        begin = self.now
+        self.stream(1.2)
+        self.bench.wait_for(
+            lambda: any(
+                stamp(m) > begin + 1_000_000_000 and m.status == TissueEstimate.STATUS_NO_CONTACT
+                for m in self.bench.estimates[-20:]
+            ),
+            "a true status a second after good data",
+        )
+
+    def count(self, name: str) -> int:
+        return int(self.bench.diagnostic().get(f"rejected.{name}", "0"))
+
+    def wait_for_count(self, name: str, least: int) -> None:
+        self.bench.wait_for(lambda: self.count(name) >= least, f"{least} times {name}")
+
+    def wait_for_words(self, words: str) -> None:
+        def said() -> bool:
+            self.stream(0.02)
+            return words in self.bench.diagnostic().get("message", "")
+
+        self.bench.wait_for(said, f"the words {words}")
+
+
+def stamp(message: Any) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
 def play(bag: Path, rate: float = 8.0, **options: Any) -> None:
     """Play a bag to who listens, until everything is received."""
     with Player(bag, rate=rate, **options) as player:
@@ -317,7 +371,6 @@ class Shared:
                 wait_for(lambda: self._deactivations() > before, "the last line of the log")
         self.output = "".join(self._lines)
         print(self.output)
-
 
     def _deactivations(self) -> int:
         return sum("deactivated: silent" in line for line in list(self._lines))

@@ -1,18 +1,20 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden replay`` on recordings of other makers: bags, types of their own, tables."""
+"""`fden replay` on recordings of other makers: bags, types of their own, tables."""
 
 from __future__ import annotations
 
 import importlib
 import json
+import math
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -21,15 +23,21 @@ import numpy as np
 import pytest
 import yaml
 from live_helpers import LIMIT
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from unknown_rig_bags import RigBag
 
 from fden_ros.cli import main
 from fden_ros.configure.streams import Streams
+from fden_ros.errors import InputError
+from fden_ros.offline.replay import Replay, replay, result_object
+from fden_ros.parameters import Parameters, read_parameter_file
+from fden_ros.recording.definitions import message_class
 from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Column, Columns, TableReader
 from fden_ros.recording.writer import BagWriter
-from simulation.bag import write_recording
+from simulation.bag import PARAMETER_FILE, write_recording
 from simulation.scenario import load_scenario, ramp_scenario
 from simulation.simulate import START_NS, Recording, simulate
 
@@ -37,39 +45,13 @@ ROOT = Path(__file__).parent.parent
 GOLDEN = ROOT / "bags" / "golden"
 PRESS = GOLDEN / "golden_press"
 POSE = GOLDEN / "golden_pose"
-SCENARIO = """\
-seed: 3
-geometry: {kind: flat_punch, radius_m: 0.01, thickness_m: 0.02}
-approach: {distance_m: 0.006, start_pause_s: 1.0, site_pause_s: 0.5}
-sites:
-  - position_m: [0.05, -0.02]
-    tissue: {draw: liver, fractional_order: 0.131}
-    presses: [{kind: ramp, strain_rate: 0.25, max_strain: 0.28}]
-force:
-  topic: /ati/netft
-  axis: [0.0, 0.0, -1.0]
-  frame_id: ft_sensor
-  rate_hz: 1000.0
-  noise_n: 1.0e-3
-  jitter_s: 1.0e-4
-  bias_n: -0.3
-displacement:
-  topic: /psm1/measured_cp
-  message: pose
-  axis: [0.0, 0.0, -1.0]
-  frame_id: base
-  rate_hz: 100.0
-  noise_m: 2.0e-6
-  jitter_s: 1.0e-3
-  surface_m: -0.11
-"""
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    path = tmp_path_factory.mktemp("scenario") / "foreign.yaml"
-    path.write_text(SCENARIO)
-    return simulate(load_scenario(path))
+def recording() -> Recording:
+    """One press of a scenario that comes along, the probe pressing downwards."""
+    scenario = load_scenario("pose_100hz")
+    return simulate(replace(scenario, sites=scenario.sites[:1]))
 
 
 @pytest.fixture(scope="module")
@@ -140,18 +122,7 @@ def test_a_bag_of_rosbags_with_slow_poses_and_negative_force_gives_the_truth(
 ) -> None:
     result = replayed(capsys, foreign_bag, "--config", config)
     check_truth(result, recording)
-    assert result["inputs"] == {"force": "/ati/netft", "displacement": "/psm1/measured_cp"}
-
-
-def test_a_bag_cut_off_in_the_middle_of_the_press_is_used_as_far_as_it_goes(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, foreign_bag: Path, config: Path
-) -> None:
-    (source,) = foreign_bag.glob("*.mcap")
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(source.read_bytes()[: source.stat().st_size * 6 // 10])
-    result = replayed(capsys, cut, "--config", config)
-    assert result["samples"] > 1000
-    assert any("is cut off at byte" in warning for warning in result["warnings"])
+    assert result["inputs"] == {"force": "/tool/wrench", "displacement": "/arm/measured_cp"}
 
 
 def test_damaged_messages_are_counted_and_the_others_used(
@@ -187,18 +158,18 @@ def test_fields_of_types_that_only_the_bag_knows_give_the_truth(
     inverted = tmp_path / "inverted.yaml"
     inverted.write_text(config.read_text() + "    force.inverted: true\n")
     options = (
-        *("--force-topic", "/ati/netft", "--force-field", "channels[1]"),
-        *("--displacement-topic", "/psm1/measured_cp", "--displacement-field", "tip"),
+        *("--force-topic", "/tool/wrench", "--force-field", "channels[1]"),
+        *("--displacement-topic", "/arm/measured_cp", "--displacement-field", "tip"),
     )
     result = replayed(capsys, bag, "--config", inverted, *options)
     check_truth(result, recording)
-    assert result["inputs"]["force"] == "/ati/netft channels[1]"
+    assert result["inputs"]["force"] == "/tool/wrench channels[1]"
 
 
 def test_a_field_that_is_not_there_is_named_with_those_that_are(
     capsys: pytest.CaptureFixture[str], foreign_bag: Path
 ) -> None:
-    topic = ("--force-topic", "/ati/netft", "--force-field")
+    topic = ("--force-topic", "/tool/wrench", "--force-field")
     line = error_line(capsys, 1, "replay", foreign_bag, *topic, "wrench.push")
     assert "no push" in line and "force, torque" in line
     line = error_line(capsys, 1, "replay", foreign_bag, *topic, "header.frame_id")
@@ -459,3 +430,85 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, long: Path) -> None
     assert process.returncode == 128 + signal.SIGINT
     assert errors == b""
     assert list(out.parent.iterdir()) == []
+
+
+# The projector of measurements: fields of any message, tables and topics come out alike
+
+
+POSE_BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_pose"
+FORCE, POSES = "/tool/wrench", "/arm/measured_cp"
+FIELDS = Selection(
+    {"force": FORCE, "displacement": POSES},
+    {"force": "wrench.force", "displacement": "pose.position"},
+)
+
+
+def own_parameters(**changes: Any) -> Parameters:
+    values = {name.replace("__", "."): value for name, value in changes.items()}
+    return read_parameter_file(POSE_BAG / PARAMETER_FILE).changed(values)
+
+
+def copied(folder: Path, change: Any) -> Path:
+    """The bag with every message changed by `change`, which has its topic and number."""
+    reader = BagReader(POSE_BAG)
+    kinds = {t.name: message_class(t.type_name) for t in reader.topics}
+    with BagWriter(folder) as writer:
+        for topic in reader.topics:
+            writer.add_topic(topic.name, topic.type_name, *topic.offered_qos)
+        for number, raw in enumerate(reader.messages()):
+            message = deserialize_message(raw.data, kinds[raw.topic])
+            change(raw.topic, number, message)
+            writer.write(raw.topic, serialize_message(message), raw.log_time_ns)
+    return folder
+
+
+def without_names(result: Replay) -> dict[str, Any]:
+    return result_object(replace(result, inputs={}))
+
+
+@pytest.mark.parametrize("mass", [0.0, 0.02])
+def test_fields_give_what_the_topics_give_the_weight_of_the_tool_too(
+    mass: float, tmp_path: Path
+) -> None:
+    def turn(topic: str, number: int, message: Any) -> None:
+        if topic == POSES:  # about x, by 1 rad in all
+            half = 0.5 * number / 4079
+            turned = message.pose.orientation
+            turned.x, turned.w = math.sin(half), math.cos(half)
+
+    bag = copied(tmp_path / "bag", turn)
+    parameters = own_parameters(tool__mass=mass)
+    topics, fields = replay(bag, parameters), replay(bag, parameters, FIELDS)
+    assert topics.summaries
+    assert without_names(fields) == without_names(topics)
+    if mass:
+        heavy = [s.max_force for s in topics.summaries]
+        light = [s.max_force for s in replay(bag, own_parameters()).summaries]
+        assert heavy != light
+
+
+@pytest.mark.parametrize("selection", [None, FIELDS], ids=["topics", "fields"])
+@pytest.mark.parametrize(("topic", "stream"), [(FORCE, "force"), (POSES, "displacement")])
+def test_another_frame_is_rejected_wherever_a_sample_comes_from(
+    selection: Selection | None, topic: str, stream: str, tmp_path: Path
+) -> None:
+    renamed = []
+
+    def rename(name: str, number: int, message: Any) -> None:
+        if name == topic and number % 500 == 499:
+            message.header.frame_id = "elsewhere"
+            renamed.append(number)
+
+    bag = copied(tmp_path / "bag", rename)
+    result = replay(bag, own_parameters(), selection)
+    assert renamed
+    assert result.rejected[f"{stream}.wrong_frame"] == len(renamed)
+
+
+def test_table_without_orientations_is_refused_for_a_heavy_tool(tmp_path: Path) -> None:
+    table = tmp_path / "press.csv"
+    table.write_text("time,force,depth\n0.0,0.0,0.0\n0.1,0.0,0.0\n")
+    selection = Selection(columns=Columns.parse("time,force,depth"))
+    assert replay(table, Parameters(), selection).samples == 2
+    with pytest.raises(InputError, match=r"tool\.mass takes off the weight"):
+        replay(table, own_parameters(tool__mass=0.01), selection)

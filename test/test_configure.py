@@ -9,22 +9,34 @@ import json
 import math
 import os
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fault_helpers import shift
+from frame_helpers import Place, arm, place, write_bag
+from live_helpers import process_of
+from scipy.spatial.transform import Rotation
 from unknown_rig_bags import RigBag
 from unknown_rigs import SimulatedRig, judge, simulate_rig
 
 from fden_ros.cli import main
 from fden_ros.configure.reading import read
+from fden_ros.configure.robots import robot_named, robot_names
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
+from fden_ros.configure.transforms import FrameTree
+from fden_ros.nodes import guide
+from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import read_parameter_file
-from fden_ros.parameters.files import read_sections
+from fden_ros.parameters.files import live_topics, read_sections
 from fden_ros.recording.table import guessed_columns
+
+# What `fden configure` finds on simulated rigs, and says where a recording cannot tell
+
 
 DATA = os.environ.get("FDEN_DATA")
 PRESS = Path(__file__).parents[1] / "examples" / "press.csv"
@@ -93,9 +105,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("seed", "chosen"),
     [pytest.param(*rig, marks=[] if rig[0] in OFTEN else pytest.mark.statistics) for rig in DOZEN],
 )
-def test_what_is_stated_of_an_unknown_rig_is_right(
-    seed: int, chosen: dict[str, Any], tmp_path: Path
-) -> None:
+def test_what_is_stated_of_an_unknown_rig_is_right(seed, chosen, tmp_path):
     rig = simulate_rig(seed, **chosen)
     path = RigBag(rig.streams).write(tmp_path / "bag")
     reading = read(path)
@@ -107,7 +117,7 @@ def test_what_is_stated_of_an_unknown_rig_is_right(
 
 
 @pytest.mark.statistics
-def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold() -> None:
+def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold():
     judged = []
     for seed in range(5000, 5200):
         rig = simulate_rig(seed)
@@ -116,13 +126,13 @@ def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold() -> Non
     # An axis from the only contact that is seen: 13 degrees off, stated to 0.014.
     assert wrong <= {5045}
     assert [one.seed for one in judged if one.unfounded] == []
-    for name in judged[0].stated:
+    for name in judged[0].subjects:
         errors = np.array([error for one in judged for error in one.errors.get(name, [])])
         if errors.size >= 40:
             assert 0.9 <= np.mean(np.abs(errors) <= 1.96) <= 1.0, name
 
 
-def test_a_whole_recording_tells_everything() -> None:
+def test_a_whole_recording_tells_everything():
     rig = whole_rig(presses=6)
     found = look(rig)
     assert [f.subject for f in found.findings if not f.claim] == []
@@ -139,9 +149,7 @@ def test_a_whole_recording_tells_everything() -> None:
         ({"turns": False, "rigid": False, "seed": 9}, {"tool mass", "compliance", "delay"}),
     ],
 )
-def test_what_was_not_done_is_not_stated_but_asked_for(
-    left_out: dict[str, Any], silent: set[str]
-) -> None:
+def test_what_was_not_done_is_not_stated_but_asked_for(left_out, silent):
     found = look(whole_rig(**left_out))
     for name in silent:
         finding = found.finding(name)
@@ -150,7 +158,7 @@ def test_what_was_not_done_is_not_stated_but_asked_for(
         assert not finding.parameters
 
 
-def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> None:
+def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters():
     rig = whole_rig()
     quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned = replace(rig.streams, force=rig.streams.force @ quarter)
@@ -160,20 +168,15 @@ def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters() -> Non
     assert not finding.parameters
 
 
-@pytest.mark.parametrize(
-    ("force", "displacement"), [(1.0, 1.0), (9.80665e-3, 1.0), (1.0, 1e-3), (9.80665e-3, 1e-3)]
-)
-def test_grams_and_millimetres_are_named_and_the_rest_is_still_si(
-    force: float, displacement: float
-) -> None:
-    rig = whole_rig(force_unit=force, displacement_unit=displacement)
+def test_grams_and_millimetres_are_named_and_the_rest_is_still_si():
+    rig = whole_rig(force_unit=9.80665e-3, displacement_unit=1e-3)
     found = look(rig)
-    assert found.finding("force unit").value == ("N" if force == 1.0 else "g")
-    assert found.finding("displacement unit").value == ("m" if displacement == 1.0 else "mm")
+    assert found.finding("force unit").value == "g"
+    assert found.finding("displacement unit").value == "mm"
     assert not judge(found, rig.truth).misses
 
 
-def test_noise_alone_is_no_contact() -> None:
+def test_noise_alone_is_no_contact():
     draw = np.random.default_rng(3)
     times = np.arange(0.0, 20.0, 0.005)
     streams = Streams(
@@ -191,9 +194,7 @@ def test_noise_alone_is_no_contact() -> None:
 # The command
 
 
-def test_the_file_replays_on_presses_of_the_same_rig(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_file_replays_on_presses_of_the_same_rig(bag, tmp_path, capsys):
     truth = bag_rig().truth
     output = tmp_path / "probe.yaml"
     indenter = ["--flat-punch", truth.area, "--thickness", truth.thickness]
@@ -216,7 +217,7 @@ def test_the_file_replays_on_presses_of_the_same_rig(
         assert one["g_n"] == pytest.approx(truth.nonlinear_stiffness, abs=4.0 * one["g_n_sd"])
 
 
-def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_path: Path) -> None:
+def test_every_value_in_the_file_stands_below_where_it_is_from(bag, tmp_path):
     output = tmp_path / "probe.yaml"
     assert run("configure", bag, "-o", output) == 0
     text = output.read_text(encoding="utf-8")
@@ -226,9 +227,7 @@ def test_every_value_in_the_file_stands_below_where_it_is_from(bag: Path, tmp_pa
     assert values["displacement.message"] == "pose"
 
 
-def test_presses_of_one_place_are_one_site_without_positions(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_presses_of_one_place_are_one_site_without_positions(tmp_path, capsys):
     output = tmp_path / "probe.yaml"
     for more, sites in ([], [1, 2]), (["--one-place"], [1, 1]):
         assert run("configure", PRESS, "-o", output, *more) == 0
@@ -238,9 +237,7 @@ def test_presses_of_one_place_are_one_site_without_positions(
         assert [contact["site"] for contact in contacts] == sites
 
 
-def test_a_table_in_millimetres_is_told_and_its_headings_are_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, capsys):
     assert run("configure", PRESS, "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["parameters"]["force.inverted"] is False
@@ -264,40 +261,15 @@ def test_a_table_in_millimetres_is_told_and_its_headings_are_read(
         (["time_s", "force_N", "temperature_K"], None),
     ],
 )
-def test_headings_with_units_say_the_columns(headings: list[str], columns: str | None) -> None:
+def test_headings_with_units_say_the_columns(headings, columns):
     assert guessed_columns(headings) == columns
-
-
-def table(path: Path, *, force: float = 1.0, depth: float = 1.0, heading: str = "a;b;c") -> Path:
-    """Write the example's presses with decimal commas, force and depth multiplied."""
-    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1) * [1.0, force, 1e-3 * depth]
-    lines = [";".join(f"{value:.7f}" for value in row).replace(".", ",") for row in rows]
-    path.write_text("\n".join([heading, *lines]), encoding="utf-8")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("force", "depth", "words"),
-    [
-        (1.0, -1.0, "does the displacement have the wrong sign (displacement.axis"),
-        (-1.0, 1.0, "does it have the wrong sign (force.axis"),
-        (-1.0, -1.0, "do both have the wrong sign (force.axis and displacement.axis"),
-    ],
-)
-def test_the_hint_names_the_stream_that_is_wrong(
-    force: float, depth: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = table(tmp_path / "press.csv", force=force, depth=depth)
-    probe = PRESS.parent / "probe.yaml"
-    run("replay", recording, "--columns", "1,2,3", "--config", probe, "--json")
-    assert words in " ".join(json.loads(capsys.readouterr().out)["warnings"])
 
 
 # Measured
 
 
 @pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
-def test_the_robot_recording_tells_no_delay(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_robot_recording_tells_no_delay(capsys):
     assert DATA is not None
     path = Path(DATA, "robot_on_silicone_500hz.csv")
     assert run("configure", path, "--columns", "@500,5,1", "--json") == 0
@@ -313,3 +285,211 @@ def test_the_robot_recording_tells_no_delay(capsys: pytest.CaptureFixture[str]) 
     assert not found["delay"]["claim"]
     assert not found["compliance"]["claim"]
     assert math.isclose(found["force rate"]["value"], 500.0)
+
+
+# `fden configure` where the probe's motion stands in transforms alone
+
+
+INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
+
+
+@pytest.fixture(scope="module")
+def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("arm") / "arm_bag", arm(shift()))
+
+
+def test_frames_are_found_and_the_file_replays(arm_bag, tmp_path, capsys):
+    output = tmp_path / "probe.yaml"
+    assert main(["configure", str(arm_bag), "-o", str(output), *INDENTER]) == 0
+    assert "displacement from tip in base" in capsys.readouterr().out
+    found = read_parameter_file(output)
+    assert (found.frames.base, found.frames.probe) == ("base", "tip")
+    assert found.displacement.message == "tf"
+    for axis in (found.force.axis, found.displacement.axis):
+        assert np.allclose(axis, [0.0, 0.0, 1.0], atol=0.05)
+    main(["replay", str(arm_bag), "--config", str(output), "--json"])
+    assert json.loads(capsys.readouterr().out)["contacts"]
+
+
+def test_frames_that_are_not_clear_are_asked_for_with_the_list(arm_bag, tmp_path, capsys):
+    assert main(["configure", str(arm_bag), "--frames", "base,tool"]) == 1
+    assert "of base, camera, flange, link, sensor, tip" in capsys.readouterr().err
+    second = place(1, "sensor", "knife", np.zeros(3), Rotation.identity(), static=True)
+    samples = [*arm(shift()), second]
+    assert isinstance(second, Place)
+    assert main(["configure", str(write_bag(tmp_path / "two", samples))]) == 1
+    assert "--frames BASE,PROBE, of base, camera, flange, knife" in capsys.readouterr().err
+
+
+def test_a_way_is_composed_along_the_tree():
+    from geometry_msgs.msg import TransformStamped
+    from tf2_msgs.msg import TFMessage
+
+    tree = FrameTree("here")
+    turn = Rotation.from_euler("z", 90.0, degrees=True).as_quat()
+    for parent, child, second in (("a", "b", 0), ("a", "b", 2), ("b", "c", 1)):
+        one = TransformStamped(child_frame_id=child)
+        one.header.frame_id, one.header.stamp.sec = parent, second
+        one.transform.translation.x = float(second)
+        rotation = one.transform.rotation
+        rotation.x, rotation.y, rotation.z, rotation.w = (float(part) for part in turn)
+        tree.add(TFMessage(transforms=[one]))
+    path = tree.path("a", "c", np.array([1_000_000_000], dtype=np.int64))
+    assert np.allclose(path.places, [[1.0, 1.0, 0.0]])
+    assert np.allclose(path.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
+
+
+# `fden configure --live` beside a robot that moves: a bag that is played into real topics
+
+
+def test_it_says_what_to_do_and_waits_for_it(tmp_path, capsys):
+    rig = whole_rig(force_rate=100.0, displacement_rate=100.0)
+    bag = RigBag(rig.streams).write(tmp_path / "bag")
+    output = tmp_path / "probe.yaml"
+    play = [sys.executable, "-m", "fden_ros.cli", "play", str(bag), "--rate", "3"]
+    with process_of(play):
+        topics = ["--force-topic", "/ft/wrench", "--displacement-topic", "/arm/pose"]
+        assert run("configure", "--live", *topics, "-o", output) == 0
+    printed = capsys.readouterr()
+    said = printed.err.splitlines()
+    assert "force from /ft/wrench (geometry_msgs/WrenchStamped)" in said
+    assert any(line.startswith("NOW: turn the tool in the air") for line in said)
+    assert said.index("done: turn") < said.index("done: press") < said.index("done: plate")
+    assert not any("given up" in line for line in said)
+    assert "identifier.launch.py parameters:=" in printed.out
+    parameters = read_parameter_file(output)
+    truth = rig.truth
+    assert parameters.tool.mass == pytest.approx(truth.mass, rel=0.02)
+    assert parameters.displacement.delay == pytest.approx(truth.delay, abs=1e-3)
+    assert parameters.displacement.compliance == pytest.approx(truth.compliance, rel=0.1)
+
+
+def test_without_topics_it_says_which_it_would_need(capsys, monkeypatch):
+    monkeypatch.setattr(guide, "_TOPICS_WITHIN", 0.5)
+    assert run("configure", "--live") == 1
+    assert "no topic can carry the force: " in capsys.readouterr().err
+
+
+# Robots by name: their topics and conventions, on bags in each layout by another library
+
+
+#: Robot: topics, kind of the displacement, the sign of what its sensor shows (1: what acts on the
+#: tool), and whether its driver takes the tool's weight off.
+LAYOUTS: dict[str, tuple[str, str, str, float, bool]] = {
+    "crtk": ("/PSM1/body/measured_cf", "/PSM1/measured_cp", "pose", 1.0, False),
+    "ur": (
+        "/force_torque_sensor_broadcaster/wrench",
+        "/tcp_pose_broadcaster/pose",
+        "pose",
+        1.0,
+        True,
+    ),
+    "franka": (
+        "/NS_1/franka_robot_state_broadcaster/external_wrench_in_stiffness_frame",
+        "/NS_1/franka_robot_state_broadcaster/current_pose",
+        "pose",
+        -1.0,
+        True,
+    ),
+    "kuka_iiwa": (
+        "/lbr/force_torque_broadcaster/wrench",
+        "/lbr/pose_broadcaster/pose",
+        "pose",
+        -1.0,
+        True,
+    ),
+    "xarm": ("/xarm/uf_ftsensor_ext_states", "/xarm/robot_states", "xarm", 1.0, True),
+    "ros2_control": ("/fts_broadcaster/wrench", "/tool_broadcaster/pose", "pose", 1.0, False),
+}
+
+
+def rig_of(sign: float, compensated: bool, **chosen: Any) -> SimulatedRig:
+    mass = 0.0 if compensated else 0.4
+    return whole_rig(
+        rigid=False,
+        sensor_sign=sign,
+        mass=mass,
+        force_rate=120.0,
+        displacement_rate=100.0,
+        **chosen,
+    )
+
+
+def configured(capsys: pytest.CaptureFixture[str], *arguments: Any) -> dict[str, Any]:
+    assert run("configure", *arguments, "--json") == 0
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return answer
+
+
+def test_every_robot_has_a_layout_here_and_names_its_sources():
+    assert set(robot_names()) == set(LAYOUTS)
+    for name in robot_names():
+        robot = robot_named(name)
+        assert robot.sources
+        assert robot.force.convention
+        assert robot.displacement.convention
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_topics_signs_and_weight_are_found_in_the_layout_of(name, tmp_path, capsys):
+    force, displacement, kind, sign, compensated = LAYOUTS[name]
+    rig = rig_of(sign, compensated)
+    bag = RigBag(rig.streams, force, displacement, kind).write(tmp_path / "bag")
+    answer = configured(capsys, bag, "--robot", name)
+    assert answer["inputs"][0]["force"] == force
+    assert answer["inputs"][0]["displacement"].startswith(displacement)
+    axis = answer["parameters"]["force.axis"]
+    assert np.allclose(axis, [0.0, 0.0, -sign], atol=0.02)
+    convention = robot_named(name).force.axis
+    if convention is not None:
+        assert np.allclose(axis, convention, atol=0.02)
+    found = {finding["subject"]: finding for finding in answer["findings"]}
+    if kind == "xarm":
+        assert found["displacement unit"]["value"] == "mm"
+        return
+    assert np.allclose(
+        answer["parameters"]["displacement.axis"], rig.truth.displacement_axis, atol=0.02
+    )
+    mass = found["tool mass"]
+    assert mass["value"] == pytest.approx(rig.truth.mass, rel=0.02, abs=1e-3)
+
+
+def test_a_sign_against_the_convention_is_told_and_the_recording_wins(tmp_path, capsys):
+    force, displacement, kind, sign, compensated = LAYOUTS["ur"]
+    rig = rig_of(-sign, compensated)
+    bag = RigBag(rig.streams, force, displacement, kind).write(tmp_path / "bag")
+    output = tmp_path / "probe.yaml"
+    assert run("configure", bag, "--robot", "ur", "-o", output) == 0
+    assert "OPPOSITE" in capsys.readouterr().out
+    assert read_parameter_file(output).force.axis[2] > 0.9
+
+
+def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(tmp_path, capsys):
+    rig = rig_of(1.0, False)
+    layout = RigBag(rig.streams, "/PSM1/body/measured_cf", "/PSM1/measured_cp", "transform")
+    bag = layout.write(tmp_path / "bag", invalid=40)
+    assert run("configure", bag, "--robot", "crtk", "-o", tmp_path / "probe.yaml") == 0
+    assert "40 messages without stamp or value" in capsys.readouterr().out
+    assert read_parameter_file(tmp_path / "probe.yaml").displacement.message == "transform"
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_file_from_conventions_alone_can_be_read(name, tmp_path):
+    path = tmp_path / "probe.yaml"
+    assert run("configure", "--robot", name, "-o", path) == 0
+    parameters = read_parameter_file(path)
+    axis = robot_named(name).force.axis
+    assert list(parameters.force.axis) == (axis or [0.0, 0.0, 1.0])
+    assert "# source: " in path.read_text(encoding="utf-8")
+
+
+def test_the_topics_of_a_file_are_those_of_the_node_unless_it_is_told_others(tmp_path):
+    path = tmp_path / "probe.yaml"
+    assert run("configure", "--robot", "ur", "-o", path) == 0
+    topics = ["/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose"]
+    assert list(live_topics(path).values()) == topics
+    given = ["identifier", "--ros-args", "--params-file", str(path)]
+    remap = f"displacement:={topics[1]}"
+    assert written_remaps(given) == ["--ros-args", "-r", f"force:={topics[0]}", "-r", remap]
+    assert written_remaps([*given, "-r", "force:=/ft"]) == ["--ros-args", "-r", remap]
+    assert written_remaps(["identifier"]) == []

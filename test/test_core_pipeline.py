@@ -4,7 +4,7 @@
 """The pipeline as a whole: the life of contacts and sites, gaps, resets, and the order of outputs.
 
 The truth comes from the simulation, which shares nothing with the core. Faults of the input are in
-``test_faults.py``, accuracy over many seeds in ``test_core_pipeline_accuracy.py``.
+``test_faults.py``, accuracy over many seeds in ``test_core_posterior.py``.
 """
 
 from __future__ import annotations
@@ -98,22 +98,6 @@ def outcome(data: Presses, items: Sequence[Any] | None = None, **parameters: obj
 def undisturbed() -> Outcome:
     """What is made of three presses of one place."""
     return outcome(presses())
-
-
-@pytest.mark.parametrize("sites", [1, 2])
-def test_without_positions_a_late_touch_is_followed_as_the_same_place_and_as_another(sites):
-    press = Palpation(0.3, 0.26, 2.0, presses=3 - sites, lift_m=0.002, pause_s=2.2)
-    data = presses((press,), sites)
-    summaries = outcome(data).summaries
-    air_s = 1e-9 * (data.contacts[1]["start_ns"] - data.contacts[0]["end_ns"])
-    assert air_s > 2.0  # `site.timeout`
-    # Nothing says that it is not another site, but what is known of the tissue is used.
-    assert [summary.site_id for summary in summaries] == [1, 2]
-    first, last = (summary.estimate for summary in summaries)
-    assert last.converged
-    error = last.log_linear_stiffness - math.log(data.site["linear_stiffness"])
-    assert abs(error) < 3.0 * math.sqrt(last.covariance[0, 0])
-    assert (last.covariance[0, 0] < 0.7 * first.covariance[0, 0]) == (sites == 1)
 
 
 def with_call(data: Presses, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:
@@ -306,9 +290,6 @@ def test_after_a_reset_everything_is_as_in_a_new_pipeline_but_ids_and_counts() -
     before = outcome(data, data.between(0, stamp_ns))
     assert result.pipeline.pair_count == before.pipeline.pair_count + fresh.pipeline.pair_count
     assert result.pipeline.rejected.total() == 1 and not fresh.pipeline.rejected
-
-
-# The end
 
 
 # Order of outputs, and counts

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The posterior of a press: its maximum, its invariances, its bound, and the filter between."""
+"""The posterior of a press: its maximum, invariances, bound, and the filter between."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 from pipeline_helpers import contact_errors
 from scipy.optimize import least_squares, minimize
 
+from benchmark.score import rms
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.change import change_of
 from fden_ros.core.estimation.claims import Evidence, claims_of
@@ -24,7 +25,6 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertain
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample, points_after
-from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Posterior, Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
@@ -212,17 +212,16 @@ def over_bound(noise_n: float, seeds: range) -> Array:
     return np.sqrt(np.mean(np.square(off), axis=0))
 
 
+# The root mean square of 6 scatters by 30 %, of 200 by 5 %.
+@pytest.mark.parametrize(
+    ("seeds", "most"),
+    [(range(100, 106), 1.8), pytest.param(range(1000, 1200), 1.2, marks=pytest.mark.statistics)],
+)
 @pytest.mark.parametrize("noise_n", [0.01, 0.001, 0.0001])
-def test_errors_are_near_the_bound_where_law_and_rig_are_exact(noise_n: float) -> None:
-    # The root mean square of 6 scatters by 30 %.
-    assert np.all(over_bound(noise_n, range(100, 106)) < 1.8)
-
-
-@pytest.mark.statistics
-@pytest.mark.parametrize("noise_n", [0.01, 0.001, 0.0001])
-def test_errors_are_at_most_a_fifth_above_the_bound(noise_n: float) -> None:
-    # Of 200 contacts it scatters by 5 %.
-    assert np.all(over_bound(noise_n, range(1000, 1200)) < 1.2)
+def test_errors_are_near_the_bound_where_law_and_rig_are_exact(
+    noise_n: float, seeds: range, most: float
+) -> None:
+    assert np.all(over_bound(noise_n, seeds) < most)
 
 
 def test_the_filter_is_where_the_next_solution_is() -> None:
@@ -306,29 +305,6 @@ def test_a_jerk_of_one_block_is_no_change_of_the_tissue(jerk: float, block: int)
     assert found is None or found.since is None
 
 
-def test_a_relaxation_that_ends_is_likelier_than_the_law_where_it_does() -> None:
-    press = pressed(3, 0.002)
-    times = press.times - press.times[0]
-    elastic = np.maximum(press.strains, 0.0) * 1000.0
-    ends = np.empty_like(elastic)
-    state = 0.0
-    for n, step in enumerate(np.diff(times, prepend=times[0])):
-        rise = elastic[n] - elastic[n - 1] if n else elastic[0]
-        state = state * math.exp(-step / 0.5) + rise
-        ends[n] = 0.5 * elastic[n] + 0.5 * state
-    noise = np.random.default_rng(1).normal(0.0, press.noise, times.size)
-    for stresses, is_ended in ((press.stresses, False), (ends + noise, True)):
-        own = press._replace(stresses=stresses)
-        posterior, points = posterior_of(own, LAW_OFF), points_of(own)
-        odds = mismatch_log_odds(
-            points,
-            solved(own, LAW_OFF),
-            posterior,
-            lambda kind, own=own: posterior_of(own, LAW_OFF, (), kind),
-        )
-        assert (odds > 3.0) == is_ended
-
-
 def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:
     record, sizes = Record(), []
     for k in range(200_000):
@@ -370,8 +346,54 @@ def test_claims_follow_from_the_reasons(evidence: Evidence, known: ParameterSet)
     assert claims_of(EstimatorConfig(), evidence).known == known
 
 
-def test_an_arm_s_presses_are_identified_within_their_deviations() -> None:
-    contacts = contact_errors(load_scenario("robot_arm"), 1000)
+# Accuracy of the whole chain on every ramp scenario that comes along
+# Each run holds the deviations of one seed against golden numbers; ``make statistics`` shows the
+# claims on 200 contacts.
+
+
+CONTACTS = 200
+SCENARIOS = ("ramp", "slow_ramp", "fast_ramp")
+ORIGINS = pytest.mark.parametrize("given_origin", [False, True], ids=["touch", "given"])
+#: Standard deviations of ln G and ln Gn of the first contact of seed 1000.
+GOLDEN = {
+    "ramp": (0.00265, 0.00133),
+    "slow_ramp": (0.00100, 0.00073),
+    "fast_ramp": (0.00565, 0.00228),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "given_origin"),
+    [("ramp", False), ("slow_ramp", True), ("fast_ramp", False), ("robot_arm", False)],
+)
+def test_one_seed_has_the_deviations_that_were_found_right(name: str, given_origin: bool) -> None:
+    contacts = contact_errors(load_scenario(name), 1000, given_origin=given_origin)
     assert all(contact.converged for contact in contacts)
     for contact in contacts:
-        assert np.all(np.abs(contact.error) < 3.5 * np.array(contact.sd)), contact
+        assert np.all(np.abs(contact.error[:2]) < 3.5 * contact.deviation[:2]), contact
+    if name in GOLDEN:
+        assert contacts[0].deviation[:2] == pytest.approx(GOLDEN[name], rel=0.1)
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("name", SCENARIOS)
+@ORIGINS
+def test_errors_are_small_and_intervals_honest(name: str, given_origin: bool) -> None:
+    scenario = load_scenario(name)
+    seeds = range(1000, 1000 + math.ceil(CONTACTS / len(scenario.sites)))
+    contacts = [
+        contact
+        for seed in seeds
+        for contact in contact_errors(scenario, seed, given_origin=given_origin)
+    ]
+    used = [contact for contact in contacts if contact.converged]
+    errors = np.array([contact.error[:2] for contact in used])
+    # Root mean square where converged: an origin found from the force costs little.
+    assert np.all(rms(errors) <= ([0.01, 0.01] if given_origin else [0.05, 0.03]))
+    # It must not be kept by hardly ever converging.
+    assert len(used) >= 0.8 * len(contacts)
+    if given_origin:
+        # Of 95.4 %, 200 contacts scatter by 1.5 %.
+        deviations = np.array([contact.deviation[:2] for contact in used])
+        coverage = np.mean(np.abs(errors) <= 2.0 * deviations, axis=0)
+        assert np.all((coverage >= 0.90) & (coverage <= 0.99)), coverage

@@ -1,23 +1,35 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is learned of the rig, and what is not."""
+"""What is learned of the rig and of places, and contacts judged by air and by the way aside."""
 
 from __future__ import annotations
 
 import functools
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from pipeline_helpers import feed, identified, items_of, summaries_of
+from fault_helpers import outcome_of
+from pipeline_helpers import FORCE, feed, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts
 
+from benchmark import presses
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
+from fden_ros.core.estimation.drift_scale import (
+    drift_evidence,
+)
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.motion_scale import (
+    LEAST_SHARE,
+    NO_EVIDENCE,
+    pooled,
+    share_of,
+)
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.outputs import Flag, Phase, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
 from simulation.scenario import (
@@ -28,9 +40,13 @@ from simulation.scenario import (
     Scenario,
     Site,
     Tissue,
+    ramp_scenario,
 )
-from simulation.simulate import simulate
-from simulation.trajectory import RampHold
+from simulation.simulate import EXACT, simulate
+from simulation.trajectory import Approach, Palpation, RampHold
+
+# What is learned of the rig, and what is not
+
 
 ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
 CONFIG = EstimatorConfig(uncertainty=ARM)
@@ -158,3 +174,265 @@ def test_forgetting_the_rig_before_the_air_was_judged_lets_that_contact_teach_no
     assert len(summaries_of(outputs)) == 1
     pipeline.finish()
     assert pipeline.rig == stated
+
+
+# The scales of the surface's motion and of the force's drift, learned over contacts
+
+
+AT_REST = (0.0, 9.0, 13.0, 15.0, 15.5)
+BREATHES = (0.0, 8.0, 6.0, -6.0, -24.0)
+NOISE, STATED = 1e-3**2, 10e-3**2
+UNKNOWN = RigKnowledge((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)))
+
+
+def after(changes):
+    """Return what is known after changes of the air's force [N]."""
+    known = UNKNOWN
+    for change in changes:
+        known = known.drifted(drift_evidence(change, NOISE, STATED))
+    return known
+
+
+def case_of(name):
+    return CASES[name]
+
+
+def test_contacts_at_rest_leave_a_quarter_of_the_stated_motion_and_no_less():
+    known = NO_EVIDENCE
+    for _ in range(100):
+        known = pooled(known, AT_REST)
+    assert share_of(known) == LEAST_SHARE
+
+
+def test_two_contacts_that_breathe_outweigh_a_hundred_at_rest():
+    known = NO_EVIDENCE
+    for _ in range(100):
+        known = pooled(known, AT_REST)
+    for _ in range(2):
+        known = pooled(known, BREATHES)
+    assert share_of(known) == 1.0
+
+
+def test_a_contact_that_moves_more_than_was_learned_is_widened():
+    known = RigKnowledge((0.0, 0.0), ((0.0, 0.0), (0.0, 0.0)), motion=pooled(AT_REST, AT_REST))
+    assert known.motion_factor(AT_REST) == 1.0
+    assert known.motion_factor([0.0, 2.0, -20.0, -60.0, -90.0]) > 2.0
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_the_drift_that_there_is_is_hardly_ever_taken_for_less(scale):
+    """Of 400 rigs, after ten contacts each; nor what is stated for more."""
+    generator = np.random.default_rng(7)
+    sd = np.hypot(scale * 10e-3, 1e-3)
+    shares = np.array([after(generator.normal(0.0, sd, 10)).drift_share for _ in range(400)])
+    assert np.mean(shares < min(scale, 1.0)) < 0.05
+    assert np.mean(shares > max(scale, 1.0)) < 0.05
+
+
+def test_one_contact_that_drifts_outweighs_a_hundred_that_did_not():
+    calm = after([0.0] * 100)
+    assert calm.drift_share == 0.25
+    assert calm.drifted(drift_evidence(0.015, NOISE, STATED)).drift_share >= 1.0
+    assert calm.drift_factor(drift_evidence(0.015, NOISE, STATED)) >= 4.0
+    assert calm.drift_factor(drift_evidence(0.0, NOISE, STATED)) == 1.0
+
+
+def of_three_sites(name, own):
+    """Return the last contact of three sites."""
+    return trial_of(replace(case_of(name), sites=3), 0, own).contacts[-1]
+
+
+@pytest.mark.parametrize(
+    ("breathes", "is_learned"),
+    [(False, True), pytest.param(True, False, marks=pytest.mark.statistics)],
+)
+def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(
+    breathes, is_learned, monkeypatch
+):
+    monkeypatch.setattr(presses, "RATE_HZ", 100.0)
+    name = "breathing_0.3mm" if breathes else "undisturbed"
+    learned = of_three_sites(name, {})
+    stated = of_three_sites(name, {"surface.learn_motion": False})
+    assert bool(np.all(learned.deviation < 0.9 * stated.deviation)) == is_learned
+    assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
+    if not breathes:
+        stated = of_three_sites(name, {"force.learn_drift": False})
+        assert learned.deviation[0] < 0.95 * stated.deviation[0]
+
+
+def ratios(name, numbers):
+    """Return errors over stated deviations, shape (contacts, 3)."""
+    trials = [trial_of(case_of(name), number, {}) for number in numbers]
+    contacts = [contact for trial in trials for contact in trial.contacts]
+    return np.array([contact.error / contact.deviation for contact in contacts])
+
+
+@pytest.mark.parametrize("numbers", counts(1, 8))
+def test_a_surface_that_moves_far_more_than_is_stated_is_no_silent_error(numbers):
+    """Breathing of 1 mm is smooth: the parameters follow it, 2.7 standard deviations off."""
+    assert np.all(np.abs(ratios("breathing_1mm", range(numbers))) < 5.0)
+
+
+# Contacts judged by the air after them
+
+
+def recorded(**disturbances):
+    scenario = replace(
+        ramp_scenario(rate_hz=250.0, seed=5), disturbances=Disturbances(**disturbances)
+    )
+    recording = simulate(scenario)
+    return items_of(recording), parameters_of(recording) | EXACT
+
+
+def test_contact_in_which_the_force_crept_is_flagged_and_widened():
+    items, parameters = recorded(creep_n=0.03)
+    first, last = summaries_of(identified(items, parameters)[1])
+    assert not first.flags & Flag.FORCE_DRIFTED
+    assert last.flags & Flag.FORCE_DRIFTED
+    assert (last.contact_id, last.end_ns) == (first.contact_id, first.end_ns)
+    assert last.stamp_ns > first.stamp_ns
+    # alpha is given.
+    assert np.all(last.estimate.deviations[:2] > 4.0 * first.estimate.deviations[:2])
+    assert np.array_equal(last.estimate.mean, first.estimate.mean)
+    assert not last.converged
+
+
+def test_first_contact_whose_air_was_none_is_withdrawn():
+    items, parameters = recorded()
+    # The force falls to where it is without any contact only after the press.
+    (touched,) = summaries_of(identified(items, parameters)[1])
+    pressed = [
+        item._replace(value=item.value + 0.2)
+        if item.stream == FORCE and item.stamp_ns < touched.end_ns
+        else item
+        for item in items
+    ]
+    first, last = summaries_of(identified(pressed, parameters)[1])
+    assert first.estimate is not None
+    assert last.estimate is None
+    assert not last.converged
+    assert last.flags & Flag.ORIGIN_UNCERTAIN
+
+
+# A probe that is dragged over the tissue after its touch
+
+
+AXIS = {"displacement.message": "point", "displacement.axis": [0.0, 0.0, 1.0]}
+
+
+def pressed(aside):
+    """Return the outputs of a press to 6 mm, that goes `aside` of (time [s], depth [m]) [m]."""
+    recording = simulate(ramp_scenario(rate_hz=250.0, seed=5))
+    touch_ns = recording.truth["contacts"][0]["start_ns"]
+    generator = np.random.default_rng(2)
+
+    def placed(item):
+        way = aside(1e-9 * (item.stamp_ns - touch_ns), max(item.value, 0.0))
+        return item._replace(position=(way + generator.normal(0.0, 2e-4), 0.0, item.value))
+
+    items = [item if item.stream == FORCE else placed(item) for item in items_of(recording)]
+    return identified(items, parameters_of(recording) | EXACT | AXIS)[1]
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_a_press_along_a_tilted_axis_is_none(tilt):
+    (summary,) = summaries_of(pressed(lambda time, depth: tilt * depth))
+    assert summary.converged
+    assert not summary.flags & Flag.ORIGIN_UNCERTAIN
+
+
+@pytest.mark.parametrize("begins", [0.0, 1.0])
+def test_a_contact_in_which_the_probe_is_dragged_aside_claims_nothing(begins):
+    outputs = pressed(lambda time, depth: 0.02 * max(time - begins, 0.0))
+    (summary,) = summaries_of(outputs)
+    assert summary.flags & Flag.ORIGIN_UNCERTAIN
+    assert summary.estimate is None and not summary.converged
+    # By then it has gone as far as it is deep.
+    late = summary.start_ns + int((begins + 0.4) * 1e9)
+    states = [s for s in outputs if isinstance(s, TissueState)]
+    states = [state for state in states if late < state.stamp_ns < summary.end_ns]
+    assert states and all(state.status is not Status.CONVERGED for state in states)
+
+
+# Touches without positions, of which nothing says whether they are of the same place
+# The truth comes from the simulation, which shares nothing with the core.
+
+
+#: ln G differs by this between places [1], or not at all.
+_APART = 0.3
+
+
+@functools.cache
+def contacts(seed: int, places: int) -> tuple[tuple[ContactSummary, Any], ...]:
+    """Return three contacts, of one place or of as many, later than `site.timeout`, and truths."""
+    drawn = np.random.default_rng([seed, 99])
+    tissue = Tissue(
+        float(np.exp(drawn.normal(7.5, 0.6))),
+        float(np.exp(drawn.normal(2.2, 0.25))),
+        float(drawn.uniform(0.1, 0.35)),
+    )
+    stiffer = float(np.exp(drawn.normal(0.0, _APART)))
+    other = replace(tissue, linear_stiffness=stiffer * tissue.linear_stiffness)
+    pause_s = float(drawn.uniform(2.2, 8.0))
+    press = Palpation(
+        float(drawn.uniform(0.1, 0.5)),
+        float(drawn.uniform(0.2, 0.3)),
+        float(drawn.uniform(0.5, 3.0)),
+        presses=3 // places,
+        lift_m=0.002,
+        pause_s=pause_s,
+    )
+    tissues = (tissue, other, tissue)[:places]
+    rate = float(drawn.choice([100.0, 200.0, 500.0]))
+    recording = simulate(
+        replace(
+            ramp_scenario(rate_hz=rate, seed=seed),
+            approach=Approach(distance_m=0.005, start_pause_s=2.0, site_pause_s=pause_s),
+            sites=tuple(Site(t, (press,), (0.02 * k, 0.0)) for k, t in enumerate(tissues)),
+            force=ForceSensor(rate_hz=rate, noise_stress_pa=float(drawn.uniform(2.0, 20.0))),
+            displacement=DisplacementSensor(rate_hz=rate, message="joint_state", noise_m=1e-6),
+        )
+    )
+    left_out = (*EXACT, "alpha.learn", "prior.alpha", "prior.alpha_sd")
+    stated = {k: v for k, v in parameters_of(recording).items() if k not in left_out}
+    found = outcome_of(items_of(recording), stated).summaries
+    truths = [tissues[k % places] for k in range(3)]
+    return tuple(zip(found, truths, strict=True))
+
+
+def errors(seed: int, places: int) -> list[list[float]]:
+    """Return the errors of ln G, ln Gn and alpha of each contact, in standard deviations."""
+    result = []
+    for summary, tissue in contacts(seed, places):
+        estimate = summary.estimate
+        assert estimate is not None
+        truth = [np.log(tissue.linear_stiffness), np.log(tissue.nonlinear_stiffness)]
+        off = estimate.mean - [*truth, tissue.fractional_order]
+        result.append((off / estimate.deviations).tolist())
+    return result
+
+
+@pytest.mark.parametrize("places", [1, 3])
+def test_a_late_touch_of_the_same_place_or_another_is_not_wrong_under_a_good_status(places):
+    assert np.all(np.abs(errors(22, places)) < 4.0)
+    assert all(one.converged and not one.flags for one, _ in contacts(22, places))
+    # Nothing says that it is not another site.
+    assert [one.site_id for one, _ in contacts(22, places)] == [1, 2, 3]
+
+
+def test_what_the_last_contact_told_sharpens_the_next_of_the_same_place():
+    first, *_, last = (one.estimate.deviations for one, _ in contacts(22, 1))
+    assert np.all(last < 0.8 * first)
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("places", [1, 3])
+def test_errors_of_late_touches_are_as_large_as_is_said(places):
+    found = np.array([errors(seed, places) for seed in range(20, 50)])
+    assert np.all(np.sqrt(np.mean(found**2, axis=0)) <= 1.3)
+    claimed = [
+        one.converged and not one.flags for s in range(20, 50) for one, _ in contacts(s, places)
+    ]
+    silent = np.abs(found.reshape(-1, 3))[np.array(claimed)] > 5.0
+    assert not silent.any()
+    assert np.mean(claimed) > 0.6

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from pipeline_helpers import LIVER, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts, first
-from scipy.signal import fftconvolve, lfilter
-from scipy.special import gamma
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from fden_ros.core.estimation.estimator import Block
@@ -143,37 +142,6 @@ def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges(
         held += np.count_nonzero(error < 2.0 * np.sqrt(estimate.covariance.diagonal()))
     # Of 120 intervals of 95 % fewer would hold by chance in 1 of 500 runs, of 15 in 1 of 200.
     assert held >= least
-
-
-def fractional_derivative(signal, order):
-    """L1 scheme on the full history, by convolution."""
-    index = np.arange(signal.size)
-    exponent = 1.0 - order
-    kernel = (index + 1.0) ** exponent - index**exponent
-    kernel *= RATE**order / gamma(2.0 - order)
-    return fftconvolve(np.diff(signal, prepend=0.0), kernel)[: signal.size]
-
-
-@pytest.mark.parametrize("seeds", counts(1, 4))
-@pytest.mark.parametrize("ratio", [0.5, 1.5, 4.0])
-def test_step_of_stiffness_within_a_contact_is_followed_and_said(ratio, seeds):
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        g, gn, _ = drawn(rng)
-        time, motion, *_ = ramp_and_hold(rate=0.1, hold=0.5)
-        model = FdenModel(g, gn, ORDER)
-        phi = np.where(time < 2.0, 1.0, ratio) * model.phi(motion)
-        stress = fractional_derivative(phi, ORDER) + NOISE * rng.standard_normal(time.size)
-        estimator = estimator_of()
-        mismatch = fed(estimator, motion, stress)
-        estimator.begin_finish()
-        estimator.finish()
-        estimate = estimator.estimate()
-        assert 1 <= estimator.change_count <= 2
-        assert not mismatch
-        assert math.exp(estimate.log_linear_stiffness) == pytest.approx(ratio * g, rel=0.05)
-        deviation = error_of(estimate, (ratio * g, gn, ORDER))
-        assert np.all(np.abs(deviation) < 5.0 * np.sqrt(estimate.covariance.diagonal()))
 
 
 @pytest.mark.parametrize("kind", first("hunt_crossley", "kelvin_voigt"))

@@ -32,7 +32,6 @@ STRESSES = np.array([25.0, 50, 75, 100, 150, 200, 300, 400, 500, 600, 750])
 STRAINS = np.linspace(0.03, 0.35, 12)
 
 
-
 def creep_strain(stress, times=TIMES):
     return np.asarray(MODEL.strain_of_phi(stress * times**ALPHA / gamma(1.0 + ALPHA)))
 

@@ -15,7 +15,6 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -27,7 +26,16 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import LOSSLESS, RELIABLE, Bench, active, identifier, wait_for
+from ros_helpers import (
+    LOSSLESS,
+    RELIABLE,
+    STEP_NS,
+    Bench,
+    Live,
+    active,
+    identifier,
+    wait_for,
+)
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -36,7 +44,6 @@ from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
 from simulation.simulate import START_NS
 
-STEP_NS = 4_000_000
 GOOD = (
     TissueEstimate.STATUS_NO_CONTACT,
     TissueEstimate.STATUS_CONVERGING,
@@ -48,50 +55,6 @@ def row(name: str) -> Callable[[Any], Any]:
     """Say which row of the table a test shows."""
     assert name
     return lambda test: test
-
-
-class Live:
-    """One node for many rows: time goes on, and so do the samples."""
-
-    def __init__(self, bench: Bench) -> None:
-        self.bench = bench
-        self.now = START_NS
-        self.rng = np.random.default_rng(1)
-
-    def stream(self, seconds: float, depth: Callable[[float], float] = lambda t: 0.0) -> None:
-        """Publish good samples, of the air or of a press to `depth` [m]."""
-        count = round(seconds * 1e9 / STEP_NS)
-        for k in range(count):
-            self.now += STEP_NS
-            d = depth(k * STEP_NS * 1e-9)
-            force = 60.0 * max(d, 0.0) + 1e-4 * self.rng.standard_normal()
-            self.bench.publish(self.now, force, d + 1e-6 * self.rng.standard_normal())
-        self.bench.spin_for(0.0)
-
-    def recovers(self) -> None:
-        """Within a second of good data, by their stamps, the status is true."""
-        begin = self.now
-        self.stream(1.2)
-        self.bench.wait_for(
-            lambda: any(
-                stamp(m) > begin + 1_000_000_000 and m.status == TissueEstimate.STATUS_NO_CONTACT
-                for m in self.bench.estimates[-20:]
-            ),
-            "a true status a second after good data",
-        )
-
-    def count(self, name: str) -> int:
-        return int(self.bench.diagnostic().get(f"rejected.{name}", "0"))
-
-    def wait_for_count(self, name: str, least: int) -> None:
-        self.bench.wait_for(lambda: self.count(name) >= least, f"{least} times {name}")
-
-    def wait_for_words(self, words: str) -> None:
-        def said() -> bool:
-            self.stream(0.02)
-            return words in self.bench.diagnostic().get("message", "")
-
-        self.bench.wait_for(said, f"the words {words}")
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +86,6 @@ def another_publisher(kind: type, qos: QoSProfile) -> Iterator[None]:
         rclpy.try_shutdown(context=context)
 
 
-def stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-
-
 def floats_of(message: Any) -> list[float]:
     numbers: list[float] = []
     for name, kind in message.get_fields_and_field_types().items():
@@ -138,8 +97,7 @@ def floats_of(message: Any) -> list[float]:
 
 
 @row("sigterm_in_contact")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> None:
+def test_a_signal_in_a_contact_publishes_its_summary():
     with Bench() as bench, identifier({"autostart": True, **LOSSLESS}) as process:
         bench.wait_until_heard()
         one = Live(bench)
@@ -148,14 +106,14 @@ def test_a_signal_in_a_contact_publishes_its_summary(number: signal.Signals) -> 
         bench.wait_for(
             lambda: bench.estimates and bench.estimates[-1].status in GOOD[1:], "the contact"
         )
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         bench.wait_for(lambda: bench.summaries, "the summary of the open contact")
         assert process.wait(LIMIT) == 0
     assert not bench.summaries[0].complete
 
 
 @row("sim_time_without_clock")
-def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on() -> None:
+def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on():
     with Bench() as bench, active({"use_sim_time": True}):
         bench.wait_until_heard()
         one = Live(bench)
@@ -178,7 +136,7 @@ Estimator.update = update
 
 
 @row("estimator_raises_live")
-def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_on() -> None:
+def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_on():
     parameters = {"autostart": True, "site.timeout": 1.0, **LOSSLESS}
     with Bench() as bench, identifier(parameters, first=BROKEN) as process:
         bench.wait_until_heard()
@@ -218,7 +176,7 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
 
 
 @row("transitions_in_any_order")
-def test_transitions_in_any_order_from_another_thread_a_thousand_times() -> None:
+def test_transitions_in_any_order_from_another_thread_a_thousand_times():
     """With samples coming in all the while; then the node still does what it should."""
     context = rclpy.Context()
     rclpy.init(context=context)
@@ -288,7 +246,7 @@ def test_transitions_in_any_order_from_another_thread_a_thousand_times() -> None
 
 
 @row("wrong_frame")
-def test_another_frame_is_refused_and_counted(live: Live) -> None:
+def test_another_frame_is_refused_and_counted(live):
     for _ in range(30):
         live.now += STEP_NS
         live.bench.publish(live.now, 50.0, 0.0, frame="other")
@@ -297,7 +255,7 @@ def test_another_frame_is_refused_and_counted(live: Live) -> None:
 
 
 @row("missing_field")
-def test_a_joint_state_without_a_position_is_counted(live: Live) -> None:
+def test_a_joint_state_without_a_position_is_counted(live):
     message = JointState(name=["probe"])
     for _ in range(20):
         live.now += STEP_NS
@@ -308,7 +266,7 @@ def test_a_joint_state_without_a_position_is_counted(live: Live) -> None:
 
 
 @row("bad_values_live")
-def test_values_that_cannot_be_are_counted_and_never_published(live: Live) -> None:
+def test_values_that_cannot_be_are_counted_and_never_published(live):
     before = live.count("force.non_finite")
     for value in (math.nan, math.inf, -math.inf, 1e300) * 5:
         live.now += STEP_NS
@@ -319,28 +277,28 @@ def test_values_that_cannot_be_are_counted_and_never_published(live: Live) -> No
 
 
 @row("clock_jumps_live")
-def test_stamps_that_jump_far_ahead_and_back_are_followed(live: Live) -> None:
+def test_stamps_that_jump_far_ahead_and_back_are_followed(live):
     for jump in (3600, -7200, 10, -2):
         live.now += jump * 1_000_000_000
         live.recovers()
 
 
 @row("two_publishers_live")
-def test_two_publishers_are_said(live: Live) -> None:
+def test_two_publishers_are_said(live):
     with another_publisher(WrenchStamped, RELIABLE):
         live.wait_for_words("2 publishers")
     live.recovers()
 
 
 @row("wrong_type")
-def test_a_topic_of_another_type_is_said(live: Live) -> None:
+def test_a_topic_of_another_type_is_said(live):
     with another_publisher(JointState, RELIABLE):
         live.wait_for_words("expected geometry_msgs/msg/WrenchStamped")
     live.recovers()
 
 
 @row("topic_stops_live")
-def test_a_pause_of_the_topics_is_stale_and_then_over(live: Live) -> None:
+def test_a_pause_of_the_topics_is_stale_and_then_over(live):
     live.bench.wait_for(
         lambda: any(e.status == TissueEstimate.STATUS_STALE for e in live.bench.estimates[-1:]),
         "a stale estimate",
@@ -352,7 +310,7 @@ def test_a_pause_of_the_topics_is_stale_and_then_over(live: Live) -> None:
 
 
 @row("services_at_any_time")
-def test_services_called_at_any_time_answer_and_break_nothing(live: Live) -> None:
+def test_services_called_at_any_time_answer_and_break_nothing(live):
     answers = []
     for k in range(30):
         live.stream(0.1, lambda t: 1e-3 * (1 + t))
@@ -364,7 +322,7 @@ def test_services_called_at_any_time_answer_and_break_nothing(live: Live) -> Non
 
 
 @row("parameters_while_active")
-def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live: Live) -> None:
+def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live):
     double, text = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
     values = {
         "geometry.area": ParameterValue(type=double, double_value=2e-4),
@@ -382,7 +340,7 @@ def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live: Liv
 
 
 @row("publisher_killed")
-def test_a_publisher_that_is_killed_is_noticed_and_another_takes_over(live: Live) -> None:
+def test_a_publisher_that_is_killed_is_noticed_and_another_takes_over(live):
     source = """
 import rclpy, time
 from geometry_msgs.msg import WrenchStamped
@@ -403,7 +361,7 @@ while True:
 
 
 @row("qos_mismatch")
-def test_a_publisher_whose_qos_does_not_match_is_said(live: Live) -> None:
+def test_a_publisher_whose_qos_does_not_match_is_said(live):
     best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     with another_publisher(WrenchStamped, best_effort):
         live.wait_for_words("incompatible reliability")
@@ -411,7 +369,7 @@ def test_a_publisher_whose_qos_does_not_match_is_said(live: Live) -> None:
 
 
 @row("deactivated_in_contact")
-def test_deactivating_in_a_contact_reports_it_and_activating_starts_afresh(live: Live) -> None:
+def test_deactivating_in_a_contact_reports_it_and_activating_starts_afresh(live):
     live.stream(1.0)
     before = len(live.bench.summaries)
     live.stream(1.0, lambda t: 5e-3 * t)

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Forces and positions in frames that move: by /tf, against the truth of a turning arm."""
+"""Tools that turn while they press: by /tf, by their weight, along their own axis."""
 
 from __future__ import annotations
 
+import math
 import random
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, first_press, outcome_of, turn_of, undisturbed
+from fault_helpers import Outcome, assert_alike, first_press, outcome_of, turn_of, undisturbed
 from frame_helpers import (
     FRAMES,
     TIP,
@@ -23,20 +23,30 @@ from frame_helpers import (
     transforms,
     write_bag,
 )
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from pipeline_helpers import DISPLACEMENT, FORCE, Item
 from ros_helpers import Bench, active, assert_live_equals_replay, replayed
+from scipy.spatial.transform import Rotation
 
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.rotation import Transform
-from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.core.streams.tool import ToolPath, ToolPathConfig, ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config
+from fden_ros.recording.cdr import serialize
 from fden_ros.recording.definitions import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
+from fden_ros.ros.decoding import fast_handler
+from fden_ros.ros.inputs import Inputs
+from fden_ros.ros.messages import to_stamp
 from simulation.bag import PARAMETER_FILE
 from simulation.simulate import START_NS
+
+# Forces and positions in frames that move: by /tf, against the truth of a turning arm
 
 
 def run(samples: Iterable[Any], **parameters: Any) -> Outcome:
@@ -54,69 +64,26 @@ def turning() -> Outcome:
     return run(arm(first_press()))
 
 
-def assert_alike(found: Outcome, expected: Outcome) -> None:
-    """As the probe that does not turn, by a third of a standard deviation."""
-    assert len(found.summaries) == len(expected.summaries) == 1
-    for a, b in zip(found.summaries, expected.summaries, strict=True):
-        assert a.estimate is not None and b.estimate is not None
-        assert a.converged and a.complete and a.flags == b.flags
-        sd = np.sqrt(np.diag(b.estimate.covariance)) + 1e-12
-        assert np.all(np.abs(a.estimate.mean - b.estimate.mean) < sd / 3.0)
-
-
-def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(
-    turning: Outcome, still: Outcome
-) -> None:
+def test_an_arm_that_turns_gives_what_a_probe_gives_that_does_not(turning, still):
     assert_alike(turning, still)
     # The forces before the first transform alone find none.
     assert set(turning.pipeline.rejected) <= {"force.no_transform"}
     assert turning.pipeline.rejected.total() <= 2
 
 
-def test_the_weight_of_a_tool_that_turns_is_taken_off_along_the_axis_of_the_base(
-    still: Outcome,
-) -> None:
-    """A torque: the weight's own is that of its lever, which turns."""
-    s = first_press()
-    mass, centre = 0.2, np.array([0.01, 0.0, 0.05])
-    turned = []
+def test_the_weight_of_a_tool_that_turns_is_taken_off_in_the_frame_of_the_base(still):
+    s, mass = first_press(), 0.2
+    heavy = []
     for one in forces(s):
         turn = turn_of(s.second(one.stamp_ns)) * TIP[1].inv()
         weight = turn.inv().apply([0.0, 0.0, -9.80665 * mass])
-        x, y, z = map(float, np.array(one.force) + np.cross(centre, weight))
-        turned.append(one._replace(force=(x, y, z)))
-    stamped = sorted([*transforms(s), *turned], key=lambda one: one.stamp_ns)
-    tool = {"tool.mass": mass, "tool.centre_of_mass": centre.tolist()}
-    values = s.parameters | FRAMES | tool
-    config = pipeline_config(check(values | {"geometry.kind": "torsional_rheometer"}))
-    assert config.synchronize.frames is not None and config.synchronize.frames.tool is not None
-    pairs: list[Any] = []
-    synchronizer = Synchronizer(config.synchronize, pairs.append, Counter())
-    for one in [*statics(), *stamped]:
-        one(_Bare(synchronizer))  # type: ignore[arg-type]
-    values_of = {item.stamp_ns: item.value for item in s.items if item.stream == 0}
-    assert len(pairs) > 900
-    assert max(abs(pair.force - values_of[pair.stamp_ns]) for pair in pairs) < 1e-3
+        x, y, z = map(float, np.array(one.force) + weight)
+        heavy.append(one._replace(force=(x, y, z)))
+    moving = sorted([*transforms(s), *heavy], key=lambda one: one.stamp_ns)
+    assert_alike(run([*statics(), *moving], tool__mass=mass), still)
 
 
-class _Bare:
-    """Hands samples to a synchronizer as a pipeline does."""
-
-    def __init__(self, synchronizer: Any) -> None:
-        self._synchronizer = synchronizer
-        self.add_force_vector = synchronizer.add_force_vector
-
-    def add_transform(
-        self, stamp_ns: int, parent: str, child: str, at: Any, turn: Any, *, is_static: bool
-    ) -> None:
-        self._synchronizer.add_transform(
-            stamp_ns, parent, child, Transform(at, turn), is_static=is_static
-        )
-
-
-def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
-    turning: Outcome,
-) -> None:
+def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(turning):
     """Each link is a stream of its own; a window that holds everything."""
     s, chance = first_press(), random.Random(5)
     moving = transforms(s)
@@ -136,7 +103,7 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(
     ]
 
 
-def test_frames_that_no_transform_connects_are_named() -> None:
+def test_frames_that_no_transform_connects_are_named():
     s = first_press()
     samples = [one for one in arm(s) if getattr(one, "child", "") != "flange"]
     outcome = run(samples, synchronize__window=1.0)
@@ -158,7 +125,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 KINDS = (TissueState, ContactSummary)
 
 
-def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
+def test_the_transforms_of_a_bag_are_used(bag, still):
     result, _ = replayed(bag, KINDS)
     assert result.inputs == {
         "force": "/ft/wrench",
@@ -175,7 +142,7 @@ def test_the_transforms_of_a_bag_are_used(bag: Path, still: Outcome) -> None:
     assert main(["report", str(bag), *config, "-o", str(bag.parent / "report.html")]) == 0
 
 
-def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path):
     golden = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
     parameters = check(FRAMES)
     with pytest.raises(InputError, match="record /tf and /tf_static too"):
@@ -185,11 +152,11 @@ def test_a_bag_without_transforms_and_a_table_are_refused_in_one_line(tmp_path: 
         replay(tmp_path / "a.csv", parameters, Selection(columns=Columns.parse("t,f,d")))
 
 
-def test_live_equals_replay_with_transforms_bit_for_bit(bag: Path) -> None:
+def test_live_equals_replay_with_transforms_bit_for_bit(bag):
     assert_live_equals_replay(bag, KINDS, remap={"/ft/wrench": "/force"})
 
 
-def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
+def test_frames_that_nothing_connects_are_named_live_after_2_s():
     words = "no chain of transforms leads from s to base: /tf and /tf_static name none"
     with Bench() as bench, active(FRAMES) as node:
         now = iter(range(START_NS, 2 * START_NS, 4_000_000))
@@ -203,7 +170,154 @@ def test_frames_that_nothing_connects_are_named_live_after_2_s() -> None:
     assert any("[WARN]" in line and words in line for line in node.output.splitlines())
 
 
-def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs() -> None:
+def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs():
     """The hash of Jazzy's tf2_msgs, by which DDS tells types apart."""
     known = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
     assert type_hash("tf2_msgs/msg/TFMessage") == known
+
+
+# Tools that turn while they press: their weight, and a probe that advances along its own axis
+
+
+Pose = tuple[np.ndarray, Rotation]
+MESSAGES = {"force": WrenchStamped, "displacement": PoseStamped}
+
+
+def by_messages(
+    force: Callable[[Item], np.ndarray],
+    pose: Callable[[Item], Pose],
+    parameters: dict[str, Any],
+    *,
+    is_fast: bool = True,
+) -> Outcome:
+    """Feed forces and poses of the first press as messages, or as the bytes of messages."""
+    s = first_press()
+    values = check(s.parameters | parameters)
+    outputs: list[Any] = []
+    pipeline = Pipeline(pipeline_config(values), outputs.append)
+    inputs = Inputs(values, pipeline)
+    handlers = {
+        name: fast_handler(name, f"geometry_msgs/msg/{kind.__name__}", inputs)
+        for name, kind in MESSAGES.items()
+    }
+    for item in s.items:
+        name = "force" if item.stream == FORCE else "displacement"
+        message: Any = MESSAGES[name]()
+        message.header.stamp, message.header.frame_id = to_stamp(item.stamp_ns), "s"
+        if name == "force":
+            part = message.wrench.force
+            part.x, part.y, part.z = map(float, force(item))
+        else:
+            at, turn = pose(item)
+            part, turned = message.pose.position, message.pose.orientation
+            part.x, part.y, part.z = map(float, at)
+            turned.x, turned.y, turned.z, turned.w = map(float, turn.as_quat())
+        if is_fast:
+            handlers[name](serialize(message))  # type: ignore[misc]
+        else:
+            inputs.add(name, message)
+    pipeline.finish()
+    return Outcome(pipeline, tuple(outputs))
+
+
+# The weight of a tool that turns
+
+MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
+
+
+@pytest.mark.parametrize("is_torque", [False, True])
+def test_load_is_the_weight_seen_from_the_sensor(is_torque):
+    rng = np.random.default_rng(0)
+    axis = rng.standard_normal(3)
+    axis /= np.linalg.norm(axis)
+    turn = Rotation.random(rng=rng)
+    tool = ToolWeight(MASS, CENTRE, GRAVITY, tuple(axis), is_torque)
+    weight = turn.inv().apply(MASS * np.array(GRAVITY))
+    expected = axis @ (np.cross(CENTRE, weight) if is_torque else weight)
+    assert tool.load(tuple(turn.as_quat())) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("is_fast", [False, True])
+def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gives(
+    is_fast, still
+):
+    def turn(item: Item) -> Rotation:
+        return turn_of(first_press().second(item.stamp_ns))
+
+    def force(item: Item) -> np.ndarray:
+        weight = turn(item).inv().apply(MASS * np.array(GRAVITY))
+        return np.array([*weight[:2], item.value + weight[2]])
+
+    def pose(item: Item) -> Pose:
+        return np.array(item.position), turn(item)
+
+    assert_alike(by_messages(force, pose, {"tool.mass": MASS}, is_fast=is_fast), still)
+
+
+# A probe that advances along its own axis: tilted approaches against the truth
+
+#: Out of the probe's tip, in its frame.
+AXIS = np.array([1.0, 0.0, 0.0])
+ALONG = {"displacement.along_tool": True, "displacement.axis": AXIS.tolist()}
+#: How the probe stands in the base: its axis 20 degrees off the base's -z, 0.6 m from the origin.
+TILT = math.radians(20.0)
+UPRIGHT = Rotation.from_euler("y", 90.0, degrees=True)
+STANDING = Rotation.from_euler("x", TILT) * UPRIGHT
+FAR = np.array([0.4, -0.3, 0.35])
+
+
+def along_its_axis(wobble: float = 0.0, stretch: float = 1.0, **parameters: Any) -> Outcome:
+    """Feed poses of a probe that goes along its axis as far as the first press does.
+
+    Its axis swings by `wobble` [rad]; places follow by summing small steps along it.
+    """
+    s = first_press()
+    moved = [item for item in s.items if item.stream == DISPLACEMENT]
+    at, last = FAR.copy(), moved[0]
+    poses: dict[int, Pose] = {}
+    for item in moved:
+        seconds = np.linspace(s.second(last.stamp_ns), s.second(item.stamp_ns), 11)
+        turns = [turn_at(second, wobble) for second in seconds]
+        step = stretch * (item.value - last.value) / 10.0
+        at = at + step * np.sum([turn.apply(AXIS) for turn in turns[1:]], axis=0)
+        poses[item.stamp_ns] = at, turns[-1]
+        last = item
+    return by_messages(
+        lambda item: np.array([0.0, 0.0, item.value]),
+        lambda item: poses[item.stamp_ns],
+        ALONG | parameters,
+    )
+
+
+def turn_at(second: float, wobble: float) -> Rotation:
+    swing = [wobble * math.sin(1.1 * second), wobble * math.sin(0.7 * second), 0.3 * second]
+    return Rotation.from_euler("xy", swing[:2]) * STANDING * Rotation.from_euler("x", swing[2])
+
+
+@pytest.mark.parametrize("wobble", [0.0, 0.05])
+def test_a_tilted_probe_gives_what_an_upright_one_gives(wobble, still):
+    """Also where its axis swings while it presses."""
+    found = along_its_axis(wobble)
+    assert_alike(found, still)
+    assert not found.pipeline.rejected and not found.pipeline.warnings
+
+
+def test_a_turn_on_the_spot_far_from_the_origin_is_no_way():
+    path = ToolPath(ToolPathConfig((1.0, 0.0, 0.0)))
+    x, y, z = map(float, FAR)
+    for second in np.linspace(0.0, 3.0, 50):
+        a, b, c, d = map(float, turn_at(second, 0.3).as_quat())
+        way, tilt = path.add(Transform((x, y, z), (a, b, c, d)))
+        assert way == 0.0 and tilt == 0.0
+
+
+def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(still):
+    """The tool goes farther by 1 / cos 20 degrees for the depth that the truth has."""
+    normal = {"surface.normal": [0.0, 0.0, -2.0]}
+    found = along_its_axis(stretch=1.0 / math.cos(TILT), **normal)
+    assert_alike(found, still)
+    (words,) = [words for words in found.pipeline.warnings if "askew" in words]
+    assert found.pipeline.warnings[words] == 1
+    assert "up to 20 degrees askew: the way along the tool is taken for 0.940 of it" in words
+    # The punch of 10 mm radius: 20 mm times the tangent.
+    assert "by its edge first, over 7.3 mm" in words

@@ -73,9 +73,7 @@ def is_up(ears: Ears, namespace: str) -> Callable[[], int]:
         ("/other: {ros__parameters: {geometry.thickness: 0.02}}", "no section for the node"),
     ],
 )
-def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(
-    tmp_path: Path, text: str | None, words: str
-) -> None:
+def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(tmp_path, text, words):
     path = tmp_path / "probe.yaml"
     if text is not None:
         path.write_text(text)
@@ -86,7 +84,7 @@ def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(
     assert "process started" not in launch.output and "Traceback" not in launch.output
 
 
-def test_ctrl_c_of_the_terminal_and_of_the_launch_file_ends_the_node_cleanly() -> None:
+def test_ctrl_c_of_the_terminal_and_of_the_launch_file_ends_the_node_cleanly():
     with Ears() as ears, launched("namespace:=/launched") as launch:
         ears.wait_for(is_up(ears, "/launched"), "the identifier")
         # A terminal sends it to the node too.

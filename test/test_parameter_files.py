@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -38,9 +36,10 @@ def any_node(text: str) -> str:
     return f"/**:\n  ros__parameters: {{{text}}}\n"
 
 
-def written(folder: Path, text: str | bytes) -> Path:
+def written(folder: Path, text: str | bytes | None) -> Path:
     path = folder / "probe.yaml"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
 
@@ -125,7 +124,7 @@ ACCEPTED: dict[str, tuple[str, str, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("case", ACCEPTED)
-def test_node_and_replay_read_a_file_alike(case: str, tmp_path: Path, context: Context) -> None:
+def test_node_and_replay_read_a_file_alike(case, tmp_path, context):
     text, node, meant = ACCEPTED[case]
     path = written(tmp_path, text)
     expected = Parameters().as_dict() | meant
@@ -135,7 +134,8 @@ def test_node_and_replay_read_a_file_alike(case: str, tmp_path: Path, context: C
 
 # What is refused, and with which words
 
-REFUSED: dict[str, tuple[str | bytes, str]] = {
+REFUSED: dict[str, tuple[str | bytes | None, str]] = {
+    "no file": (None, "cannot read the parameter file: No such file or directory"),
     "misspelt key": (
         any_node("geometry.thicknes: 0.03"),
         "there is no parameter geometry.thicknes; did you mean geometry.thickness?",
@@ -205,9 +205,7 @@ def end_of_node(capfd: pytest.CaptureFixture[str]) -> Iterator[End]:
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_node_and_replay_refuse_a_file_with_the_same_line(
-    case: str, tmp_path: Path, end_of_node: End, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_node_and_replay_refuse_a_file_with_the_same_line(case, tmp_path, end_of_node, capfd):
     text, words = REFUSED[case]
     path = written(tmp_path, text)
     # Without autostart too: nothing waits to be configured with what was not meant.
@@ -217,23 +215,7 @@ def test_node_and_replay_refuse_a_file_with_the_same_line(
     assert f"{path}: " in line and words in line
 
 
-def test_file_that_is_not_there_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "none.yaml"
-    words = f"{path}: cannot read the parameter file: No such file or directory"
-    # Here as a process of its own.
-    program = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier", "--ros-args"]
-    done = subprocess.run([*program, "--params-file", str(path)], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stdout + done.stderr == f"identifier: {words}\n"
-    assert main(["replay", str(BAG), "--config", str(path)]) == 1
-    assert capsys.readouterr().err.rstrip().endswith(words)
-
-
-def test_replay_reads_the_sections_of_the_node_that_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_reads_the_sections_of_the_node_that_is_named(tmp_path, capsys):
     path = written(tmp_path, "/arm/identifier:\n  ros__parameters: {geometry.aera: 2e-4}\n")
     assert main(["replay", str(BAG), "--config", str(path), "--node", "arm/identifier"]) == 1
     assert "there is no parameter geometry.aera" in capsys.readouterr().err
@@ -270,9 +252,7 @@ QOS = "qos_overrides./force.subscription"
         ),
     ],
 )
-def test_mistake_on_the_command_line_ends_the_node_with_one_line(
-    arguments: tuple[str, ...], words: str, end_of_node: End
-) -> None:
+def test_mistake_on_the_command_line_ends_the_node_with_one_line(arguments, words, end_of_node):
     assert words in end_of_node(*arguments)
 
 
@@ -287,7 +267,7 @@ def active(**options: Any) -> Iterator[Identifier]:
         node.destroy_node()
 
 
-def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context: Context) -> None:
+def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context):
     name = "qos_overrides./ft.subscription.depth"
     arguments = ["--ros-args", "-r", "force:=ft", "-p", f"{name}:=7"]
     with active(context=context, cli_args=arguments) as node:
@@ -307,9 +287,7 @@ def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context
         ({"displacement.message": "point"}, WrenchStamped, PointStamped),
     ],
 )
-def test_node_listens_to_the_types_that_the_parameters_name(
-    values: dict[str, str], force: type, displacement: type, context: Context
-) -> None:
+def test_node_listens_to_the_types_that_the_parameters_name(values, force, displacement, context):
     overrides = [RosParameter(name, value=value) for name, value in values.items()]
     with active(context=context, parameter_overrides=overrides) as node:
         types = {one.topic_name: one.msg_type for one in node.subscriptions}

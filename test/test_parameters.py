@@ -1,19 +1,30 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The table of parameters: checks, files, and what the pipeline makes of them."""
+"""The table of parameters: checks, files, and what each does to what comes out."""
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import astuple, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, WrenchStamped
+from pipeline_helpers import LIVER_PARAMETERS
 from sensor_msgs.msg import JointState
-from test_parameter_effects import EFFECTS
 
+from benchmark.trial import through
+from fden_ros.core import (
+    ContactSummary,
+    DynamicModulus,
+    Status,
+    TissueState,
+)
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
@@ -28,7 +39,19 @@ from fden_ros.parameters import (
 )
 from fden_ros.ros.inputs import Inputs
 from fden_ros.tissues.library import load_library
-from simulation.simulate import EXACT
+from simulation.disturbance import Disturbances, SurfaceMotion
+from simulation.scenario import (
+    DisplacementSensor,
+    Dropout,
+    ForceSensor,
+    Geometry,
+    Scenario,
+    Site,
+    SurfaceSensor,
+    Tissue,
+)
+from simulation.simulate import EXACT, Recording, simulate
+from simulation.trajectory import Approach, Ramp, RampHold, Sinusoid, Trajectory
 
 
 def refused(values):
@@ -141,8 +164,8 @@ def test_alpha_is_learned_from_the_prior_or_given_by_it(learn):
     assert (prior.fractional_order, prior.fractional_order_sd) == (0.3, 0.02)
 
 
-# What each parameter does to what comes out is in test_parameter_effects.py; here, where those
-# arrive whose effect is shown of the part that takes them (test_core_decision.py).
+# What each other parameter does to what comes out stands below; here, where those arrive whose
+# effect is shown of the part that takes them.
 
 ARRIVES = {
     "force.friction": (0.01, lambda c: c.estimator.friction),
@@ -249,10 +272,354 @@ def test_parameter_says_what_of_a_message_counts(name):
 #: Shown with the running node, in test_parameter_files.py.
 LIVE = {"force.message", "displacement.message"}
 TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
-#: In test_frames.py and test_along_tool.py.
+#: In test_frames.py.
 FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.normal"}
 
 
 def test_no_parameter_is_without_a_test():
     shown = {*EFFECTS, *ARRIVES, *READ, *LIVE, *TOOLS, *FRAMES, "classifier.library"}
     assert shown == {parameter.name for parameter in PARAMETERS}
+
+
+# What each parameter does to what comes out, on recordings of one press or a few
+# Those of messages, tools and labels are in test_parameters.py, which says where a row is missing.
+
+
+LIVER = Tissue(520.0, 8.4, 0.131)
+HOLD = RampHold(0.3, 0.25, 0.5, 1.0)
+GEOMETRY = Geometry("flat_punch", area_m2=1e-4, thickness_m=0.02)
+#: Of every row: the prior of the tissue that is pressed, and a probe of stated sizes.
+BASE: dict[str, Any] = LIVER_PARAMETERS | {
+    "estimate.period": 0.02,
+    "geometry.area": GEOMETRY.area_m2,
+    "geometry.thickness": GEOMETRY.thickness_m,
+    "geometry.radius": 0.005,
+}
+APPROACH = Approach(distance_m=0.004, speed_m_per_s=0.01, start_pause_s=1.0)
+POINTS = DisplacementSensor(200.0, noise_m=1e-6, message="point")
+
+
+def on_liver(motion: Trajectory) -> tuple[Site, ...]:
+    return (Site(LIVER, (motion,)),)
+
+
+def row(step: float, *stiffness: float) -> tuple[Site, ...]:
+    return tuple(
+        Site(replace(LIVER, linear_stiffness=g), (HOLD,), (step * number, 0.0))
+        for number, g in enumerate(stiffness)
+    )
+
+
+#: At 200 Hz each; what differs from the plain one.
+RECORDINGS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "silent": {"force": ForceSensor(200.0)},
+    "biased": {"force": ForceSensor(200.0, noise_n=2e-4, bias_n=5e-4)},
+    "late": {"displacement": DisplacementSensor(200.0, delay_s=0.02)},
+    "yielding": {"disturbances": Disturbances(compliance_m_per_n=2e-3)},
+    "breathing": {
+        "disturbances": Disturbances(breathing=SurfaceMotion(1e-3)),
+        "surface": SurfaceSensor(100.0, noise_m=1e-6, message="joint_state"),
+    },
+    "gap": {"dropouts": (Dropout("displacement", 2.0, 0.15),)},
+    "slow": {
+        "sites": on_liver(Ramp(0.03, 0.12, 1.0)),
+        "force": ForceSensor(200.0, noise_n=5e-4),
+        "approach": replace(APPROACH, start_pause_s=8.0),
+    },
+    "dithered": {"sites": on_liver(Sinusoid(0.3, 0.2, 0.01, 2.0, 12, 0.3))},
+    "palpated": {"sites": on_liver(Sinusoid(0.3, 0.2, 0.04, 2.0, 30, 0.3))},
+    "apart": {"sites": row(0.008, 520.0, 520.0), "displacement": POINTS},
+    "again": {"sites": row(0.0, 520.0, 520.0)},
+    "row": {"sites": row(0.01, *[520.0] * 5, 936.0), "displacement": POINTS},
+}
+
+
+@functools.cache
+def recording(name: str) -> Recording:
+    plain = Scenario(
+        name=name,
+        seed=3,
+        geometry=GEOMETRY,
+        sites=on_liver(HOLD),
+        approach=APPROACH,
+        force=ForceSensor(200.0, noise_n=2e-4),
+        displacement=DisplacementSensor(200.0, noise_m=1e-6),
+    )
+    return simulate(replace(plain, **RECORDINGS[name]))
+
+
+class Heard:
+    """What a pipeline made of a recording."""
+
+    def __init__(self, name: str, values: dict[str, Any]) -> None:
+        made = recording(name)
+        message = made.truth["identifier_parameters"]["displacement.message"]
+        parameters = check(BASE | {"displacement.message": message} | values)
+        pipeline, self.outputs = through(made, pipeline_config(parameters))
+        self.rejected = pipeline.rejected
+        self.summaries = self._of(ContactSummary)
+        self.moduli = self._of(DynamicModulus)
+        #: With an estimate, and those of them in contact.
+        self.states = [state for state in self._of(TissueState) if state.estimate is not None]
+        self.pressing = [state for state in self.states if state.signals is not None]
+        self.in_air = sum(s.status is Status.NO_CONTACT for s in self._of(TissueState))
+        self.converged = sum(state.status is Status.CONVERGED for state in self.states)
+
+    def _of(self, kind: type) -> list[Any]:
+        return [output for output in self.outputs if isinstance(output, kind)]
+
+    @property
+    def begin(self) -> int:
+        """Stamp of the first estimate."""
+        return int(self.states[0].stamp_ns)
+
+    @property
+    def first(self) -> Any:
+        """The first estimate in contact."""
+        return self.pressing[0].estimate
+
+    @property
+    def summary(self) -> Any:
+        """The last summary."""
+        return self.summaries[-1]
+
+    @property
+    def last(self) -> Any:
+        """The last summary's estimate."""
+        return self.summary.estimate
+
+    @property
+    def stress(self) -> float:
+        """The largest."""
+        return float(self.summary.max_stress)
+
+    @property
+    def predicted(self) -> float | None:
+        """The stress that is predicted last; None: the fractional stress alone is."""
+        found = [state.innovation for state in self.states if state.innovation is not None]
+        return None if found[-1].predicted_stress is None else float(found[-1].predicted_stress)
+
+    @property
+    def sds(self) -> Any:
+        """Standard deviations of ln G, ln Gn and alpha at the end."""
+        return self.last.deviations
+
+    @property
+    def error(self) -> float:
+        """Of ln G at the end."""
+        return abs(float(self.summary.estimate.mean[0]) - np.log(520.0))
+
+
+@functools.cache
+def heard(name: str, values: tuple[tuple[str, Any], ...]) -> Heard:
+    return Heard(name, {key: list(v) if isinstance(v, tuple) else v for key, v in values})
+
+
+Check = Callable[[Heard, Heard], bool]
+
+
+def near(value: float, rel: float = 0.01, **options: Any) -> Any:
+    return pytest.approx(value, rel=rel, **options)
+
+
+def wider(usual: Heard, changed: Heard) -> bool:
+    """Whether a deviation of ln G, ln Gn or alpha is larger, in the mean over the press."""
+    before, after = (
+        np.mean([state.estimate.deviations for state in one.pressing], axis=0)
+        for one in (usual, changed)
+    )
+    return bool(np.any(after > 1.01 * before))
+
+
+def closer(usual: Heard, changed: Heard) -> bool:
+    return changed.error < usual.error
+
+
+def rejected(reason: str) -> Check:
+    return lambda usual, changed: changed.rejected[reason] > 10
+
+
+def stress_times(factor: float) -> Check:
+    return lambda a, b: b.stress == near(factor * a.stress)
+
+
+def one_site(usual: Heard, changed: Heard) -> bool:
+    return [summary.site_id for summary in changed.summaries] == [1, 1]
+
+
+def deeper_by_a_tenth(usual: Heard, changed: Heard) -> bool:
+    return changed.summary.max_strain == near(usual.summary.max_strain + 0.1, abs=0.02)
+
+
+def begins_with(index: int, value: float) -> Check:
+    return lambda a, b: b.first.deviations[index] == near(value, 0.05)
+
+
+RIGID = EXACT | {"converged.log_sd": 0.1}
+
+
+def ends_with_alpha(value: float) -> Check:
+    return lambda a, b: b.last.fractional_order == near(value, 1e-9) != a.last.fractional_order
+
+
+def compared(usual: Heard, changed: Heard) -> list[bool]:
+    return [one.summary.comparison is not None for one in (usual, changed)]
+
+
+def labels(usual: Heard, changed: Heard) -> tuple[str, str]:
+    return usual.summary.classes.label, changed.summary.classes.label
+
+
+def other_scatter(usual: Heard, changed: Heard) -> bool:
+    before, after = (one.summary.comparison.log_ratio_sd for one in (usual, changed))
+    return bool(before != after)
+
+
+def softer_by_the_time_scale(usual: Heard, changed: Heard) -> bool:
+    before, after = (one.pressing[-1].apparent_stiffness.value for one in (usual, changed))
+    return bool(after == near(10.0**-0.131 * before, 1e-9))
+
+
+RELATIVE = RIGID | {"classification.mode": "relative"}
+GIVEN = {"alpha.learn": False}
+MARKED = RIGID | {"surface.message": "joint_state"}
+DITHER = {"dither.frequencies": (2.0,)}
+
+#: Recording, other parameters, the value, and what it does to what comes out (usual, changed).
+Effect = tuple[str, dict[str, Any], Any, Check]
+EFFECTS: dict[str, Effect] = {
+    "force.threshold": ("plain", {}, 0.01, lambda a, b: b.begin > a.begin),
+    "force.noise": ("plain", RIGID, 6e-4, wider),
+    "force.noise_floor": ("silent", RIGID, 1e-3, wider),
+    "force.measure_bias": (
+        "biased",
+        {},
+        False,
+        lambda a, b: b.summary.max_force == near(a.summary.max_force + 5e-4, abs=1e-4),
+    ),
+    "force.drift_sd": ("plain", RIGID, 0.05, wider),
+    "force.friction_sd": ("plain", RIGID, 0.005, wider),
+    "force.limit": ("plain", {}, 0.01, rejected("force.out_of_range")),
+    "displacement.delay": ("late", RIGID, 0.02, closer),
+    "displacement.limit": ("plain", {}, 0.001, rejected("displacement.out_of_range")),
+    "displacement.compliance": ("yielding", RIGID, 2e-3, closer),
+    "displacement.compliance_sd": ("plain", RIGID, 0.1, wider),
+    "displacement.delay_sd": ("plain", RIGID, 0.1, wider),
+    "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
+    "surface.message": ("breathing", RIGID, "joint_state", lambda a, b: b.error < 0.2 * a.error),
+    "surface.delay": ("breathing", MARKED, -0.2, lambda a, b: b.sds[0] > 2.0 * a.sds[0]),
+    "model_error.sd": ("plain", RIGID, 0.4, lambda a, b: b.last.model_error > a.last.model_error),
+    "synchronize.max_gap": (
+        "gap",
+        {},
+        0.1,
+        lambda a, b: a.summary.complete and not b.summaries[0].complete,
+    ),
+    "synchronize.window": (
+        "gap",
+        {"synchronize.max_gap": 0.3},
+        0.05,
+        lambda a, b: b.rejected.total() > a.rejected.total(),
+    ),
+    "geometry.kind": ("plain", {}, "sphere", lambda a, b: b.stress > a.stress),
+    "geometry.area": ("plain", {}, 2e-4, stress_times(0.5)),
+    "geometry.thickness": (
+        "plain",
+        {},
+        0.04,
+        lambda a, b: b.summary.max_strain == near(0.5 * a.summary.max_strain, 0.02),
+    ),
+    "geometry.radius": ("plain", {"geometry.kind": "sphere"}, 0.01, stress_times(0.25)),
+    "geometry.hayes": ("plain", {}, True, lambda a, b: b.stress < a.stress),
+    "geometry.poisson_ratio": (
+        "plain",
+        {"geometry.hayes": True},
+        0.3,
+        lambda a, b: b.stress > a.stress,
+    ),
+    "geometry.thickness_sd": (
+        "plain",
+        RIGID,
+        0.2,
+        lambda a, b: b.sds[0] ** 2 == near(a.sds[0] ** 2 + 0.04),
+    ),
+    "origin.source": ("plain", {"origin.displacement": -0.002}, "given", deeper_by_a_tenth),
+    "origin.displacement": ("plain", {"origin.source": "given"}, -0.002, deeper_by_a_tenth),
+    # What rises more slowly than the baseline is remembered is a drift.
+    "contact.lookback": ("slow", {}, 0.3, lambda a, b: len(a.summaries) == 1 and not b.summaries),
+    "site.distance": ("apart", {}, 0.02, one_site),
+    "site.timeout": ("again", {}, 60.0, one_site),
+    "alpha.learn": ("plain", {}, False, ends_with_alpha(0.131)),
+    "estimator.observation": (
+        "plain",
+        {},
+        "fractional_stress",
+        lambda a, b: a.predicted is not None and b.predicted is None,
+    ),
+    "prior.linear_stiffness": (
+        "plain",
+        {},
+        1000.0,
+        lambda a, b: b.first.linear_stiffness > 1.2 * a.first.linear_stiffness,
+    ),
+    "prior.linear_stiffness_log_sd": ("plain", {}, 0.01, lambda a, b: b.sds[0] < 0.021 + 0.01),
+    "prior.nonlinear_stiffness": (
+        "plain",
+        {},
+        5.0,
+        lambda a, b: b.first.nonlinear_stiffness == near(5.0, 0.05),
+    ),
+    "prior.nonlinear_stiffness_log_sd": ("plain", RIGID, 0.05, begins_with(1, 0.05)),
+    "prior.alpha": ("plain", GIVEN, 0.2, ends_with_alpha(0.2)),
+    "prior.alpha_sd": ("plain", GIVEN, 0.05, lambda a, b: b.sds[2] == near(0.05, 1e-6)),
+    "converged.log_sd": ("plain", RIGID, 0.001, lambda a, b: b.converged == 0 < a.converged),
+    "converged.probability": (
+        "plain",
+        RIGID | {"converged.log_sd": 1.0},
+        0.5,
+        lambda a, b: b.converged > a.converged,
+    ),
+    "estimate.period": ("plain", {}, 0.04, lambda a, b: a.in_air == near(2 * b.in_air, 0.1)),
+    "estimate.time_scale": ("plain", RIGID | GIVEN, 1.0, softer_by_the_time_scale),
+    "contact.mode": (
+        "palpated",
+        {},
+        "continuous",
+        lambda a, b: a.summary.max_strain > 0.2 and b.summary.is_of_path,
+    ),
+    "dither.frequencies": (
+        "dithered",
+        {},
+        (2.0,),
+        lambda a, b: not a.moduli and b.moduli[-1].modulus.angular_frequency == near(4.0 * np.pi),
+    ),
+    "dither.periods": ("dithered", DITHER, 2, lambda a, b: len(b.moduli) >= 2 * len(a.moduli) > 0),
+    "classification.mode": (
+        "row",
+        RIGID,
+        "relative",
+        lambda a, b: compared(a, b) == [False, True],
+    ),
+    "classification.ratio": (
+        "row",
+        RELATIVE,
+        3.0,
+        lambda a, b: labels(a, b) == ("stiffer", "alike"),
+    ),
+    "classification.strain": ("row", RELATIVE, 0.3, other_scatter),
+    "classification.distance": (
+        "row",
+        RELATIVE,
+        0.02,
+        lambda a, b: compared(a, b) == [True, False],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_parameter_does_what_it_says(name):
+    which, others, value, holds = EFFECTS[name]
+    usual = heard(which, tuple(others.items()))
+    changed = heard(which, (*others.items(), (name, value)))
+    assert holds(usual, changed)

@@ -22,21 +22,13 @@ from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
+from simulation.simulate import EXACT
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
 PROBE = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
 #: What the data say counts, so that nothing but the flags stands against a good status.
-RIGID = {
-    **PROBE,
-    "model_error.sd": 0.0,
-    "surface.motion_sd": 0.0,
-    "force.drift_sd": 0.0,
-    "force.friction_sd": 0.0,
-    "displacement.compliance_sd": 0.0,
-    "displacement.delay_sd": 0.0,
-    "geometry.thickness_sd": 0.0,
-}
+RIGID = {**EXACT, **PROBE, "converged.log_sd": 0.1}
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +68,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("columns", "parameters", "words"), WRONG.values(), ids=WRONG)
-def test_wrong_unit_is_never_converged_and_said_with_its_factor(
-    columns: str, parameters: dict[str, object], words: str, once: Path
-) -> None:
+def test_wrong_unit_is_never_converged_and_said_with_its_factor(columns, parameters, words, once):
     outputs: list[Output] = []
     result = identified(once, columns, parameters, outputs)
     assert result.summaries and not result.has_identified
@@ -99,9 +89,7 @@ def test_wrong_unit_is_never_converged_and_said_with_its_factor(
         (-1.0, -1.0, "do both have the wrong sign"),
     ],
 )
-def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(
-    force: float, displacement: float, words: str | None
-) -> None:
+def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, displacement, words):
     """As the node looks, once a second, and as a replay says at the end."""
     pipeline = Pipeline(pipeline_config(check(PROBE)), lambda _output: None)
     problems = PipelineProblems(pipeline)
@@ -116,7 +104,7 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(
     assert bool(said) == (words is not None)
 
 
-def test_slow_recording_is_identified() -> None:
+def test_slow_recording_is_identified():
     # 2 samples a second; G goes with time^alpha.
     factor = 100
     result = identified(PRESS, f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
@@ -127,9 +115,7 @@ def test_slow_recording_is_identified() -> None:
         assert summary.estimate.nonlinear_stiffness == pytest.approx(g_n, rel=0.01)
 
 
-def test_nothing_identified_is_an_exit_code_of_its_own(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, once: Path
-) -> None:
+def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
     config = tmp_path / "probe.yaml"
     config.write_text("/**: {ros__parameters: {geometry: {area: 3.14e-4, thickness: 0.02}}}\n")
     command = ["replay", str(once), "--config", str(config), "--json", "--columns"]
@@ -151,9 +137,7 @@ def test_nothing_identified_is_an_exit_code_of_its_own(
         ({"geometry.kind": "sphere"}, "kind: sphere, radius: "),
     ],
 )
-def test_without_a_stated_geometry_nothing_is_converged(
-    parameters: dict[str, object], example: str, once: Path
-) -> None:
+def test_without_a_stated_geometry_nothing_is_converged(parameters, example, once):
     outputs: list[Output] = []
     unstated = {**RIGID, **dict.fromkeys(PROBE, 0.0), **parameters}
     result = identified(once, RIGHT, unstated, outputs)
@@ -167,9 +151,7 @@ def test_without_a_stated_geometry_nothing_is_converged(
     assert live.refusal(0.0) is Refusal.REJECTED
 
 
-def test_every_output_says_that_the_geometry_is_not_stated(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, once: Path
-) -> None:
+def test_every_output_says_that_the_geometry_is_not_stated(capsys, tmp_path, once):
     results, page = tmp_path / "results", tmp_path / "press.html"
     assert main(["replay", str(once), "--columns", RIGHT, "-o", str(results)]) == 3
     printed = capsys.readouterr()

@@ -57,9 +57,7 @@ class Listener(Ears):
         self, topic: str, cls: type, profile: QoSProfile = DEEP, *, raw: bool = True
     ) -> list[Any]:
         received: list[Any] = []
-        self.node.create_subscription(
-            cls, topic, received.append, profile, raw=raw
-        )
+        self.node.create_subscription(cls, topic, received.append, profile, raw=raw)
         return received
 
 
@@ -88,9 +86,7 @@ def play(listener: Listener, bag: Path, times: int = 1, **options: Any) -> list[
 
 
 @pytest.mark.parametrize("rate", [1.0, math.inf])
-def test_reliable_subscriber_receives_every_message_bit_for_bit_in_order(
-    tmp_path: Path, listener: Listener, rate: float
-) -> None:
+def test_reliable_subscriber_receives_every_message_bit_for_bit_in_order(tmp_path, listener, rate):
     bag = make_bag(tmp_path / "bag", 1000)
     heard = {
         "/force": listener.listen("/force", WrenchStamped),
@@ -101,14 +97,10 @@ def test_reliable_subscriber_receives_every_message_bit_for_bit_in_order(
     for topic, received in heard.items():
         # DDS may pad a message to a multiple of 4 bytes.
         expected = recorded(bag, topic)
-        assert [data[: len(e)] for data, e in zip(received, expected, strict=True)] == (
-            expected
-        )
+        assert [data[: len(e)] for data, e in zip(received, expected, strict=True)] == (expected)
 
 
-def test_the_pace_is_that_of_the_bag_times_the_rate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pace_is_that_of_the_bag_times_the_rate(tmp_path, monkeypatch):
     """By a clock that stands still: for what it waits, not for how long a machine takes."""
     bag = make_bag(tmp_path / "bag", 20, step_ns=100_000_000)
     waits: list[float] = []
@@ -119,7 +111,7 @@ def test_the_pace_is_that_of_the_bag_times_the_rate(
     assert waits == pytest.approx([0.05 * n for n in range(1, 20) for _ in range(2)])
 
 
-def test_latched_topic_reaches_a_late_subscriber(tmp_path: Path, listener: Listener) -> None:
+def test_latched_topic_reaches_a_late_subscriber(tmp_path, listener):
     latched = QoSProfile(
         depth=1,
         reliability=ReliabilityPolicy.RELIABLE,
@@ -132,15 +124,13 @@ def test_latched_topic_reaches_a_late_subscriber(tmp_path: Path, listener: Liste
     assert heard[0] == String(data="{}")
 
 
-def test_waiting_in_vain_ends_with_one_line(
-    tmp_path: Path,
-) -> None:
+def test_waiting_in_vain_ends_with_one_line(tmp_path):
     with Player(make_bag(tmp_path / "bag", 3)) as player, pytest.raises(InputError) as caught:
         player.wait_for_subscribers(timeout_s=0.2)
     assert str(caught.value).startswith("/force, /joints: no subscriber after 0.2 s")
 
 
-def test_play_command_refuses_what_it_cannot_use(tmp_path: Path) -> None:
+def test_play_command_refuses_what_it_cannot_use(tmp_path):
     bag = str(make_bag(tmp_path / "bag", 3))
     assert main(["play", str(tmp_path / "nowhere")]) == 1
     assert main(["play", bag, "--remap", "/torque:=/a"]) == 1

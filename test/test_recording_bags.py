@@ -1,35 +1,49 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
+"""Bags: written, read by others, read from others, damaged; and files of other kinds."""
+
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import geometry_msgs.msg
+import numpy as np
 import pytest
 import sensor_msgs.msg
 import yaml
 import zstandard
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
+from property_helpers import examples
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from fden_ros.cli import main
+from fden_ros.commands.parameters import parameter_file
 from fden_ros.errors import InputError
+from fden_ros.offline.replay import replay
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.recording.cdr import serialize
 from fden_ros.recording.definitions import message_definition, type_hash
 from fden_ros.recording.qos import RELIABLE, SENSOR_DATA
 from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.source import Selection
+from fden_ros.recording.table import Columns
+from fden_ros.recording.truth import read_truth
 from fden_ros.recording.writer import BagWriter
+from fden_ros.tissues.library import load_library
+from simulation.bag import write_recording
+from simulation.simulate import Recording, Stream
 
 START = 1_700_000_000_000_000_000
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -87,7 +101,7 @@ def refusal(path: Path) -> str:
 # Serialisation
 
 
-def test_serialised_messages_of_every_type_read_back_equal() -> None:
+def test_serialised_messages_of_every_type_read_back_equal():
     for module in (geometry_msgs.msg, sensor_msgs.msg):
         for _, cls in inspect.getmembers(module, inspect.isclass):
             assert deserialize_message(serialize(cls()), cls) == cls()
@@ -99,7 +113,7 @@ def test_serialised_messages_of_every_type_read_back_equal() -> None:
 # Round trip
 
 
-def test_a_bag_reads_back_as_written(tmp_path: Path) -> None:
+def test_a_bag_reads_back_as_written(tmp_path):
     bag = BagReader(write_bag(tmp_path / "bag"))
     messages = list(bag.messages())
     assert [message.topic for message in messages] == ["/force", "/joints"] * 50
@@ -120,7 +134,7 @@ def test_a_bag_reads_back_as_written(tmp_path: Path) -> None:
 # Metadata and definitions
 
 
-def test_definitions_and_hashes_are_those_of_the_distribution() -> None:
+def test_definitions_and_hashes_are_those_of_the_distribution():
     text = message_definition(WRENCH)
     headings = [line for line in text.splitlines() if line.startswith("MSG: ")]
     assert headings == [
@@ -137,7 +151,7 @@ def test_definitions_and_hashes_are_those_of_the_distribution() -> None:
 # Complete or nothing
 
 
-def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path: Path) -> None:
+def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path):
     folder = write_bag(tmp_path / "bag")
     with pytest.raises(InputError, match=r"exists.*--force"):
         write_bag(folder)
@@ -154,7 +168,7 @@ def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path: Path) -> None:
 # Other tools
 
 
-def test_an_independent_reader_reads_our_bag(tmp_path: Path) -> None:
+def test_an_independent_reader_reads_our_bag(tmp_path):
     with AnyReader([write_bag(tmp_path / "bag")]) as reader:
         assert {c.topic: (c.msgtype, c.digest) for c in reader.connections} == {
             "/force": (WRENCH, type_hash(WRENCH)),
@@ -167,26 +181,7 @@ def test_an_independent_reader_reads_our_bag(tmp_path: Path) -> None:
     assert read[0][1] == START
 
 
-@pytest.mark.parametrize("version", [8, 9])
-def test_bag_of_an_independent_writer_is_read(tmp_path: Path, version: Any) -> None:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = RosbagsWriter(tmp_path / "bag", version=version, storage_plugin=StoragePlugin.MCAP)
-    with writer:
-        connection = writer.add_connection(
-            "/pose", "geometry_msgs/msg/PoseStamped", typestore=store
-        )
-        for i in range(10):
-            pose = PoseStamped(header=Header(frame_id="base"))
-            pose.pose.position.z = float(i)
-            writer.write(connection, START + i, serialize(pose))
-    bag = BagReader(tmp_path / "bag")
-    assert [decode(message).pose.position.z for message in bag.messages()] == list(range(10))
-    assert bag.warnings == ()
-
-
-def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(
-    tmp_path: Path,
-) -> None:
+def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(tmp_path):
     (tmp_path / "a.mcap.zstd").write_bytes(zstandard.compress(b"\x89MCAP0\r\n"))
     with pytest.raises(InputError, match="unpack it with: zstd -d"):
         BagReader(tmp_path)
@@ -208,9 +203,7 @@ def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(
     ],
     ids=["index", "no summary", "no chunks"],
 )
-def test_every_layout_of_a_file_gives_the_same_messages(
-    tmp_path: Path, compression: CompressionType, options: dict[str, Any]
-) -> None:
+def test_every_layout_of_a_file_gives_the_same_messages(tmp_path, compression, options):
     path = tmp_path / "bag.mcap"
     stamps = range(START, START + 400)
     payloads = write_mcap(path, stamps, compression=compression, chunk_size=2000, **options)
@@ -220,7 +213,7 @@ def test_every_layout_of_a_file_gives_the_same_messages(
     assert bag.warnings == ()
 
 
-def test_split_bag_is_one_stream_by_time(tmp_path: Path) -> None:
+def test_split_bag_is_one_stream_by_time(tmp_path):
     first = write_mcap(tmp_path / "bag_2.mcap", range(0, 100, 2))
     second = write_mcap(tmp_path / "bag_10.mcap", range(1, 101, 2))
     metadata = {"relative_file_paths": ["bag_2.mcap", "bag_10.mcap"]}
@@ -235,7 +228,7 @@ def test_split_bag_is_one_stream_by_time(tmp_path: Path) -> None:
     assert "bag_10.mcap is listed in metadata.yaml but missing" in warning
 
 
-def test_folder_without_metadata_is_read_and_said(tmp_path: Path) -> None:
+def test_folder_without_metadata_is_read_and_said(tmp_path):
     folder = write_bag(tmp_path / "bag")
     expected = data_of(folder)
     (folder / "metadata.yaml").unlink()
@@ -250,9 +243,7 @@ def test_folder_without_metadata_is_read_and_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_file_cut_off_anywhere_gives_its_complete_messages(
-    tmp_path: Path, compression: CompressionType
-) -> None:
+def test_file_cut_off_anywhere_gives_its_complete_messages(tmp_path, compression):
     whole = tmp_path / "whole.mcap"
     payloads = write_mcap(
         whole, range(200), compression=compression, chunk_size=3000, finish=False
@@ -281,7 +272,7 @@ def test_file_cut_off_anywhere_gives_its_complete_messages(
         assert any(count % 10 for count in counts)
 
 
-def test_damaged_chunk_is_lost_alone_and_said(tmp_path: Path) -> None:
+def test_damaged_chunk_is_lost_alone_and_said(tmp_path):
     path = tmp_path / "bag.mcap"
     payloads = write_mcap(path, range(200), compression=CompressionType.NONE, chunk_size=5000)
     content = bytearray(path.read_bytes())
@@ -298,7 +289,7 @@ def test_damaged_chunk_is_lost_alone_and_said(tmp_path: Path) -> None:
 # What cannot be read says what would be right
 
 
-def test_unusable_paths_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_unusable_paths_are_refused_in_one_line(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "text.mcap").write_text("time,force\n")
@@ -311,3 +302,127 @@ def test_unusable_paths_are_refused_in_one_line(tmp_path: Path) -> None:
     for size in range(1, 21):
         (tmp_path / "cut.mcap").write_bytes(start[:size])
         assert f"cut off before its first topic, at {size} b" in refusal(tmp_path / "cut.mcap")
+
+
+def stream(topic: str, message: str, count: int = 20, **options: Any) -> Stream:
+    stamp_ns = START + 1_000_000 * np.arange(count, dtype=np.int64)
+    value = np.linspace(0.1, 0.9, count)
+    base = Stream(stamp_ns, value, None, topic, message, (0.0, 0.0, 1.0), "probe")
+    return replace(base, **options)
+
+
+def recording(
+    force: str = "wrench", displacement: str = "joint_state", **options: Any
+) -> Recording:
+    truth = {
+        "scenario": "test",
+        "identifier_parameters": {"geometry.kind": "flat_punch", "prior.alpha": 0.131},
+    }
+    return Recording(
+        stream("/force", force), stream("/displacement", displacement, **options), truth
+    )
+
+
+def messages(bag: BagReader, topic: str) -> list[Any]:
+    return [decode(message) for message in bag.messages([topic])]
+
+
+@pytest.mark.parametrize(
+    ("kind", "path"),
+    [
+        ("pose", "pose.position"),
+        ("transform", "transform.translation"),
+        ("point", "point"),
+    ],
+)
+def test_positions_read_back_exactly(tmp_path, kind, path):
+    position = np.random.default_rng(1).normal(size=(20, 3))
+    bag = write_recording(recording(displacement=kind, position=position), tmp_path / "bag")
+    read = []
+    for message in messages(bag, "/displacement"):
+        for name in path.split("."):
+            message = getattr(message, name)
+        read.append([message.x, message.y, message.z])
+    assert read == position.tolist()
+
+
+def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
+    folder = tmp_path / "ramp"
+    assert main(["bag", "ramp", "-o", str(folder), "--seed", "3"]) == 0
+    assert "fden replay" in capsys.readouterr().out
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(first) == ["identifier.yaml", "metadata.yaml", "ramp_0.mcap"]
+    assert main(["bag", "ramp", "-o", str(folder), "--seed", "3"]) == 1
+    assert "--force" in capsys.readouterr().err
+    assert main(["bag", "ramp", "-o", str(folder), "--seed", "3", "--force"]) == 0
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+    truth = read_truth(BagReader(folder))
+    assert truth is not None
+    assert truth["seed"] == 3
+
+
+# Whatever stands in a file is read, or refused in one line
+
+
+ROOT = Path(__file__).parent.parent
+TABLE = b"time_s,force_N,depth_mm\n1,0,0\n1.1,0.1,1\n1.2,0.2,2\n"
+
+Read = Callable[[Path], object]
+#: At a place so many bytes are cut out, and others put in.
+damages = st.lists(
+    st.tuples(st.integers(0, 10**6), st.integers(0, 20), st.binary(max_size=20)),
+    min_size=1,
+    max_size=4,
+)
+
+
+def read_table(path: Path) -> object:
+    columns = Columns.parse("time_s,force_N,depth_mm*1e-3")
+    return replay(path, check({}), Selection(columns=columns))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Read]]:
+    """Good files, each alone in its place, and what reads them."""
+    folder = tmp_path_factory.mktemp("good")
+    bag = folder / "bag"
+    with BagWriter(bag) as writer:
+        writer.add_topic("/force", "geometry_msgs/msg/WrenchStamped")
+        writer.add_topic("/joints", "sensor_msgs/msg/JointState")
+        for k in range(1, 4):
+            force, joints = WrenchStamped(), JointState(name=["probe"], position=[0.0])
+            force.header.stamp.sec = joints.header.stamp.sec = k
+            writer.write("/force", force, k)
+            writer.write("/joints", joints, k)
+    (folder / "table.csv").write_bytes(TABLE)
+    (folder / "probe.yaml").write_text(parameter_file(), encoding="utf-8")
+    library = (ROOT / "fden_ros" / "tissues" / "tissues.yaml").read_bytes()
+    (folder / "library.yaml").write_bytes(library)
+    return {
+        "mcap": (bag / "bag_0.mcap", lambda path: replay(path.parent, check({}))),
+        "metadata": (bag / "metadata.yaml", lambda path: replay(path.parent, check({}))),
+        "table": (folder / "table.csv", read_table),
+        "parameters": (
+            folder / "probe.yaml",
+            lambda path: pipeline_config(read_parameter_file(path)),
+        ),
+        "library": (folder / "library.yaml", load_library),
+    }
+
+
+@pytest.mark.parametrize("kind", ["mcap", "metadata", "table", "parameters", "library"])
+@examples(60)
+@given(edits=damages)
+def test_a_damaged_file_is_read_or_refused_in_one_line(kind, files, edits):
+    path, read = files[kind]
+    good = content = path.read_bytes()
+    for place, count, new in edits:
+        place %= len(content) + 1
+        content = content[:place] + new + content[place + count :]
+    path.write_bytes(content)
+    try:
+        read(path)
+    except InputError as error:
+        assert "\n" not in str(error)
+    finally:
+        path.write_bytes(good)

@@ -66,7 +66,7 @@ def paths(layout: dict[str, Any]) -> Iterator[str]:
             raise AssertionError(kind)
 
 
-def test_every_path_of_the_foxglove_layout_exists(layout: dict[str, Any]) -> None:
+def test_every_path_of_the_foxglove_layout_exists(layout):
     found = list(paths(layout))
     assert len(found) > 10
     for path in found:
@@ -81,7 +81,7 @@ def test_every_path_of_the_foxglove_layout_exists(layout: dict[str, Any]) -> Non
         assert not fields or isinstance(message, (int, float)), path
 
 
-def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
+def test_every_display_of_rviz_has_a_topic_of_its_type():
     manager = yaml.safe_load((CONFIG / "identifier.rviz").read_text())["Visualization Manager"]
     shown = [d for d in manager["Displays"] if "Topic" in d]
     assert len(shown) == 6
@@ -96,7 +96,7 @@ def test_every_display_of_rviz_has_a_topic_of_its_type() -> None:
             assert name.startswith(namespace)
 
 
-def test_every_curve_of_the_plotjuggler_layout_exists_and_is_drawn_in_its_plot() -> None:
+def test_every_curve_of_the_plotjuggler_layout_exists_and_is_drawn_in_its_plot():
     """As PlotJuggler's ``xmlLoadState`` reads it; series are named by topic and fields."""
     root = ElementTree.parse(CONFIG / "plotjuggler_layout.xml").getroot()
     (widget,) = root.findall("tabbed_widget[@parent='main_window']")

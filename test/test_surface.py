@@ -6,24 +6,16 @@
 from __future__ import annotations
 
 import csv
-import itertools
-import math
-import random
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from property_helpers import counts, examples
+from property_helpers import counts
 from ros_helpers import assert_live_equals_replay, replayed
 
+from benchmark.trial import truth_of
 from fden_ros.core.outputs import ContactSummary, TissueState
-from fden_ros.core.streams.samples import Pair
-from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters, read_parameter_file
@@ -83,21 +75,13 @@ def result_of(
 def deviations(result: Replay, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Errors of ln G, ln Gn and alpha over their stated deviations, and these."""
     (summary,) = result.summaries
-    site = recording.truth["sites"][0]
-    truth = [
-        math.log(site["linear_stiffness"]),
-        math.log(site["nonlinear_stiffness"]),
-        site["fractional_order"],
-    ]
     assert summary.estimate is not None
-    sd = np.sqrt(np.diag(summary.estimate.covariance))
-    return (summary.estimate.mean - np.array(truth)) / sd, sd
+    sd = summary.estimate.deviations
+    return (summary.estimate.mean - truth_of(recording)) / sd, sd
 
 
 @pytest.mark.parametrize("seeds", counts(1, 4))
-def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(
-    tmp_path: Path, seeds: int
-) -> None:
+def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(tmp_path, seeds):
     """Parameters of a rigid rig on tissue that rests: what is left of the breath counts in full.
 
     Twelve normal errors have a root mean square below 1.5 in 99.9 %, three below 2.4.
@@ -123,102 +107,6 @@ def test_a_breath_of_1_mm_that_is_measured_costs_nothing_that_shows(
     assert np.all(with_marker < 1.2 * usual), with_marker / usual
 
 
-# The join
-
-
-def synchronized(samples: list[tuple[str, int, float]], **config: Any) -> tuple[list[Pair], Any]:
-    pairs, _, rejected = with_noise(samples, **config)
-    return pairs, rejected
-
-
-def streams(
-    surface_from: int = 0, surface_to: int = 2000, surface_delay: int = 0
-) -> list[list[tuple[str, int, float]]]:
-    """Force, displacement and surface at 100, 50 and 20 Hz; stamps in ms from the first."""
-    return [
-        [("force", START + t * MS, 0.01 * t) for t in range(0, 2000, 10)],
-        [("displacement", START + t * MS, 1e-3 * t) for t in range(0, 2001, 20)],
-        [
-            ("surface", START + (t + surface_delay) * MS, 1e-4 * t)
-            for t in range(surface_from, surface_to + 1, 50)
-        ],
-    ]
-
-
-def test_the_surface_at_the_stamp_of_the_force_is_taken_off() -> None:
-    samples = list(itertools.chain(*streams(surface_delay=30)))
-    pairs, rejected = synchronized(samples, surface_delay=0.03)
-    assert len(pairs) == 200 and not rejected
-    for pair in pairs:
-        t = (pair.stamp_ns - START) / MS
-        assert pair.displacement == pytest.approx(9e-4 * t, abs=1e-12)
-
-
-def test_a_force_waits_for_its_surface_and_is_counted_where_none_comes() -> None:
-    pairs, rejected = synchronized(list(itertools.chain(*streams(surface_from=1000))))
-    assert rejected == {"force.no_surface": 100} and len(pairs) == 100
-    pairs, rejected = synchronized(list(itertools.chain(*streams(surface_to=1000))))
-    assert not rejected and len(pairs) == 101, "those after the last surface still wait"
-    force, displacement, surface = streams()
-    holed = [s for s in surface if not 500 <= (s[1] - START) / MS < 1000]
-    pairs, rejected = synchronized([*force, *displacement, *holed])
-    assert rejected == {"force.surface_gap": 54} and len(pairs) == 146
-    forces = [("force", START + t * MS, 1e-3 * t) for t in range(0, 7000, 10)]
-    moved = [("displacement", stamp, 1e-3 * value) for _, stamp, value in forces]
-    pairs, rejected = synchronized(sorted([*moved, *forces], key=lambda sample: sample[1]))
-    assert rejected == {"force.no_surface": 199} and not pairs, "after synchronize.window"
-
-
-@examples(50)
-@given(seed=st.integers(0, 2**32 - 1), jump=st.integers(-900, 900))
-def test_pairs_and_noise_do_not_depend_on_the_order_of_three_streams(seed: int, jump: int) -> None:
-    chance = random.Random(seed)
-    # Stamps that come too late, too early or again, and a clock of the surface that jumps.
-    force, displacement, surface = (
-        [
-            (
-                name,
-                stamp + chance.choice([0] * 9 + [-300 * MS, 700 * MS]),
-                value + 1e-4 * chance.random(),
-            )
-            for name, stamp, value in stream
-        ]
-        for stream in streams()
-    )
-    surface = [(n, s + (jump * MS if s > START + 1000 * MS else 0), v) for n, s, v in surface]
-    results = []
-    for _ in range(3):
-        left = [list(force), list(displacement), list(surface)]
-        # One of them may be far behind the others.
-        paces = [chance.choice([0.01, 1.0, 5.0]) for _ in left]
-        merged = []
-        while any(left):
-            weights = [pace * bool(stream) for pace, stream in zip(paces, left, strict=True)]
-            (stream,) = chance.choices(left, weights)
-            merged.append(stream.pop(0))
-        # A window that holds everything: what waits too long is another test's matter.
-        results.append(with_noise(merged, pairing_window=1e6))
-    assert results[0] == results[1] == results[2]
-
-
-def with_noise(samples: list[tuple[str, int, float]], **config: Any) -> tuple[Any, ...]:
-    """Return the pairs, what is known of the noise at every tenth of them, what was rejected."""
-    noise = []
-    taken = SynchronizeConfig(takes_surface=True, **config)
-    pairs: list[Pair] = []
-    rejected: Counter[str] = Counter()
-
-    def on_pair(pair: Pair) -> None:
-        pairs.append(pair)
-        if len(pairs) % 10 == 0:
-            noise.append(synchronizer.path_noise())
-
-    synchronizer = Synchronizer(taken, on_pair, rejected)
-    for stream, stamp_ns, value in samples:
-        getattr(synchronizer, f"add_{stream}")(stamp_ns, value)
-    return pairs, noise, rejected
-
-
 # Recordings and the node
 
 
@@ -237,14 +125,14 @@ def bag(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
 KINDS = (TissueState, ContactSummary)
 
 
-def test_live_equals_replay_with_a_surface_bit_for_bit(bag: Path) -> None:
+def test_live_equals_replay_with_a_surface_bit_for_bit(bag):
     result = assert_live_equals_replay(bag, KINDS)
     assert result.inputs["surface"] == "/surface" and len(result.summaries) == 1
 
 
 def test_a_table_with_the_surface_in_its_fourth_column_gives_what_the_bag_gives(
-    recording: Recording, tmp_path: Path
-) -> None:
+    recording, tmp_path
+):
     """At one rate: a row has all three at one stamp."""
     scenario = scenario_of(surface=replace(MARKER, rate_hz=RATE, jitter_s=0.0, delay_s=0.0))
     made = simulate(scenario, 1)

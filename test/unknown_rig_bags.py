@@ -116,25 +116,19 @@ class RigBag:
         turned = self.streams.orientation
         turn = (0.0, 0.0, 0.0, 1.0) if turned is None else turned[index]
         quaternion = t["geometry_msgs/msg/Quaternion"](*(float(v) for v in turn))
+        vector, point = (
+            t["geometry_msgs/msg/Vector3"](*place),
+            t["geometry_msgs/msg/Point"](*place),
+        )
         header = self.header(time, "base")
         if self.kind == "plc":
-            tip = t["geometry_msgs/msg/Vector3"](*place)
-            return t["plc_msgs/msg/Depth"](header, tip)
+            return t["plc_msgs/msg/Depth"](header, vector)
         if self.kind == "transform":
-            return t["geometry_msgs/msg/TransformStamped"](
-                header,
-                "tool",
-                t["geometry_msgs/msg/Transform"](
-                    t["geometry_msgs/msg/Vector3"](*place), quaternion
-                ),
-            )
+            transform = t["geometry_msgs/msg/Transform"](vector, quaternion)
+            return t["geometry_msgs/msg/TransformStamped"](header, "tool", transform)
         if self.kind == "xarm":
             pose = np.array([*(1e3 * v for v in place), 0.0, 0.0, 0.0], dtype=np.float32)
             zeros = np.zeros(6, dtype=np.float32)
-            return t["xarm_msgs/msg/RobotMsg"](
-                header, 0, 0, 0, 0, 0, 0, 0, np.zeros(6, np.float32), pose, zeros
-            )
-        return t["geometry_msgs/msg/PoseStamped"](
-            header,
-            t["geometry_msgs/msg/Pose"](t["geometry_msgs/msg/Point"](*place), quaternion),
-        )
+            return t["xarm_msgs/msg/RobotMsg"](header, *[0] * 7, zeros, pose, zeros)
+        pose = t["geometry_msgs/msg/Pose"](point, quaternion)
+        return t["geometry_msgs/msg/PoseStamped"](header, pose)

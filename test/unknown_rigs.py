@@ -11,8 +11,8 @@ and one lags the other. Nothing is shared with the findings.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -457,93 +457,73 @@ _ONE, _TWO = 1.96, 2.4477
 _BOUND = 0.04
 
 
-@dataclass
-class Judged:
-    """What the findings of one rig are worth.
-
-    Parameters
-    ----------
-    errors : dict
-        Error over deviation by subject, of stated findings; of an axis as a share of the 95 %.
-    misses : list of (str, str)
-        Stated findings that miss their goal, and what they say.
-    stated : dict
-        Whether each subject is stated.
-    unfounded : list of str
-        Stated although the recording does not show it.
-    """
+class Judged(NamedTuple):
+    """What the stated findings of one rig are worth."""
 
     seed: int
-    errors: dict[str, list[float]] = field(default_factory=dict)
-    misses: list[tuple[str, str]] = field(default_factory=list)
-    stated: dict[str, bool] = field(default_factory=dict)
-    unfounded: list[str] = field(default_factory=list)
-
-    def hold(self, finding: Finding, true: float, limit: float = math.inf) -> None:
-        """Hold a stated number against the truth and the largest error that is allowed."""
-        if not finding.claim or not isinstance(finding.value, float) or not finding.deviation:
-            return
-        error = finding.value - true
-        self.errors[finding.subject] = [error / finding.deviation]
-        if abs(error) > limit:
-            self.misses.append((finding.subject, f"{finding.value:.4g} for {true:.4g}"))
+    errors: dict[str, list[float]]  #: over the deviation, by subject; of an axis over the 95 %
+    misses: list[tuple[str, str]]  #: of their goal, and what they say
+    subjects: list[str]  #: of all findings
+    unfounded: list[str]  #: stated although the recording does not show it
 
 
 def judge(found: Survey, truth: RigTruth) -> Judged:
     """Hold the findings of a rig against what is true of it."""
-    judged = Judged(truth.seed)
-    by_name = {finding.subject: finding for finding in found.findings}
-    judged.stated = {name: finding.claim for name, finding in by_name.items()}
+    findings = {finding.subject: finding for finding in found.findings}
+    errors: dict[str, list[float]] = {}
+    misses: list[tuple[str, str]] = []
     for what, axis in (("force", truth.force_axis), ("displacement", truth.displacement_axis)):
-        _judge_axis(judged, by_name[f"{what} axis"], axis)
-    for what, usual, other, unit in (
-        ("force", "N", "g", truth.force_unit),
-        ("displacement", "m", "mm", truth.displacement_unit),
+        finding = findings[f"{what} axis"]
+        if not finding.claim:
+            continue
+        off = math.acos(np.clip(np.atleast_1d(np.array(finding.value)) @ axis, -1.0, 1.0))
+        if off > _AXIS_LIMIT:
+            misses.append((finding.subject, f"{math.degrees(off):.1f} degrees"))
+        if axis.size > 1 and finding.deviation:
+            errors[finding.subject] = [off / finding.deviation / _TWO * _ONE]
+    for what, unit in (
+        ("force", "N" if truth.force_unit == 1.0 else "g"),
+        ("displacement", "m" if truth.displacement_unit == 1.0 else "mm"),
     ):
-        finding = by_name[f"{what} unit"]
-        if finding.claim and finding.value != (usual if unit == 1.0 else other):
-            judged.misses.append((finding.subject, str(finding.value)))
-    _judge_numbers(judged, by_name, truth)
+        finding = findings[f"{what} unit"]
+        if finding.claim and finding.value != unit:
+            misses.append((finding.subject, str(finding.value)))
+    for name, true, limit in _numbers(findings, truth):
+        finding = findings[name]
+        if finding.claim and isinstance(finding.value, float) and finding.deviation:
+            errors[name] = [(finding.value - true) / finding.deviation]
+            if abs(finding.value - true) > limit:
+                misses.append((name, f"{finding.value:.4g} for {true:.4g}"))
+    centre = findings["tool centre of mass"]
+    if centre.claim and centre.deviation:
+        off_centre = (np.array(centre.value) - truth.centre) / centre.deviation
+        errors[centre.subject] = off_centre.tolist()
     shows_delay = truth.rigid or truth.turns
     shown = {"delay": shows_delay, "compliance": truth.rigid, "tool mass": truth.turns}
-    judged.unfounded = [name for name, is_so in shown.items() if by_name[name].claim and not is_so]
-    return judged
+    unfounded = [name for name, is_so in shown.items() if findings[name].claim and not is_so]
+    return Judged(truth.seed, errors, misses, list(findings), unfounded)
 
 
-def _judge_axis(judged: Judged, finding: Finding, axis: Array) -> None:
-    if not finding.claim:
-        return
-    assert finding.value is not None and not isinstance(finding.value, str)
-    value = np.atleast_1d(np.array(finding.value))
-    error = math.acos(min(max(float(value @ axis), -1.0), 1.0))
-    if error > _AXIS_LIMIT:
-        judged.misses.append((finding.subject, f"{math.degrees(error):.1f} degrees"))
-    if axis.size > 1 and finding.deviation:
-        judged.errors[finding.subject] = [error / finding.deviation / _TWO * _ONE]
-
-
-def _judge_numbers(judged: Judged, by_name: Mapping[str, Finding], truth: RigTruth) -> None:
+def _numbers(
+    findings: Mapping[str, Finding], truth: RigTruth
+) -> Iterator[tuple[str, float, float]]:
+    """Give subjects, true values and the largest errors that are allowed."""
     steps = math.sqrt(12.0)
-    judged.hold(by_name["force noise"], math.hypot(truth.force_noise, truth.force_step / steps))
+    yield "force noise", math.hypot(truth.force_noise, truth.force_step / steps), math.inf
     motion_noise = math.hypot(truth.displacement_noise, truth.displacement_step / steps)
-    judged.hold(by_name["displacement noise"], motion_noise)
-    judged.hold(by_name["delay"], truth.delay, 1e-3)
-    if by_name["tool mass"].value:
-        judged.hold(by_name["tool mass"], truth.mass, 0.02 * truth.mass)
-    centre = by_name["tool centre of mass"]
-    if centre.claim and centre.deviation:
-        errors = (np.array(centre.value) - truth.centre) / centre.deviation
-        judged.errors["tool centre of mass"] = errors.tolist()
-    compliance = by_name["compliance"]
+    yield "displacement noise", motion_noise, math.inf
+    yield "delay", truth.delay, 1e-3
+    if findings["tool mass"].value:
+        yield "tool mass", truth.mass, 0.02 * truth.mass
+    compliance = findings["compliance"]
     if isinstance(compliance.value, float) and compliance.deviation:
         # What is too small to measure is stated as a bound: only its interval counts.
         is_bound = compliance.deviation > _BOUND * abs(compliance.value)
-        judged.hold(compliance, truth.compliance, math.inf if is_bound else 0.1 * truth.compliance)
-    axis, bias = by_name["force axis"], by_name["force bias"]
-    if not axis.claim or (truth.mass and not truth.turns):
-        return
-    along = np.atleast_1d(np.array(axis.value))
-    if bias.claim:
-        start, end = bias.seconds[0]
-        judged.hold(bias, float((truth.bias + truth.drift * 0.5 * (start + end)) @ along))
-    judged.hold(by_name["force drift"], float(truth.drift @ along))
+        yield "compliance", truth.compliance, math.inf if is_bound else 0.1 * truth.compliance
+    axis, bias = findings["force axis"], findings["force bias"]
+    if axis.claim and not (truth.mass and not truth.turns):
+        along = np.atleast_1d(np.array(axis.value))
+        if bias.claim:
+            middle = 0.5 * sum(bias.seconds[0])
+            yield "force bias", float((truth.bias + truth.drift * middle) @ along), math.inf
+        yield "force drift", float(truth.drift @ along), math.inf

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which tissue it is, with probabilities that mean what they say."""
+"""Which tissue it is: probabilities, the label in a whole contact, a place against others."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pipeline_helpers import LIVER_PARAMETERS, feed, items_of, parameters_of, summaries_of
 from property_helpers import examples
 from scipy.stats import multivariate_normal, multivariate_t
 
@@ -25,8 +26,32 @@ from fden_ros.core.classification.classifier import (
     log_evidence,
 )
 from fden_ros.core.classification.labelling import Decider, DecisionConfig
+from fden_ros.core.classification.relative import (
+    LEAST_SURROUNDINGS,
+    compare,
+    stack,
+)
 from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
+from fden_ros.core.outputs import Classification, Decision, Output, Status, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.tissues.library import load_library
+from simulation.scenario import (
+    DisplacementSensor,
+    ForceSensor,
+    Geometry,
+    Ramp,
+    RampHold,
+    Scenario,
+    Site,
+)
+from simulation.scenario import Tissue as SimulatedTissue
+from simulation.simulate import simulate
+from simulation.trajectory import Approach
+
+# Which tissue it is, with probabilities that mean what they say
+
 
 #: No test depends on the time it takes, nor on chance.
 steady = examples(100)
@@ -190,3 +215,145 @@ def test_label_of_a_sequence_of_answers(name):
     answers, expected = SEQUENCES[name]
     for found, label in zip(labels(*answers), expected, strict=True):
         assert label is None or found == label
+
+
+# The label in a whole contact: early enough, never too early, and gone with its tissue
+
+
+#: Alike but for alpha.
+SLOW = replace(LIVER, name="slow", mean=LIVER.mean + np.array([0.0, 0.0, 0.15]))
+TWINS = TissueLibrary("twins", (LIVER, SLOW), LIBRARY.unknown)
+RAMP = Ramp(strain_rate=0.4, max_strain=0.25)
+HOLD = RampHold(strain_rate=0.4, max_strain=0.25, hold_s=1.5)
+
+
+def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1, **others):
+    scenario = Scenario(
+        name="one",
+        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
+        approach=Approach(distance_m=0.002, slow_distance_m=0.001, start_pause_s=1.0),
+        sites=(Site(SimulatedTissue(g, 8.4, order), (press,) * repeat),),
+        force=ForceSensor(rate_hz=200.0, noise_stress_pa=noise),
+        displacement=DisplacementSensor(rate_hz=200.0),
+    )
+    recording = simulate(scenario, 1)
+    parameters = (
+        parameters_of(recording)
+        | LIVER_PARAMETERS
+        | {
+            "alpha.learn": True,
+            "prior.alpha": 0.2,
+            "prior.alpha_sd": 0.1,
+            "prior.linear_stiffness_log_sd": 1.0,
+        }
+    )
+    parameters |= {name.replace("__", "."): value for name, value in others.items()}
+    config = replace(pipeline_config(check(parameters)), library=library)
+    outputs: list[Output] = []
+    pipeline = Pipeline(config, outputs.append)
+    feed(pipeline, items_of(recording))
+    pipeline.finish()
+    return outputs
+
+
+def answers(outputs):
+    return [output for output in outputs if isinstance(output, Classification)]
+
+
+def test_no_label_before_the_estimate_has_converged():
+    outputs = pressed(LIBRARY, HOLD)
+    first = next(a for a in answers(outputs) if a.decision is not Decision.UNDETERMINED)
+    converged = next(
+        o for o in outputs if isinstance(o, TissueState) and o.status is Status.CONVERGED
+    )
+    assert first.stamp_ns >= converged.stamp_ns
+    assert (first.decision, first.classes.label) == (Decision.CLASS, "liver")
+    # What it took: beyond the boundary strain, and before the end of the ramp.
+    assert math.exp(-LIVER.mean[1]) < first.decided.strain <= 0.26
+    assert 0.1 < first.decided.time < 1.0
+    (summary,) = summaries_of(outputs)
+    assert summary.decided == first.decided
+
+
+def test_label_waits_where_the_data_have_not_shown_what_decides():
+    # So much noise that the ramp shows G and Gn, but hardly alpha; the priors favour liver.
+    biased = replace(TWINS, tissues=(replace(LIVER, prior=1e3), SLOW))
+    outputs = pressed(biased, RAMP, noise=12.0)
+    assert any(o.status is Status.CONVERGED for o in outputs if isinstance(o, TissueState))
+    waiting = [a for a in answers(outputs) if a.classes is not None]
+    sd = [
+        math.sqrt(o.estimate.covariance[2, 2])
+        for o in outputs
+        if isinstance(o, TissueState) and o.estimate is not None
+    ]
+    blind = [a for a in waiting if not a.classes.is_observable]
+    assert blind and min(sd) > 0.005
+    assert all(a.decision is Decision.UNDETERMINED and not a.classes.label for a in blind)
+    assert all(max(a.classes.probabilities) > 0.9 for a in blind)
+
+
+def test_repeated_contact_of_a_site_decides_with_all_that_is_known():
+    outputs = pressed(LIBRARY, HOLD, repeat=2)
+    first, second = summaries_of(outputs)
+    assert second.site_id == first.site_id
+    assert second.classes.label == "liver"
+    # The estimate of the second holds the first: no need to press so far again.
+    assert second.decided.strain < first.decided.strain
+
+
+# A place against its surroundings
+
+
+def place(value, sd=0.0):
+    return LogStiffness(np.array(value), np.array(sd**2))
+
+
+def around(values, sd=0.0):
+    values = np.asarray(values, dtype=float)
+    return LogStiffness(values, np.full(values.size, sd**2))
+
+
+def drawn(rng, *, natural=0.1, sd=0.05, count=30, ratio=1.0):
+    own = rng.normal(0.0, natural, count) + rng.normal(0.0, sd, count)
+    mine = math.log(ratio) + rng.normal(0.0, sd)
+    return place(mine, sd), around(own, sd)
+
+
+@pytest.mark.parametrize("strain", [0.05, 0.2])
+def test_error_of_log_stiffness_is_that_of_drawn_parameters(strain):
+    rng = np.random.default_rng(0)
+    mean = np.array([6.0, 2.0, 0.2])
+    covariance = np.array([[4e-4, -1e-4, 1e-5], [-1e-4, 4e-4, 0.0], [1e-5, 0.0, 1e-5]])
+    draws = rng.multivariate_normal(mean, covariance, 100_000)
+    scatter = np.std(log_stiffness(draws, np.zeros((100_000, 3, 3)), strain, 0.1).value)
+    found = math.sqrt(float(log_stiffness(mean, covariance, strain, 0.1).variance))
+    assert found == pytest.approx(scatter, rel=0.02)
+
+
+def test_ratio_and_interval_hold_the_truth():
+    rng = np.random.default_rng(1)
+    inside, ratios = 0, []
+    for _ in range(600):
+        compared = compare(*drawn(rng, ratio=2.0))
+        low, high = compared.interval()
+        inside += low <= 2.0 <= high
+        ratios.append(compared.log_ratio)
+    assert math.exp(np.mean(ratios)) == pytest.approx(2.0, rel=0.02)
+    # Of 95 %: four standard deviations of 600 trials, and a share taken for something else.
+    assert 0.91 < inside / 600 < 0.98
+
+
+def test_lesions_among_the_surroundings_do_not_hide_a_lesion():
+    rng = np.random.default_rng(4)
+    healthy = rng.normal(0.0, 0.1, 24)
+    lesions = rng.normal(math.log(4.0), 0.1, 8)
+    compared = compare(place(math.log(4.0), 0.02), around([*healthy, *lesions], 0.02))
+    assert compared.ratio == pytest.approx(4.0, rel=0.12)
+    assert compared.count == pytest.approx(24.0, abs=4.0)
+    assert compared.log_ratio > 6.0 * math.hypot(compared.log_ratio_sd, 0.1)
+
+
+def test_too_few_surroundings_make_no_comparison():
+    assert compare(place(0.0), around([0.0] * (LEAST_SURROUNDINGS - 1))) is None
+    assert compare(place(0.0), stack([])) is None
+    assert compare(place(0.0, 0.1), around([0.0] * LEAST_SURROUNDINGS)) is not None

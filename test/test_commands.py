@@ -1,0 +1,408 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The shape of `fden`; `fden batch`, and continuous contact and reports from bags."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import importlib
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from rosbags.highlevel import AnyReader
+
+from fden_ros.cli import COMMANDS, main
+from fden_ros.commands.command import number
+from fden_ros.errors import InputError
+from fden_ros.offline import batch
+from fden_ros.offline.session import (
+    Innovations,
+    Session,
+    gather,
+)
+from fden_ros.parameters import check, read_parameter_file
+from fden_ros.recording.source import Selection
+from fden_ros.recording.writer import BagWriter
+from fden_ros.report import style
+from fden_ros.report.sentence import sentence
+from simulation.bag import write_recording
+from simulation.scenario import Tissue, load_scenario, ramp_scenario
+from simulation.simulate import simulate
+
+# The shape of ``fden``: every command explains itself, and says in one line what is wrong
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    shown = capsys.readouterr().out
+    command = importlib.import_module(f"fden_ros.commands.{name}")
+    assert ended.value.code == 0
+    assert command.DESCRIPTION in shown and command.EPILOG in shown
+    assert command.EPILOG.startswith("examples:\n") and f"fden {name}" in command.EPILOG
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_unknown_option_is_one_line_that_names_the_help(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--nonsense"])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ended.value.code == 2
+    assert "error: " in line and line.endswith(" --help")
+
+
+@pytest.mark.parametrize(
+    ("bounds", "good", "bad", "words"),
+    [
+        ({}, "-1e3", "inf", "expected a number, got 'inf'"),
+        ({"above": 0.0}, "1e-9", "0", "a number above 0, got '0'"),
+        ({"least": 0.0, "below": 1.0}, "0", "1", "a number of at least 0 and below 1"),
+        ({"least": 1, "whole": True}, "1", "1.5", "a whole number of at least 1, got '1.5'"),
+        ({"above": 0.0}, "2", "fast", "got 'fast'"),
+    ],
+)
+def test_a_number_is_refused_outside_its_bounds(bounds, good, bad, words):
+    convert = number(**bounds)
+    assert convert(good) == float(good)
+    with pytest.raises(argparse.ArgumentTypeError, match=words):
+        convert(bad)
+
+
+# ``fden batch``: an archive of bags, identified by processes of this machine
+
+
+ROOT = Path(__file__).parent.parent
+POSE = ROOT / "bags" / "golden" / "golden_pose"
+START = 1_700_000_000_000_000_000
+
+
+def air(folder: Path, seed: int, count: int = 300) -> Path:
+    """Write a bag of a probe in the air: quick to identify, with content of its own."""
+    rng = np.random.default_rng(seed)
+    with BagWriter(folder) as bag:
+        bag.add_topic("/force", "geometry_msgs/msg/WrenchStamped")
+        bag.add_topic("/displacement", "geometry_msgs/msg/PointStamped")
+        for index in range(count):
+            stamp = START + 2_000_000 * index
+            for topic, message in (
+                ("/displacement", PointStamped()),
+                ("/force", WrenchStamped()),
+            ):
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+                if topic == "/force":
+                    message.wrench.force.z = float(rng.normal(0, 1e-3))
+                bag.write(topic, message, stamp)
+    return folder
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def work() -> batch.Work:
+    return batch.Work(check({}), Selection())
+
+
+def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsys):
+    archive = tmp_path / "archive"
+    shutil.copytree(POSE, archive / "press")
+    air(archive / "air", 1)
+    (archive / "broken.mcap").write_text("no bag")
+    table = tmp_path / "results.csv"
+    config = str(POSE / "identifier.yaml")
+    command = ["batch", str(archive), "-o", str(table), "--config", config, "--workers", "1"]
+    assert main(command) == 0
+    said = capsys.readouterr()
+    assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in said.out
+    (line,) = (line for line in said.err.splitlines() if line.startswith("broken: "))
+    assert str(archive / "broken.mcap") in line and "is not an MCAP file" in line
+    rows = sorted(rows_of(table), key=lambda row: row["bag"])
+    assert [Path(row["bag"]).name for row in rows] == ["air", "broken.mcap", "press", "press"]
+    assert [bool(row["error"]) for row in rows] == [False, True, False, False]
+    assert rows[0]["contact_id"] == "" and "no contact was found" in rows[0]["warnings"]
+
+    assert main(["replay", str(POSE), "--config", config, "--json"]) == 0
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    for row, contact in zip(rows[2:], contacts, strict=True):
+        for name in (
+            *("g", "g_sd", "g_n", "max_force", "start_ns", "converged", "label"),
+            *("apparent_stiffness", "apparent_stiffness_sd", "apparent_stiffness_time_scale"),
+        ):
+            assert row[name] == str(contact[name])
+        assert [row[axis] for axis in "xyz"] == [str(value) for value in contact["position"]]
+        known = " ".join(contact["converged_parameters"])
+        assert row["converged_parameters"] == known != ""
+
+    # What is new is done, and it alone.
+    before = table.read_text()
+    air(archive / "later", 2)
+    assert main(command) == 0
+    assert "4 bags, 3 of them done before, 0 broken" in capsys.readouterr().out
+    assert table.read_text().startswith(before)
+
+
+# Without workers
+
+
+def test_bags_are_found_in_folders_and_by_patterns(tmp_path):
+    air(tmp_path / "a" / "one", 1, 3)
+    air(tmp_path / "a" / ".two.part", 2, 3)
+    shutil.copy(tmp_path / "a" / "one" / "one_0.mcap", tmp_path / "a" / "bare.mcap")
+    (tmp_path / "a" / "notes.txt").write_text("x")
+    found = batch.find_bags([str(tmp_path / "a"), str(tmp_path / "a" / "*.mcap")])
+    assert [path.name for path in found] == ["bare.mcap", "one"]
+    with pytest.raises(InputError, match="holds no bag"):
+        batch.find_bags([str(tmp_path / "nowhere")])
+
+
+def test_a_bag_is_done_again_where_the_configuration_differs_or_its_rows_are_cut_off(
+    tmp_path, work
+):
+    bags = [str(air(tmp_path / f"bag{index}", index, 20)) for index in range(2)]
+    other = batch.Work(check({"geometry.thickness": 0.03}), Selection())
+    assert work.digest() == batch.Work(check({}), Selection()).digest() != other.digest()
+    table = tmp_path / "results.csv"
+    results = batch.Results(table, work.digest())
+    for bag in bags:
+        results.add(batch.identify(bag, work))
+    whole = batch.Results(table, work.digest())
+    assert whole.has(bags[0]) and whole.has(bags[1])
+    assert not batch.Results(table, other.digest()).has(bags[0])
+    (row,) = batch.identify(bags[0], work)
+    lacking = batch.Results(tmp_path / "lacking.csv", work.digest())
+    lacking.add([row | {"contacts": 2}])
+    assert not batch.Results(lacking.path, work.digest()).has(bags[0])
+    # Killed while it wrote.
+    table.write_text(table.read_text()[:-40])
+    torn = batch.Results(table, work.digest())
+    assert torn.has(bags[0]) and not torn.has(bags[1])
+    torn.add(batch.identify(bags[1], work))
+    assert [row["bag"] for row in rows_of(table)] == bags
+
+
+def test_another_table_is_not_touched(tmp_path):
+    path = tmp_path / "thesis.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="another kind"):
+        batch.Results(path, "")
+    path.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(InputError, match="no table of results"):
+        batch.Results(path, "")
+
+
+# Continuous contact from a bag: table, JSON, results, map and report
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("continuous") / "bag"
+    write_recording(simulate(load_scenario("continuous")), folder)
+    return folder
+
+
+def command(bag: Path, name: str, *options: str | Path) -> int:
+    config = bag / "identifier.yaml"
+    return main([name, str(bag), "--config", str(config), *map(str, options)])
+
+
+def test_a_path_is_identified_and_its_places_are_a_map(bag, tmp_path, capsys):
+    out = tmp_path / "results"
+    assert command(bag, "replay", "--json", "-o", out) == 0
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    known = [one for one in contacts if one["apparent_stiffness"] is not None]
+    assert len(known) > 20
+    assert not any(one["converged"] for one in contacts)
+    assert all(one["flags"] == ["origin_uncertain"] for one in contacts)
+    assert {name for one in known for name in one["valid_parameters"]} <= {"fractional_order"}
+    with AnyReader([out]) as reader:
+        read = [
+            (connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+        ]
+    assert not [m for topic, m in read if topic == "/identifier/markers"]
+    cloud = [m for topic, m in read if topic == "/identifier/stiffness_map"][-1]
+    names = [field.name for field in cloud.fields]
+    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, cloud.point_step)
+
+    def column(name: str, kind: str) -> np.ndarray:
+        first = cloud.fields[names.index(name)].offset
+        return rows[:, first : first + np.dtype(kind).itemsize].copy().view(kind)[:, 0]
+
+    assert column("stiffness", "<f8") == pytest.approx([o["apparent_stiffness"] for o in known])
+    assert column("x", "<f4") == pytest.approx([o["position"][0] for o in known], abs=1e-6)
+
+
+def test_the_report_draws_the_path(bag, tmp_path):
+    page = tmp_path / "page.html"
+    assert command(bag, "report", "-o", page) == 0
+    text = page.read_text(encoding="utf-8")
+    assert " places on the path whose stiffness is known: " in text
+    assert "dF/dd for a motion of 0.1 s" in text
+    assert "<h2>Places</h2>" in text and "no stiffness yet" in text
+    # A press's words: what it was, which tissue, how the probe stood; one unpaired force is usual.
+    assert not any(
+        words in text
+        for words in ("max strain", "undetermined", "origin uncertain", "normal not", "rejected:")
+    )
+
+
+# ``fden report``: what the page says, and that a browser shows it without a complaint
+
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium is installed: sudo apt-get install chromium"
+)
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return gather(POSE, read_parameter_file(POSE / "identifier.yaml"))
+
+
+@pytest.fixture(scope="module")
+def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from fden_ros.report.page import page
+
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(page(session), encoding="utf-8")
+    return path
+
+
+def browse(page: Path, *options: str) -> tuple[str, list[str]]:
+    """Return the page after its scripts ran, and what they, and the page's policy, complained."""
+    assert CHROMIUM is not None
+    done = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+            *(f"--user-data-dir={page.parent / 'profile'}", "--enable-logging=stderr"),
+            *(*options, f"file://{page}"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=True,
+    )
+    return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+
+
+# The page
+
+
+@needs_browser
+def test_a_browser_shows_the_numbers_without_a_script_error(page, session):
+    dom, complaints = browse(page, "--dump-dom")
+    assert complaints == []
+    text = re.sub(r"<[^>]+>", " ", dom)
+    shown = np.array([float(number) for number in re.findall(r"\d+\.\d+", text)])
+    for summary in session.replay.summaries:
+        assert summary.estimate is not None
+        for value in np.exp(summary.estimate[:2]):
+            assert np.min(np.abs(shown / value - 1.0)) < 1e-3
+    assert "2 contacts at 2 sites; all converged." in text
+    assert dom.count('<details class="contact" open') == 2
+    assert dom.count("<svg") == 3 + 4 * 2
+
+
+def test_the_page_needs_nothing_from_elsewhere(page):
+    text = page.read_text()
+    references = re.findall(r'(?:src|href|xlink:href)="([^"]*)"|url\(([^)]*)\)', text)
+    assert references
+    assert all((a or b).startswith(("#", "data:")) for a, b in references)
+    assert "default-src 'none'" in text
+    # Colours of the pictures come from the page.
+    pictures = "".join(re.findall(r"<svg.*?</svg>", text, re.DOTALL))
+    assert "var(--estimate)" in pictures
+    assert not any(colour in pictures for colour in (style.ESTIMATE, style.INK, style.SHADE))
+
+
+def test_text_from_the_recording_is_escaped(tmp_path, session):
+
+    from fden_ros.report.page import page as render
+
+    html = render(replace(session, path=Path("<script>alert(1)</script>"), contacts=[]))
+    assert "<script>alert" not in html
+
+
+def test_what_the_data_do_not_allow_is_said_in_words(tmp_path):
+    config = tmp_path / "narrow.yaml"
+    text = (POSE / "identifier.yaml").read_text()
+    # A stiffness this nonlinear would begin at strains that were not reached.
+    config.write_text(
+        text + "      nonlinear_stiffness: 2.0\n      nonlinear_stiffness_log_sd: 0.02\n"
+    )
+    cut = tmp_path / "cut.mcap"
+    (source,) = POSE.glob("*.mcap")
+    cut.write_bytes(source.read_bytes()[: source.stat().st_size // 3])
+    out = tmp_path / "report.html"
+    assert main(["report", str(cut), "--config", str(config), "-o", str(out)]) == 0
+    said = out.read_text()
+    assert "is cut off at byte" in said
+    assert "The contact was cut short" in said
+    assert "of 1 more G is known" in said
+    assert "G is known, Gn is not observable: the strain reached" in said
+
+
+def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path):
+    table = tmp_path / "air.csv"
+    table.write_text("t,f,d\n" + "".join(f"{i * 1e-2},0.0{i % 7},0\n" for i in range(300)))
+    out = tmp_path / "report.html"
+    assert main(["report", str(table), "--columns", "t,f,d", "-o", str(out)]) == 0
+    assert "No contact was found" in out.read_text()
+
+
+def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path):
+    """Pressing as deep as the sentence says makes Gn known."""
+    tissue = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
+
+    def said(strain: float) -> str:
+        recording = simulate(
+            ramp_scenario(strain_rate=0.2, max_strain=strain, tissue=tissue, rate_hz=250.0, seed=3)
+        )
+        bag = write_recording(recording, tmp_path / f"{strain}").path
+        return sentence(gather(bag, read_parameter_file(bag / "identifier.yaml")))
+
+    words = re.fullmatch(
+        r"[\d.]+ ± [\d.]+ N/m at 1.6 mm; press to ([\d.]+) mm at .*; the target with \d+ %\.",
+        said(0.08),
+    )
+    assert words is not None
+    depth = float(words.group(1))
+    assert re.fullmatch(r"Liver-like, [\d.]+ ± [\d.]+ N/m at [\d.]+ mm\.", said(depth / 20.0))
+
+
+# What is gathered
+
+
+def test_the_test_tells_large_and_coloured_innovations_from_right_ones():
+    from fden_ros.core.estimation.estimator import Innovation
+
+    def verdict(values: np.ndarray) -> str:
+        innovations = Innovations()
+        for value in values:
+            innovations.add(Innovation(0.0, 0.0, float(value), 1.0))
+        assert innovations.test is not None
+        return innovations.test.verdict
+
+    passed = 0
+    for seed in range(200):
+        white = np.random.default_rng(seed).normal(size=300)
+        passed += verdict(white) == "as large as the noise explains; white"
+        assert "larger than" in verdict(2.0 * white)
+        assert "smaller than" in verdict(0.5 * white)
+        assert "not white" in verdict(np.convolve(white, np.ones(4) / 2.0, "valid"))
+    assert passed >= 190  # 98 % expected of the two tests of 99 %
