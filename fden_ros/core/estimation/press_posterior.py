@@ -304,10 +304,6 @@ class PressPosterior:
         """Be due for a solution: the filter is too far from the last one."""
         self._solved_at = 0.0, 1e-9
 
-    def _strain(self, origin: float) -> float:
-        """Return the largest strain of the site from an origin, as compression [1]."""
-        return self.setting.largest_strain(self.deepest, origin)
-
     # Changes of the tissue, and another law
 
     def _look_for_change(self) -> Look:
@@ -315,13 +311,14 @@ class PressPosterior:
         self._looked_at = self._now
         if self.solved is None or not self._is_placed:
             return Look(None, -math.inf)
+        origin = self.setting.origin(self.solved.best.mean)
         try:
             look = change_of(
                 self.record.points(),
                 self.solved.best,
                 self._posterior(self.events),
                 lambda unknown: self._posterior((*self.events, unknown)),
-                self._strain(self.setting.origin(self.solved.best.mean)),
+                self.setting.largest_strain(self.deepest, origin),
             )
         except UNSOLVABLE:
             return Look(None, -math.inf)

@@ -19,7 +19,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import NEARLY_FOUND, UNSOLVABLE, Posterior, Solution
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
@@ -124,6 +124,6 @@ def _solution(
     """Return the posterior about the maximum near a start; None: there is none."""
     try:
         scales = scales or posterior.grid[len(posterior.grid) // 2].scales
-        return posterior.nearly(points, start, scales)
+        return posterior.solution(points, [start], scales, NEARLY_FOUND)
     except UNSOLVABLE:
         return None

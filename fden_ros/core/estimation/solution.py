@@ -148,7 +148,9 @@ class Posterior(Density):
         search = MaximumSearch(self, points, scales, converged, self._held, most)
         return search.from_start(start)
 
-    def solution(self, points: Points, starts: Sequence[Array], scales: Scales) -> Solution:
+    def solution(
+        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
+    ) -> Solution:
         """Return the posterior about the best of the maxima that the starts lead to.
 
         Raises
@@ -158,19 +160,8 @@ class Posterior(Density):
         """
         # A step too far overflows; it is not taken.
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._refined(points, self._maxima(points, starts, scales)[0])
-
-    def nearly(self, points: Points, start: Array, scales: Scales) -> Solution:
-        """Return the posterior about the maximum that a start leads to, nearly found.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is not finite at the start.
-        """
-        with np.errstate(over="ignore", invalid="ignore"):
-            best = self.maximum(points, start, scales, NEARLY_FOUND)
-            return self._refined(points, best, NEARLY_FOUND)
+            best = self._maxima(points, starts, scales, converged)[0]
+            return self._refined(points, best, converged)
 
     def solutions(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
@@ -229,7 +220,7 @@ class Posterior(Density):
         self,
         points: Points,
         best: Maximum,
-        converged: float = CONVERGED,
+        converged: float,
         *,
         is_rough: bool = False,
     ) -> Solution:
@@ -306,7 +297,7 @@ class Posterior(Density):
         points: Points,
         starts: Sequence[Array],
         scales: Scales,
-        converged: float = CONVERGED,
+        converged: float,
     ) -> list[Maximum]:
         """Return the maxima, best first; while they are compared the errors are the same."""
         maxima = []
