@@ -38,8 +38,8 @@ class Pending(Generic[Result]):
 
     @property
     def is_there(self) -> bool:
-        """Whether nobody has to wait for the result."""
-        return self._future is not None and self._future.done()
+        """Whether it need not be waited for: it has come, or is computed here."""
+        return self._future is None or self._future.done()
 
     def result(self) -> Result:
         """Return the result once it is there; raise what the computation has raised."""
