@@ -15,6 +15,7 @@ the motion. Between all points the motion is linear.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -57,6 +58,20 @@ class Sample(NamedTuple):
     time: float  #: [s]
     compression: float  #: [1]
     stress: float  #: [Pa]
+
+
+class _Row(NamedTuple):
+    """A block as its line, and what was observed."""
+
+    middle: float  #: [s]
+    spread: float  #: standard deviation of its times [s]
+    compression: float  #: [1]
+    slope: float  #: [1/s]
+    step: float  #: between its samples [s]; 0: it is one sample
+    duration: float  #: from its first sample to its last [s]
+    count: int
+    stress: float  #: [Pa]
+    is_observed: bool
 
 
 @dataclass
@@ -111,6 +126,14 @@ class _Cell:
         slope = (self.product / self.count - mean * compression) / variance
         return self.start + mean, math.sqrt(variance), compression, slope
 
+    def row(self) -> _Row:
+        """Return what becomes of it in arrays."""
+        step = (self.end - self.start) / max(self.count - 1, 1)
+        return _Row(
+            *self.line(), step, self.end - self.start, self.count, self.stress / self.count,
+            self.is_observed,
+        )  # fmt: skip
+
     def at(self, time: float) -> float:
         """Return the compression of the line at a time."""
         mean, _, compression, slope = self.line()
@@ -128,8 +151,6 @@ class Points:
         as far as they are above their noise, the last the changes of the speed there.
     steps : ndarray, shape (n,)
         Longest time between samples beside a point [s].
-    moments : ndarray, shape (n, 4, RATES)
-        Of the steps that end at the points.
     first, last : ndarray of int, shape (m,)
         Points of the blocks.
     middles, durations, counts, stresses : ndarray, shape (m,)
@@ -142,13 +163,17 @@ class Points:
     speeds: Array
     bends: Array
     steps: Array
-    moments: Array
     first: Array
     last: Array
     middles: Array
     durations: Array
     counts: Array
     stresses: Array
+
+    @functools.cached_property
+    def moments(self) -> Array:
+        """Moments of the steps that end at the points, (n, 4, RATES)."""
+        return loops.moments(self.elapsed, RATES)
 
     def mean(self, values: Array) -> Array:
         """Return the means over the blocks of values at the points, shape (..., m)."""
@@ -170,6 +195,7 @@ class Record:
     def __init__(self, noise_sd: float = 0.0, reach: float = 0.0) -> None:
         self.noise_sd, self._reach = noise_sd, reach
         self._cells: list[_Cell] = []
+        self._rows: list[_Row] = []  # of the same
         self._open: _Cell | None = None
         self._start: float | None = None
         self._changed = 0.0
@@ -230,9 +256,10 @@ class Record:
         cell, self._open = self._open, None
         assert cell is not None
         if self._cells and self._joins(self._cells[-1], cell):
-            self._cells[-1] = self._cells[-1].merged(cell)
-        else:
-            self._cells.append(cell)
+            cell = self._cells.pop().merged(cell)
+            self._rows.pop()
+        self._cells.append(cell)
+        self._rows.append(cell.row())
 
     def _joins(self, last: _Cell, cell: _Cell) -> bool:
         """Whether a block goes on with the next; takes note where the motion changes."""
@@ -253,10 +280,11 @@ class Record:
 
     def points(self) -> Points:
         """Return the record so far as arrays."""
-        cells = self._cells if self._open is None else [*self._cells, self._open]
+        opened = [] if self._open is None else [self._open]
+        rows = self._rows + [cell.row() for cell in opened]
         if self._reach:
-            return _points([*_approach(cells, self._reach), *cells], self.noise_sd)
-        return _points(cells, self.noise_sd)
+            rows = [cell.row() for cell in _approach(self._cells + opened, self._reach)] + rows
+        return _points(rows, self.noise_sd)
 
 
 def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
@@ -283,83 +311,54 @@ def points_after(
     blocks: Sequence[Sequence[Sample]], before: float, noise_sd: float = 0.0
 ) -> Points:
     """Return blocks as a record that goes on after the time `before` [s]."""
-    cells = []
+    rows = []
     for samples in blocks:
         cell = _Cell(samples[0].time, True)
         for sample in samples:
             cell.add(sample.time, sample.compression, sample.stress)
-        cells.append(cell)
-    return _points(cells, noise_sd, before)
+        rows.append(cell.row())
+    return _points(rows, noise_sd, before)
 
 
-def _points(cells: Sequence[_Cell], noise_sd: float, before: float | None = None) -> Points:
+def _points(rows: Sequence[_Row], noise_sd: float, before: float | None = None) -> Points:
     """Return blocks as arrays; `before`: the time from which they go on."""
-    times: list[float] = []
-    compressions: list[float] = []
-    slopes: list[float] = []
-    steps: list[float] = []
-    observed: list[tuple[int, int, float, float, int, float]] = []
-    for cell in cells:
-        mean, spread, compression, slope = cell.line()
-        first = len(times)
-        offsets = (0.0,) if spread == 0.0 else (-spread, spread)
-        step = (cell.end - cell.start) / max(cell.count - 1, 1)
-        for offset in offsets:
-            times.append(mean + offset)
-            compressions.append(compression + slope * offset)
-            slopes.append(_above_noise(slope, noise_sd, spread, cell.count))
-            steps.append(step)
-        if cell.is_observed:
-            duration = cell.end - cell.start + step
-            observed.append(
-                (first, len(times) - 1, mean, duration, cell.count, cell.stress / cell.count)
-            )
-    return _arrays(times, compressions, slopes, steps, observed, before)
-
-
-def _above_noise(slope: float, noise_sd: float, spread: float, count: int) -> float:
-    """Return a block's slope as far as it is above its noise [1/s]; NaN: it has none."""
-    if not spread:
-        return math.nan
-    noise = (_SLOPE_DEVIATIONS * noise_sd / spread) ** 2 / count
-    return slope * slope**2 / (slope**2 + noise) if slope else 0.0
-
-
-def _arrays(
-    times: list[float],
-    compressions: list[float],
-    slopes: list[float],
-    steps: list[float],
-    observed: list[tuple[int, int, float, float, int, float]],
-    before: float | None,
-) -> Points:
-    t, u = np.array(times), np.array(compressions)
-    elapsed = np.diff(t, prepend=t[0] if before is None else before)
-    bends = np.zeros_like(t)
-    speeds = np.array(slopes)
-    single = np.isnan(speeds)
-    if t.size > 2:
-        rates = np.diff(u) / np.diff(t)
-        bends[1:-1] = np.abs(np.diff(rates))
-        speeds = np.where(single, np.gradient(u, t), speeds)
-    else:
-        speeds = np.where(single, 0.0, speeds)
-    longest = np.array(steps)
+    middle, spread, compression, slope, step, duration, count, stress, seen = np.array(rows).T
+    is_line = spread > 0.0
+    block = np.repeat(np.arange(len(rows)), 1 + is_line)
+    last = np.cumsum(1 + is_line) - 1
+    first = last - is_line
+    offsets = -spread[block]
+    offsets[last] = spread
+    times = middle[block] + offsets
+    motion = compression[block] + slope[block] * offsets
+    elapsed = np.diff(times, prepend=times[0] if before is None else before)
+    bends = np.zeros_like(times)
+    speeds = _above_noise(slope, noise_sd, spread, count)[block]
+    if times.size > 2:
+        bends[1:-1] = np.abs(np.diff(np.diff(motion) / np.diff(times)))
+        speeds = np.where(is_line[block], speeds, np.gradient(motion, times))
     # A sample alone knows its step from its neighbours.
-    beside = np.maximum(elapsed, np.append(elapsed[1:], 0.0))
-    columns = list(zip(*observed, strict=True)) if observed else [()] * 6
+    beside, own = np.maximum(elapsed, np.append(elapsed[1:], 0.0)), step[block]
+    observed = np.flatnonzero(seen)
     return Points(
-        times=t,
+        times=times,
         elapsed=elapsed,
-        compressions=u,
+        compressions=motion,
         speeds=speeds,
         bends=bends,
-        steps=np.where(longest > 0.0, np.minimum(longest, beside), beside),
-        moments=loops.moments(elapsed, RATES),
-        first=np.array(columns[0], dtype=int),
-        last=np.array(columns[1], dtype=int),
-        middles=np.array(columns[2], dtype=float),
-        durations=np.array(columns[3], dtype=float),
-        counts=np.array(columns[4], dtype=float),
-        stresses=np.array(columns[5], dtype=float),
+        steps=np.where(own > 0.0, np.minimum(own, beside), beside),
+        first=first[observed],
+        last=last[observed],
+        middles=middle[observed],
+        durations=(duration + step)[observed],
+        counts=count[observed],
+        stresses=stress[observed],
     )
+
+
+def _above_noise(slopes: Array, noise_sd: float, spread: Array, count: Array) -> Array:
+    """Return slopes as far as they are above their noise [1/s]."""
+    noise = (_SLOPE_DEVIATIONS * noise_sd / np.where(spread > 0.0, spread, 1.0)) ** 2 / count
+    square = slopes**2
+    result: Array = slopes * square / np.where(square > 0.0, square + noise, 1.0)
+    return result
