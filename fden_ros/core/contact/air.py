@@ -86,6 +86,7 @@ class Chunk(NamedTuple):
     end_ns: int
     mean: float  #: [N]
     square_sum: float  #: of deviations from the mean [N^2]
+    step: float = 0.0  #: from the mean of its first half to that of its last [N]
 
 
 class Chunks:
@@ -107,7 +108,9 @@ class Chunks:
             return None
         mean = math.fsum(forces) / len(forces)
         square_sum = math.fsum((force - mean) ** 2 for force in forces)
-        chunk = Chunk(len(forces), self._start_ns, pair.stamp_ns, mean, square_sum)
+        half = len(forces) // 2
+        step = (math.fsum(forces[-half:]) - math.fsum(forces[:half])) / half
+        chunk = Chunk(len(forces), self._start_ns, pair.stamp_ns, mean, square_sum, step)
         forces.clear()
         return chunk
 
@@ -463,15 +466,19 @@ def _noise_of_means(chunks: tuple[Chunk, ...], air: Air) -> float:
     if len(chunks) < MIN_CHUNKS:
         return air.noise
     noise = air.fast_noise
-    size = air.size / len(chunks)
-    means = np.array([chunk.mean for chunk in chunks])
-    while means.size >= MIN_CHUNKS:
-        at_scale = math.sqrt(0.5 * size * float(np.var(np.diff(means))))
-        if at_scale > noise * (1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / means.size)):
+    # From half a chunk on, which is a block of the estimator: vibration of 35 Hz is nearly over in
+    # a whole one.
+    size = 0.5 * air.size / len(chunks)
+    means, steps = np.array([chunk.mean for chunk in chunks]), [chunk.step for chunk in chunks]
+    while True:
+        at_scale = math.sqrt(0.5 * size * float(np.var(steps)))
+        if at_scale > noise * (1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / len(steps))):
             noise = at_scale
+        if means.size < MIN_CHUNKS:
+            return noise
         size *= 2.0
+        steps = np.diff(means).tolist()
         means = 0.5 * (means[: means.size // 2 * 2 : 2] + means[1::2])
-    return noise
 
 
 def _level_at_end(chunks: tuple[Chunk, ...], air: Air, noise: float) -> Level:
