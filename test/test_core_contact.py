@@ -240,6 +240,17 @@ def test_force_that_swings_with_the_motion_is_no_contact_and_one_that_stands_out
         assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
 
 
+@pytest.mark.parametrize("frequency", [5.0, 12.0, 20.0, 35.0, 50.0, 70.0])
+def test_noise_of_a_force_that_swings_is_that_of_its_means_over_a_block(frequency):
+    # 10 ms, the estimator's block: over a chunk of 20 ms a vibration of 35 or 50 Hz is over.
+    rng = np.random.default_rng(17)
+    force, displacement = press(rng, before=3.0, peak=2.0)
+    force += 0.05 * np.sin(2.0 * np.pi * frequency * np.arange(force.size) * 1e-3)
+    (onset,) = onsets(events_of(made(force, displacement))[1])
+    blocks = force[:3000].reshape(-1, 10).mean(axis=1)
+    assert onset.noise_sd / np.sqrt(10.0) > 0.9 * blocks.std()
+
+
 def test_rounded_force_is_known_no_better_than_its_steps():
     rng = np.random.default_rng(14)
     force, displacement = press(rng, peak=0.5, bias=0.0, noise=0.0005)
