@@ -10,28 +10,25 @@ the free surface of the tissue.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.budget import Budget, budget_of
-from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate, LawError, Member, mixture
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.motion_scale import SCALES
-from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
+from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, rig_places
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, Lifetime
+from fden_ros.core.estimation.unknowns import Lifetime
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import StressMoments
 
@@ -40,17 +37,8 @@ from fden_ros.core.law.relaxation import StressMoments
 _UNKNOWN_ZERO = 0.01
 #: Probability of a relaxation that ends beyond which it is said [1].
 _MISMATCH = 0.95
-#: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
-#: of the relaxation's order counts as this at least [1].
-_CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: Part of the variance of what is stated of a rig that a press tells at least [1].
 _LEAST_TOLD = 0.01
-#: Least factor by which the stiffness changes [1].
-_LEAST_FACTOR = 0.05
-#: Part of the largest variance that rounding may leave below 0 [1].
-_ROUNDING = 1e-12
-#: Logarithm beyond which a number is as good as infinite [1].
-_LARGEST_LOG = 300.0
 
 
 class PosteriorEstimator:
@@ -102,7 +90,6 @@ class PosteriorEstimator:
         self._stress_before = 0.0
         self._sample_count = self._earlier_changes = 0
         self._mismatch_probability = math.nan
-        self._law_error: tuple[Solved, LawError | None] | None = None
 
     # What others ask
 
@@ -293,135 +280,9 @@ class PosteriorEstimator:
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        press = self._press
-        if press is None or press.solved is None or press.filter is None:
-            return self._prior_estimate()
-        solved, config = press.solved, self._setting.config
-        modes = solved.modes.members(press.filter.mean, press.filter.covariance)
-        mean, full = _after_changes(solved.model, *mixture(modes))
-        if not np.all(np.abs(mean) < _LARGEST_LOG):
-            # The filter is where no number is; the next solution is due.
-            return self._prior_estimate()
-        covariance = self._published(full)
-        if solved.is_contradicted and not self._setting.is_bent:
-            # Parameters of a law that the data contradict are known no better than before.
-            widest = config.prior.deviations**2
-            covariance = np.diag(np.maximum(covariance.diagonal(), widest))
-        deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-        origin = self._setting.origin(mean)
-        origin_sd = self._setting.origin_deviation(full)
-        beyond = self._probability_beyond(press, mean, origin_sd, float(deviations[LOG_GN]))
-        error = self._law_error_of(solved)
-        is_contradicted = _is_order_contradicted(config, error)
-        evidence = Evidence(
-            mean[:3],
-            deviations,
-            beyond,
-            solved.best.is_solved and not press.is_lost,
-            origin_sd * math.exp(min(float(mean[LOG_GN]), _LARGEST_LOG)),
-            is_contradicted,
-        )
-        claims = claims_of(config, evidence)
-        return Estimate(
-            log_linear_stiffness=float(mean[LOG_G]),
-            log_nonlinear_stiffness=float(mean[LOG_GN]),
-            fractional_order=float(mean[ORDER]),
-            covariance=covariance,
-            strain_origin=origin,
-            strain_origin_sd=origin_sd,
-            probability_beyond_boundary=beyond,
-            valid=claims.valid,
-            known=claims.known,
-            sample_count=self._sample_count,
-            model_error=sum(s.characteristic * p for s, p in solved.best.scales.items()),
-            loading_age=press.filter.loading_age,
-            law_error=error,
-            mismatch_probability=self._mismatch_probability,
-            at_edge=claims.at_edge,
-            is_order_contradicted=is_contradicted,
-            modes=_of_law(solved.model, modes),
-        )
-
-    def _published(self, full: Array) -> Array:
-        """Return the covariance of (ln G, ln Gn, alpha), with that of the thickness."""
-        covariance = full[:3, :3].copy()
-        covariance[:2, :2] += self._setting.config.uncertainty.thickness_sd**2
-        result: Array = 0.5 * (covariance + covariance.T)
-        values, vectors = np.linalg.eigh(result)
-        if values[0] < -_ROUNDING * values[-1]:
-            # The filter was far from where it is linear.
-            result = (vectors * np.maximum(values, 0.0)) @ vectors.T
-            result = 0.5 * (result + result.T)
-        return result
-
-    def _probability_beyond(
-        self, press: PressPosterior, mean: Array, origin_sd: float, log_gn_sd: float
-    ) -> float:
-        """Return P(largest strain > 1/Gn) [1]."""
-        geometry = self._setting.geometry
-        compression = max(press.deepest - self._setting.origin(mean), 0.0)
-        strain_sd = geometry.strain_slope(compression) * origin_sd
-        strain = geometry.strain(compression)
-        return probability_beyond(strain, strain_sd, float(mean[LOG_GN]), log_gn_sd)
-
-    def _law_error_of(self, solved: Solved) -> LawError | None:
-        """Return how far the press is from the law, once for each solution."""
-        if self._law_error is None or self._law_error[0] is not solved:
-            error = None
-            if self._setting.is_bent and solved.strain > 0.0 and solved.elapsed > 0.0:
-                error = law_error(solved.best, solved.model, (solved.elapsed, solved.strain))
-            self._law_error = solved, error
-        return self._law_error[1]
-
-    def _prior_estimate(self) -> Estimate:
-        config, carried = self._setting.config, self._setting.carried
-        mean, full, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
-        if carried is not None:
-            mean, full = carried.mean[:3], carried.covariance
-            origin = self._setting.origin(carried.mean)
-        covariance = self._published(full)
-        deviations = np.sqrt(covariance.diagonal())
-        claims = claims_of(config, Evidence(mean, deviations, 0.0, False, 0.0))
-        return Estimate(
-            log_linear_stiffness=float(mean[LOG_G]),
-            log_nonlinear_stiffness=float(mean[LOG_GN]),
-            fractional_order=float(mean[ORDER]),
-            covariance=covariance,
-            strain_origin=origin,
-            strain_origin_sd=self._setting.origin_sd,
-            probability_beyond_boundary=0.0,
-            valid=claims.valid,
-            known=claims.known,
-            sample_count=self._sample_count,
-        )
-
-
-def _is_order_contradicted(config: EstimatorConfig, error: LawError | None) -> bool:
-    """Whether the relaxation is that of another alpha than is stated."""
-    if error is None:
-        return False
-    prior = config.prior
-    both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
-    return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
-
-
-def _of_law(model: PressModel, modes: Sequence[Member]) -> tuple[Member, ...]:
-    """Return the modes of ln G, ln Gn and alpha, for the tissue under the probe."""
-    found = []
-    for mode in modes:
-        mean, covariance = _after_changes(model, mode.mean, mode.covariance)
-        found.append(Member(mode.weight, mean[:3].copy(), covariance[:3, :3].copy()))
-    return tuple(found)
-
-
-def _after_changes(model: PressModel, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the moments with ln G of the tissue that is under the probe now."""
-    places = [k for k, unknown in enumerate(model.unknowns) if unknown.since is not None]
-    if not places:
-        return mean, covariance
-    factor = max(1.0 + float(mean[places].sum()), _LEAST_FACTOR)
-    jacobian = np.eye(mean.size)
-    jacobian[LOG_G, places] = 1.0 / factor
-    after = mean.copy()
-    after[LOG_G] += math.log(factor)
-    return after, jacobian @ covariance @ jacobian.T
+        estimate = None
+        if self._press is not None:
+            estimate = estimate_of(self._press, self._mismatch_probability)
+        if estimate is None:
+            estimate = prior_estimate(self._setting)
+        return estimate._replace(sample_count=self._sample_count)

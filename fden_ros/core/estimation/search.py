@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.maximum import CONVERGED
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.press_model import PressModel
@@ -39,10 +41,8 @@ class Solved:
     ----------
     posterior : Posterior
     modes : Modes
-    elapsed : float
-        From the touch to the end of the record [s].
-    strain : float
-        Largest of the site, from the solution's origin [1].
+    law_error : LawError or None
+        How far the press is from the law; None: it cannot tell.
     is_contradicted : bool
         By its whitened residuals.
     mismatch_probability : float or None
@@ -51,8 +51,7 @@ class Solved:
 
     posterior: Posterior
     modes: Modes
-    elapsed: float
-    strain: float
+    law_error: LawError | None
     is_contradicted: bool
     mismatch_probability: float | None = None
 
@@ -138,11 +137,16 @@ class Search:
         return Solved(
             self.posterior,
             modes,
-            self.elapsed,
-            self._strain(self.setting.origin(modes.best.mean)),
+            self._law_error(modes.best),
             contradicts(modes.best.residuals),
             self._mismatch_probability(modes.best) if self.is_last else None,
         )
+
+    def _law_error(self, best: Solution) -> LawError | None:
+        strain = self._strain(self.setting.origin(best.mean))
+        if not self.setting.is_bent or strain <= 0.0 or self.elapsed <= 0.0:
+            return None
+        return law_error(best, self.posterior.model, (self.elapsed, strain))
 
     def _mismatch_probability(self, best: Solution) -> float | None:
         """Return the probability of a relaxation that ends; None: the press cannot tell.
