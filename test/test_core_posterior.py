@@ -23,10 +23,11 @@ from fden_ros.core.estimation.error_model import ErrorModel, Errors, Loading, No
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample, points_after
 from fden_ros.core.estimation.scales import scales_of
-from fden_ros.core.estimation.solution import Posterior, Solution
+from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
 from fden_ros.core.law.geometry import FlatPunch
 from fden_ros.simulation.model import FdenModel

@@ -29,6 +29,7 @@ from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.maximum import Maximum, inverted
 from fden_ros.core.estimation.modes import follow_modes
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -36,7 +37,7 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN, ORIGIN, Lifetime
 from fden_ros.planning.motion import Motion, Sensors, record, until
 from fden_ros.planning.tissue import TissueBelief
@@ -213,7 +214,7 @@ class Forecast:
             if not found:
                 length = self.config.geometry.length
                 press = PressPosterior(setting, 0.0, 0.0, self.sensors.displacement_sd / length)
-                press.solved = Solved(posterior, modes, motion.seconds, 0.0, False)
+                press.solved = Solved(posterior, modes, None, False)
                 budget = budget_of(press)
             found.append(Stated(self._stated(covariance, touch), touch, budget))
         return found

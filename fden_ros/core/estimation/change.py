@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.estimation.modes import follow_modes
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a

@@ -23,9 +23,10 @@ from scipy.special import expit, log_ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.estimate import Member, mixture
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import Solution, log_evidence
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
 #: Maxima less likely than the best by this logarithm do not count [1].
@@ -185,8 +186,8 @@ def _under(posterior: Posterior, points: Points, solution: Solution, errors: Err
     best = solution.maximum
     if errors is best.errors:
         return solution.log_evidence
-    there = posterior.log_evidence(points, best, errors)
-    return solution.log_evidence + there - posterior.log_evidence(points, best, best.errors)
+    there = log_evidence(posterior, points, best, errors)
+    return solution.log_evidence + there - log_evidence(posterior, points, best, best.errors)
 
 
 def _boundary(strain: float) -> float:

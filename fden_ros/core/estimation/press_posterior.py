@@ -27,10 +27,10 @@ from fden_ros.core.estimation.change import (
 )
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Record, Sample, points_after
 from fden_ros.core.estimation.search import Search, Solved
-from fden_ros.core.estimation.solution import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
 from fden_ros.core.law.characteristic import elastic_response
 

@@ -14,10 +14,10 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
-from fden_ros.core.estimation.solution import Posterior
 from fden_ros.core.estimation.unknowns import (
     ORIGIN,
     Lifetime,

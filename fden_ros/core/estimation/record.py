@@ -69,7 +69,7 @@ class _Row(NamedTuple):
     slope: float  #: [1/s]
     step: float  #: between its samples [s]; 0: it is one sample
     duration: float  #: from its first sample to its last [s]
-    count: int
+    samples: int
     stress: float  #: [Pa]
     is_observed: bool
 

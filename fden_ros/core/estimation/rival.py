@@ -16,10 +16,11 @@ from collections.abc import Callable
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import NEARLY_FOUND, UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 

@@ -16,12 +16,13 @@ from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.maximum import CONVERGED
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
+from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import NEARLY_FOUND, UNSOLVABLE, Posterior, Solution
+from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
