@@ -67,6 +67,43 @@ class Common:
     sums: BlockSums
 
 
+class _Oscillation:
+    """Complex moduli of a press, where the probe oscillates."""
+
+    def __init__(self, contact_id: int, site: Site, start_ns: int, config: PipelineConfig) -> None:
+        self._contact_id, self._site, self._start_ns = contact_id, site, start_ns
+        self._geometry = config.geometry
+        frequencies, periods = config.dither_frequencies, config.dither_periods
+        self._meter = ComplexModulusMeter(frequencies, periods) if frequencies else None
+
+    def interrupt(self) -> None:
+        """Begin anew: samples are missing, or do not count."""
+        if self._meter is not None:
+            self._meter.reset()
+
+    def moduli(self, sample: ContactSample, *, is_withheld: bool) -> list[DynamicModulus]:
+        """Return the complex moduli that end with a sample."""
+        if self._meter is None:
+            return []
+        if sample.is_free or is_withheld:
+            self.interrupt()
+            return []
+        estimate = self._site.estimate
+        origin = estimate.strain_origin if estimate is not None else 0.0
+        strain = self._geometry.strain(sample.compression - origin)
+        elapsed = (sample.stamp_ns - self._start_ns) / NANOSECONDS
+        return [
+            DynamicModulus(
+                stamp_ns=sample.stamp_ns,
+                start_ns=self._start_ns + round(modulus.start * NANOSECONDS),
+                site_id=self._site.site_id,
+                contact_id=self._contact_id,
+                modulus=modulus,
+            )
+            for modulus in self._meter.add(elapsed, strain, sample.stress)
+        ]
+
+
 class Press:
     """One contact.
 
@@ -101,8 +138,7 @@ class Press:
         self._behind: deque[Pair] = deque()  # samples that are not taken yet
         self._pace = 1
         self._phase = PhaseMeter()
-        frequencies, periods = config.dither_frequencies, config.dither_periods
-        self._meter = ComplexModulusMeter(frequencies, periods) if frequencies else None
+        self._oscillation = _Oscillation(contact_id, site, self.start_ns, config)
         #: The largest so far [1, Pa, N]; the stress is that at the largest force.
         self._max_strain = self._max_stress = self._max_force = 0.0
         self._deepest: float | None = None  # compression from the nominal origin [1]
@@ -116,6 +152,11 @@ class Press:
     def has_failed(self) -> bool:
         """Whether the computation failed, here or before at this site."""
         return bool(self.flags & Flag.ESTIMATION_FAILED)
+
+    @property
+    def _is_withheld(self) -> bool:
+        """Whether nothing is said that carries no flag."""
+        return self.has_ended or bool(self.flags & WITHHELD)
 
     @property
     def is_faint(self) -> bool:
@@ -163,35 +204,12 @@ class Press:
         elapsed = (pair.stamp_ns - self.start_ns) / NANOSECONDS
         force = pair.force - self.onset.bias - self.onset.drift * elapsed
         sample = self.site.follow(pair, force, learns=not self.has_ended)
-        moduli = self._measure(sample)
+        moduli = self._oscillation.moduli(sample, is_withheld=self._is_withheld)
         self._count(force)
         outputs: Iterable[Output] = () if is_silent else moduli
         if not self._common.sums.take(sample):
             return outputs
         return itertools.chain(outputs, self._close_block(pair.stamp_ns, is_silent=is_silent))
-
-    def _measure(self, sample: ContactSample) -> list[DynamicModulus]:
-        """Return the complex moduli that end with a sample, where the probe oscillates."""
-        if self._meter is None:
-            return []
-        if sample.is_free or self.has_ended or self.flags & WITHHELD:
-            # A modulus carries no flag.
-            self._meter.reset()
-            return []
-        estimate = self.site.estimate
-        origin = estimate.strain_origin if estimate is not None else 0.0
-        strain = self._config.geometry.strain(sample.compression - origin)
-        elapsed = (sample.stamp_ns - self.start_ns) / NANOSECONDS
-        return [
-            DynamicModulus(
-                stamp_ns=sample.stamp_ns,
-                start_ns=self.start_ns + round(modulus.start * NANOSECONDS),
-                site_id=self.site.site_id,
-                contact_id=self.contact_id,
-                modulus=modulus,
-            )
-            for modulus in self._meter.add(elapsed, strain, sample.stress)
-        ]
 
     def _count(self, force: float) -> None:
         """Count a sample of net force [N]."""
@@ -269,8 +287,7 @@ class Press:
         self._see_missing()
         self.flags |= Flag.GAP
         self.site.flags |= Flag.GAP
-        if self._meter is not None:
-            self._meter.reset()
+        self._oscillation.interrupt()
 
     def _see_missing(self) -> None:
         """Flag it if the force's sensor was at its end, or stuck, where samples are missing."""

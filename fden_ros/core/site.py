@@ -95,12 +95,12 @@ class _Whereabouts:
 class _Finding:
     """The estimate of a site's data, and what stands against it."""
 
-    def __init__(self, onset: Onset, config: PipelineConfig) -> None:
+    def __init__(self, onset: Onset, config: PipelineConfig, flags: Flag) -> None:
         self._config = config
         self._rise = onset.rise if config.strain_origin is None else None
         self._own: Estimate | None = None
         self._variance_factor = 1.0
-        self._is_withheld = False
+        self._is_withheld = bool(flags & WITHHELD)
         self.estimate: Estimate | None = None
 
     def update(self, own: Estimate | None) -> None:
@@ -216,8 +216,7 @@ class Site:
         self._config, self._maybe = config, maybe
         self._whereabouts = _Whereabouts(first, config.contact)
         self._lessons = _Lessons(config, rig)
-        self._finding = _Finding(onset, config)
-        self._finding.doubt(flags, 1.0)
+        self._finding = _Finding(onset, config, flags)
         self.origin, self.origin_sd = origin_of(onset, config)
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
@@ -261,19 +260,14 @@ class Site:
     def _known(self) -> KnownTissue | None:
         """The tissue, where the estimate has converged and the law describes it."""
         estimate = self.usable_estimate
-        if estimate is None or not estimate.converged or self._estimator is None:
-            return None
-        if self._estimator.is_mismatch:
+        if estimate is None or not estimate.converged or self.is_mismatch:
             return None
         return KnownTissue(estimate, self._memory, self._config.geometry)
 
     # Touch
 
     def is_elsewhere(self, onset: Onset) -> bool | None:
-        """Whether a touch is at another site than this; None: it may be.
-
-        Nothing says so without positions after the timeout.
-        """
+        """Whether a touch is at another site; None: no positions, and after the timeout."""
         first = onset.samples[0]
         is_apart = self._whereabouts.is_apart(first.position)
         if is_apart is not None:
@@ -311,13 +305,9 @@ class Site:
         is_first = first.stamp_ns == self.start_ns
         self._lift_off = LiftOff(release_force, scale, is_first=is_first)
         if self.is_usable and self._estimator is None:
+            noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
             new = _new_estimator(
-                config,
-                onset.noise_sd * scale,
-                self.origin_sd,
-                noise,
-                self.known_rig,
-                self._executor,
+                config, noise_sd, origin_sd, noise, self.known_rig, self._executor
             )
             maybe, self._maybe = self._maybe, None
             self._estimator = maybe.or_else(new, first, self.origin) if maybe is not None else new
@@ -340,9 +330,9 @@ class Site:
         own = self._estimator
         if isinstance(own, PosteriorEstimator):
             own = EitherPlace(self._config.estimator, Placed(own))
-        if not (isinstance(own, EitherPlace) and isinstance(new, PosteriorEstimator)):
-            return new
-        if not self.is_usable:
+        if not (
+            self.is_usable and isinstance(own, EitherPlace) and isinstance(new, PosteriorEstimator)
+        ):
             return new
         placed = own.likeliest
         placed.estimator.go_on_beside(new)
@@ -399,22 +389,13 @@ class Site:
         FloatingPointError
             If innovation or estimate is not finite.
         """
+        assert self._lift_off is not None
         memory, innovation = self._memory.means(means.size), None
-        fractional_stress = self._fractional_stress(memory)
+        fractional_stress = _fractional_stress(memory, self._config, self.estimate)
         if learns and self.is_usable and self._estimator is not None:
-            if self._is_informative(means):
-                memory_time = 0.5 * (means.start_ns + means.end_ns - 2 * self.start_ns)
-                innovation = self._estimator.update(
-                    Block(
-                        compression=means.compression,
-                        stress=means.stress,
-                        memory_time=memory_time / NANOSECONDS,
-                        size=means.size,
-                        duration=means.duration,
-                        memory=memory,
-                        is_past=is_silent,
-                    )
-                )
+            if _is_informative(means, self._lift_off, self._config, self.origin_sd):
+                block = _block(means, memory, self.start_ns, is_past=is_silent)
+                innovation = self._estimator.update(block)
                 _check_finite(innovation.innovation, innovation.variance)
             else:
                 self._estimator.skip()
@@ -422,21 +403,6 @@ class Site:
                 # A contact that is told as it ends has silent blocks alone.
                 self._finding.update(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
-
-    def _fractional_stress(self, memory: Array) -> float:
-        """Return D^-alpha of the stress at the newest alpha [Pa s^alpha]."""
-        order = self._config.estimator.prior.fractional_order
-        if self.estimate is not None:
-            order = self.estimate.fractional_order
-        return float(memory_weights(order) @ memory)
-
-    def _is_informative(self, means: Means) -> bool:
-        """Whether the law holds for a block: not behind the surface, nor while letting go."""
-        assert self._lift_off is not None
-        if self._config.estimator.observation is Observation.FRACTIONAL_STRESS:
-            return self._lift_off.is_pressing(means.force) and means.compression > self.origin_sd
-        self._lift_off.see_mean(means.force)
-        return not means.has_free
 
     # What stands against the estimate
 
@@ -496,6 +462,37 @@ class Site:
     def teach_nothing(self) -> None:
         """Let no other site use what is learned here."""
         self._lessons.are_used = False
+
+
+def _fractional_stress(memory: Array, config: PipelineConfig, estimate: Estimate | None) -> float:
+    """Return D^-alpha of the stress at the newest alpha [Pa s^alpha]."""
+    order = config.estimator.prior.fractional_order
+    if estimate is not None:
+        order = estimate.fractional_order
+    return float(memory_weights(order) @ memory)
+
+
+def _is_informative(
+    means: Means, lift_off: LiftOff, config: PipelineConfig, origin_sd: float
+) -> bool:
+    """Whether the law holds for a block: not behind the surface, nor while letting go."""
+    if config.estimator.observation is Observation.FRACTIONAL_STRESS:
+        return lift_off.is_pressing(means.force) and means.compression > origin_sd
+    lift_off.see_mean(means.force)
+    return not means.has_free
+
+
+def _block(means: Means, memory: Array, start_ns: int, *, is_past: bool) -> Block:
+    """Return a block for the estimator, its time counted from the site's first touch."""
+    return Block(
+        compression=means.compression,
+        stress=means.stress,
+        memory_time=0.5 * (means.start_ns + means.end_ns - 2 * start_ns) / NANOSECONDS,
+        size=means.size,
+        duration=means.duration,
+        memory=memory,
+        is_past=is_past,
+    )
 
 
 def _begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
