@@ -1,0 +1,276 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The posterior of a press: its solutions, from starts or from those of a shorter record."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.density import Belief, Density
+from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.maximum import (
+    CONVERGED,
+    MOST_STEPS,
+    Maximum,
+    MaximumSearch,
+    solved,
+)
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
+from fden_ros.core.estimation.solution import Solution, averaged, log_evidence
+from fden_ros.core.estimation.unknowns import LAW, ORDER
+
+#: What numbers do where a state is beyond them.
+UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
+#: A maximum is found to a fourteenth of a standard deviation, while the record grows [1].
+NEARLY_FOUND = 5e-3
+#: Steps after which other scales are tried [1]; a growing record takes one to five.
+_FEW_STEPS = 12
+#: A smooth error of this scale [1] is none.
+_LEAST_SCALE = 1e-4
+#: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
+_SAME = 0.03
+#: Rounds of maximum and choice of the scales [1].
+_MOST_ROUNDS = 8
+#: Maxima less likely than the best by this logarithm do not count [1].
+_NEGLIGIBLE = 9.0
+
+
+class Posterior(Density):
+    """The posterior of a press given a record.
+
+    Parameters
+    ----------
+    model : PressModel
+    error_model : ErrorModel
+    belief : Belief
+    grid : sequence of WeighedScales
+    has_field_prior : bool
+        The law's errors have the priors of the scales, not that of the belief.
+    order_sd : float
+        Standard deviation of an order that is not learned [1]; it counts in the others'.
+    """
+
+    def __init__(
+        self,
+        model: PressModel,
+        error_model: ErrorModel,
+        belief: Belief,
+        grid: Sequence[WeighedScales],
+        *,
+        has_field_prior: bool,
+        order_sd: float = 0.0,
+    ) -> None:
+        super().__init__(model, error_model, belief, has_field_prior=has_field_prior)
+        self.grid, self._order_sd = grid, order_sd
+        self._held: int | None = None
+
+    def maximum(
+        self,
+        points: Points,
+        start: Array,
+        scales: Scales,
+        converged: float = CONVERGED,
+        most: int = MOST_STEPS,
+    ) -> Maximum:
+        """Return the maximum that a start leads to.
+
+        Raises
+        ------
+        FloatingPointError
+            If the start's stress is beyond floating-point numbers.
+        """
+        search = MaximumSearch(self, points, scales, converged, self._held, most)
+        return search.from_start(start)
+
+    def solution(
+        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
+    ) -> Solution:
+        """Return the posterior about the best of the maxima that the starts lead to.
+
+        Raises
+        ------
+        FloatingPointError
+            If no start has a finite stress.
+        """
+        # A step too far overflows; it is not taken.
+        with np.errstate(over="ignore", invalid="ignore"):
+            best = self._maxima(points, starts, scales, converged)[0]
+            return self._refined(points, best, converged)
+
+    def solutions(
+        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
+    ) -> list[Solution]:
+        """Return the posterior about each of the maxima that the starts lead to.
+
+        Raises
+        ------
+        FloatingPointError
+            If no start has a finite stress.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Roughly: most starts lead to the same maximum, which is then refined once.
+            found = self._maxima(points, starts, scales, NEARLY_FOUND)
+            errors = found[0].errors
+            evidence = [log_evidence(self, points, m, errors) for m in found]
+            apart = [
+                m
+                for k, m in enumerate(found)
+                if evidence[k] > evidence[0] - _NEGLIGIBLE
+                and all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
+            ]
+            return self._all_refined(points, apart, converged)
+
+    def is_known(self, place: int) -> bool:
+        """Whether the unknown at a place is none."""
+        return bool(np.any(self.known == place))
+
+    @property
+    def log_prior_density(self) -> float:
+        """The log density of the prior at its mean, which no evidence counts.
+
+        Without what is the same for all priors, and without that of errors with scales.
+        """
+        stop = len(self.model.unknowns) if self._has_field_prior else self.model.size
+        open_ = np.setdiff1d(np.arange(stop), self.known)
+        precision = self.belief.precision[np.ix_(open_, open_)]
+        of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
+        return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
+
+    def _all_refined(
+        self, points: Points, maxima: Sequence[Maximum], converged: float
+    ) -> list[Solution]:
+        found: list[Solution] = []
+        for maximum in maxima:
+            try:
+                is_rough = converged < NEARLY_FOUND
+                found.append(self._refined(points, maximum, converged, is_rough=is_rough))
+            except UNSOLVABLE:
+                continue
+        if not found:
+            raise FloatingPointError("no maximum has a finite evidence")
+        return found
+
+    def _refined(
+        self,
+        points: Points,
+        best: Maximum,
+        converged: float,
+        *,
+        is_rough: bool = False,
+    ) -> Solution:
+        """Return the solution about a maximum once the scales are the best there.
+
+        `is_rough`: the maximum itself is not found well enough yet.
+        """
+        seen = [] if is_rough else [best.scales]
+        for _ in range(_MOST_ROUNDS):
+            found = averaged(self, points, best, self.grid)
+            chosen = found.best_scales
+            if chosen in seen:
+                break
+            seen.append(chosen)
+            best = self.maximum(points, best.state, chosen, converged)
+        if not self._order_sd:
+            return found
+        return replace(found, considered=self._considered(points, found.maximum))
+
+    def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
+        """Return the posterior from the state of one of a shorter record, in less time.
+
+        The maximum is nearly found, and only the scales beside the best one before are weighed;
+        where another is better now, all are.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is not finite at the state.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            scales = before.best_scales
+            best = self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
+            found = averaged(self, points, best, beside(self.grid, scales))
+            if found.best_scales != scales:
+                found = averaged(self, points, best, self.grid)
+            if not best.is_solved:
+                # Under scales that no longer fit, steps are many and short.
+                best = self.maximum(points, best.state, found.best_scales, NEARLY_FOUND)
+                found = averaged(self, points, best, self.grid)
+        if not self._order_sd:
+            return found
+        return replace(found, considered=self._considered(points, found.maximum))
+
+    def given(self, place: int, points: Points, state: Array, scales: Scales) -> Solution:
+        """Return the posterior given the unknown at a place, at one place of the grid.
+
+        Raises
+        ------
+        FloatingPointError
+            If the stress is not finite at the state.
+        """
+        other = copy.copy(self)
+        other._held = place
+        with np.errstate(over="ignore", invalid="ignore"):
+            best = other.maximum(points, state, scales, NEARLY_FOUND)
+            return averaged(other, points, best, (WeighedScales(scales, 0.0),), place)
+
+    def _considered(self, points: Points, maximum: Maximum) -> Array:
+        """Return the covariance that the order's own adds (Schmidt and Kalman)."""
+        scales = maximum.scales
+        by_order = self.model.evaluate(points, maximum.state).jacobian[:, ORDER]
+        rows = np.column_stack([by_order, maximum.evaluation.jacobian])
+        white, _, _ = self.error_model.whitened(
+            rows, maximum.errors, scales.roughness, scales.motion
+        )
+        normal = white[:, 1:].T @ white[:, 1:] + self.precision(maximum.state, scales)
+        shift = -solved(normal, white[:, 1:].T @ white[:, 0])
+        shift[ORDER] = 1.0
+        return self._order_sd**2 * np.outer(shift, shift)
+
+    def _maxima(
+        self,
+        points: Points,
+        starts: Sequence[Array],
+        scales: Scales,
+        converged: float,
+    ) -> list[Maximum]:
+        """Return the maxima, best first; while they are compared the errors are the same."""
+        maxima = []
+        for start in starts:
+            try:
+                maxima.append(self.maximum(points, start, scales, converged))
+            except UNSOLVABLE:
+                continue
+        if not maxima:
+            raise FloatingPointError("the stress is not finite at any start")
+        if len(maxima) == 1:
+            return maxima
+        reference = maxima[0]
+        for _ in maxima:
+            evidence = [log_evidence(self, points, m, reference.errors) for m in maxima]
+            order = np.argsort(evidence)[::-1].tolist()
+            if maxima[order[0]] is reference:
+                break
+            reference = maxima[order[0]]
+        return [maxima[k] for k in order]
+
+    def evidence(self, points: Points, maximum: Maximum, grid: Sequence[Scales]) -> list[float]:
+        """Return the log evidence of single scales, from the linearisation at a maximum."""
+        places = [(WeighedScales(_floored(scales), 0.0),) for scales in grid]
+        return [averaged(self, points, maximum, place).log_evidence for place in places]
+
+
+def _floored(scales: Scales) -> Scales:
+    """Return scales of which the smooth errors have a prior of their own."""
+    return scales._replace(
+        kernel=max(scales.kernel, _LEAST_SCALE),
+        characteristic=max(scales.characteristic, _LEAST_SCALE),
+    )
