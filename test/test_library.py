@@ -5,19 +5,21 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
-from pipeline_helpers import LIVER_FILE
 
+import fden_ros.offline.labelled as labelled
 from fden_ros.cli import main
 from fden_ros.core.classification.classifier import UNKNOWN, log_evidence, posterior
 from fden_ros.errors import InputError
-from fden_ros.parameters import check, pipeline_config
+from fden_ros.offline.labelled import Source, read_source
+from fden_ros.offline.replay import replay
+from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from fden_ros.tissues.library import load_library, parse_library
 from fden_ros.tissues.training import check as checked
 from fden_ros.tissues.training import contacts_of, learn, library_of, library_text
@@ -255,30 +257,7 @@ def test_library_that_was_written_is_read_again():
     assert content["check"]["contacts"] == 120
 
 
-# fden train: from labelled bags and tables to a library, and back into a replay
-
-
-CLASSES = {"liver": (6.3, 2.1, 0.13), "muscle": (7.3, 2.3, 0.2)}
-HEADER = ("tissue", "specimen", "g", "g_sd", "g_n", "g_n_sd", "alpha", "alpha_sd")
-
-
-def rows(specimens=6, each=2, seed=0):
-    rng = np.random.default_rng(seed)
-    found = []
-    for name, mean in CLASSES.items():
-        for specimen in range(specimens):
-            middle = rng.normal(mean, [0.2, 0.1, 0.01])
-            for _ in range(each):
-                g, g_n = np.exp(rng.normal(middle[:2], 0.05))
-                order = rng.normal(middle[2], 0.005)
-                found.append((name, specimen, g, 0.03 * g, g_n, 0.03 * g_n, order, 0.004))
-    return found
-
-
-def written_table(path, body, header=HEADER):
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([header, *body])
-    return path
+# fden train: from labelled recordings to a library, and back into a replay
 
 
 def train(capsys, *arguments):
@@ -287,45 +266,50 @@ def train(capsys, *arguments):
     return code, shown.out, shown.err
 
 
-def test_table_becomes_a_library_with_a_check_and_priors(tmp_path, capsys):
-    table, library = written_table(tmp_path / "table.csv", rows()), tmp_path / "library.yaml"
-    priors = ("--prior", "liver=3", "--prior", "muscle=1", "--unknown", "0.2")
-    code, out, _ = train(capsys, table, "-o", library, *priors)
+def learned_from(monkeypatch, contacts):
+    """Let the recordings hold these contacts."""
+    monkeypatch.setattr(labelled, "read_source", lambda *arguments: contacts)
+
+
+def test_contacts_become_a_library_with_a_check_and_priors(tmp_path, capsys, monkeypatch):
+    learned_from(monkeypatch, drawn(np.random.default_rng(0), specimens=6, each=2))
+    library = tmp_path / "library.yaml"
+    priors = ("--prior", "a=3", "--prior", "b=1", "--unknown", "0.2")
+    code, out, _ = train(capsys, "a=here", "-o", library, *priors)
     assert code == 0
-    assert "liver" in out and "error 0.0%" in out and "12 specimens" in out
+    assert "error 0.0%" in out and "12 specimens" in out
     found = load_library(library)
-    assert found.class_names == ("liver", "muscle", "unknown")
-    for tissue in found.tissues:
-        off = np.abs(tissue.mean - CLASSES[tissue.name])
-        assert np.all(off < [0.3, 0.15, 0.02])
+    assert found.class_names == ("a", "b", "unknown")
+    for index, tissue in enumerate(found.tissues):
+        off = np.abs(tissue.mean - MEAN - index * SHIFT)
+        assert np.all(off < [0.3, 0.2, 0.02])
     assert [round(one.prior, 4) for one in found.classes] == [0.6, 0.2, 0.2]
     assert found.units == "Pa"
 
 
-def test_answer_in_json_has_check_warnings_and_what_was_left_out(tmp_path, capsys):
-    body = [(row[0], "", *row[2:], i % 4 != 0, "") for i, row in enumerate(rows())]
-    table = written_table(tmp_path / "table.csv", body, (*HEADER, "converged", "flags"))
-    code, out, _ = train(capsys, table, "-o", tmp_path / "l.yaml", "--json")
+def test_answer_in_json_has_check_warnings_and_what_was_left_out(tmp_path, capsys, monkeypatch):
+    contacts = drawn(np.random.default_rng(0), specimens=9, each=1, named=False)
+    learned_from(monkeypatch, replace(contacts, skipped={"not converged": 6}))
+    code, out, _ = train(capsys, "a=here", "-o", tmp_path / "l.yaml", "--json")
     answer = json.loads(out)
     assert code == 0 and answer["contacts"] == 18
     assert answer["left_out"] == {"not converged": 6}
     assert answer["check"]["left_out"] == "one contact at a time: no specimen is named"
-    assert any("no specimen is named for liver, muscle" in line for line in answer["warnings"])
+    assert any("no specimen is named for a, b" in line for line in answer["warnings"])
 
 
-def test_prior_of_the_estimator_is_taken_out_of_results(tmp_path, capsys):
-    # Contacts that showed as much as the prior knew: the truth lies twice as far from it.
-    log_sd, mean = 0.3, math.log(520.0)
-    body = []
-    for specimen in range(8):
-        g = math.exp(mean + 0.4)
-        sd = log_sd / math.sqrt(2.0)
-        body.append(("a", specimen, g, sd * g, 8.4, 0.05 * 8.4, 0.131, 0.002, "prior"))
-    header = (*HEADER, "alpha_source")
-    path = written_table(tmp_path / "results.csv", body, header)
-    assert train(capsys, path, "-o", tmp_path / "l.yaml", "--config", LIVER_FILE)[0] == 0
-    found = load_library(tmp_path / "l.yaml").tissues[0]
-    assert found.mean[0] == pytest.approx(mean + 0.8, abs=0.05)
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("nowhere", "which tissue is it? Write TISSUE=nowhere"),
+        ("liver=nowhere", "no such file or folder"),
+        ("unknown/one=nowhere", "cannot be called `unknown`"),
+    ],
+)
+def test_mistake_in_a_source_is_told_in_one_line(tmp_path, capsys, source, words):
+    code, _, error = train(capsys, source, "-o", tmp_path / "l.yaml")
+    assert code == 1
+    assert words in error and error.count("\n") == 1
 
 
 @pytest.fixture(scope="module")
@@ -375,22 +359,11 @@ def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsy
     assert 0.2 < contact["decision_time"] < 1.5
 
 
-@pytest.mark.parametrize(
-    ("header", "body", "words"),
-    [
-        (HEADER[1:], [row[1:] for row in rows()], "which tissue is it? Add a column tissue"),
-        (
-            ("label", *HEADER[1:]),
-            rows(),
-            "its column label is what the classifier said, not the truth",
-        ),
-        (("tissue", "g", "g_n"), [("a", 1, 2)], "column g_sd is missing"),
-        (HEADER, [("", *rows()[0][1:])], "row 1: tissue is empty"),
-        (HEADER, [("a", 1, 500, 0, 8, 0.2, 0.1, 0.01)], "must be positive"),
-    ],
-)
-def test_mistake_in_a_table_is_told_in_one_line(tmp_path, capsys, header, body, words):
-    table = written_table(tmp_path / "t.csv", body, header)
-    code, _, error = train(capsys, table, "-o", tmp_path / "l.yaml")
-    assert code == 1
-    assert words in error and error.count("\n") == 1
+def test_prior_of_the_estimator_is_taken_out_of_what_recordings_tell(bags):
+    folder, config = bags
+    parameters = read_parameter_file(config)
+    (contact,) = replay(folder / "soft", parameters).summaries
+    found = read_source(Source.parse(f"soft={folder / 'soft'}"), parameters)
+    prior = np.diag(pipeline_config(parameters).estimator.prior.deviations[:2] ** -2.0)
+    left = np.linalg.inv(contact.estimate.covariance[:2, :2]) - prior
+    np.testing.assert_allclose(found.likelihood.information[0, :2, :2], left, rtol=0.05)

@@ -24,26 +24,19 @@ Learn a tissue library from labelled contacts: per tissue the distribution of (l
 over specimens, with the estimation error of each contact taken out, and a check in which one
 specimen at a time is left out. LABELLED is
 
-  TISSUE=BAG             a bag or a folder of bags, all of this tissue
+  TISSUE=BAG             a bag, a folder of bags or a table of samples, all of this tissue
   TISSUE/SPECIMEN=BAG    and all of this specimen
-  RESULTS.csv            columns tissue, specimen, g, g_sd, g_n, g_n_sd, alpha, alpha_sd; such as
-                         fden batch writes, with the columns tissue and specimen added, or as
-                         TISSUE/SPECIMEN=RESULTS.csv
-
-The column label of results is what the classifier said: it is not used.
 """
 
 EPILOG = """\
 examples:
   fden train liver/pig1=bags/pig1 liver/pig2=bags/pig2 muscle/pig1=bags/muscle1 \\
-      --config probe.yaml -o library.yaml
-  fden train liver.csv muscle.csv -o library.yaml --prior liver=0.8 --prior muscle=0.15
-  fden train liver/pig1=monday.csv liver/pig2=tuesday.csv --config probe.yaml -o library.yaml
+      --config probe.yaml -o library.yaml --prior liver=0.8 --prior muscle=0.15
 then: fden replay BAG --config probe.yaml, with classifier.library: library.yaml in it
 
-The prior of the estimator is in every estimate, and is taken out again: give the --config that the
-results were made with, and make it wide. Contacts that have not converged are left out. Exit
-codes: 0 done, 1 the input cannot be used, 2 wrong usage.
+The prior of the estimator is in every estimate, and is taken out again: make that of --config
+wide. Contacts that have not converged are left out. Exit codes: 0 done, 1 the input cannot be
+used, 2 wrong usage.
 """
 
 
