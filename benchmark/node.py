@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import json
 import os
 import signal
@@ -61,6 +62,7 @@ _PRESS_FROM = 1.9
 _BLOCK = 10
 _STAMP = struct.Struct("<iI")
 _BODY = 4
+_PR_SET_PDEATHSIG = 1
 _CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 _QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 
@@ -247,7 +249,12 @@ def _node_arguments() -> list[str]:
 def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[Any]:
     with tempfile.TemporaryFile("w+") as errors:
         process = subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True
+            command,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            preexec_fn=end_with_parent,
         )
         try:
             yield process
@@ -259,6 +266,11 @@ def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[An
             if process.poll() is None:
                 process.kill()
             process.communicate()
+
+
+def end_with_parent() -> None:
+    """Let Linux kill the calling process when its parent ends, however that does."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _ended(process: Any) -> str:

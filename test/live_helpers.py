@@ -17,6 +17,8 @@ from typing import Any
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
+from benchmark.node import end_with_parent
+
 ROOT = Path(__file__).parent.parent
 PARAMETERS = ROOT / "config" / "tissue_simulator.yaml"
 #: How long a condition is waited for, on a machine that does much else beside [s]. Only what fails
@@ -106,7 +108,11 @@ def process_of(command: list[str]) -> Iterator[subprocess.Popen[str]]:
     if "identifier" in " ".join(command):
         stop_shared()
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        preexec_fn=end_with_parent,
     )
     try:
         yield process

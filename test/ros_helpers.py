@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import functools
 import signal
@@ -28,6 +27,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from benchmark.node import end_with_parent
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -321,9 +321,9 @@ class Shared:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            preexec_fn=end_with_parent,
         )
         threading.Thread(target=self._read, daemon=True).start()
-        atexit.register(self._process.kill)
         SHARED.append(self.stop)
 
     @classmethod
