@@ -231,7 +231,6 @@ def test_a_path_is_identified_and_its_places_are_a_map(bag, tmp_path, capsys):
             (connection.topic, reader.deserialize(data, connection.msgtype))
             for connection, _, data in reader.messages()
         ]
-    assert not [m for topic, m in read if topic == "/identifier/markers"]
     cloud = [m for topic, m in read if topic == "/identifier/stiffness_map"][-1]
     names = [field.name for field in cloud.fields]
     rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.width, cloud.point_step)

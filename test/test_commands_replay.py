@@ -357,7 +357,7 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
     contents = {topic.name: topic for topic in BagReader(out).topics}
     assert set(contents) == {
         *("/identifier/estimate", "/identifier/classification", "/identifier/palpation"),
-        *("/identifier/complex_modulus", "/identifier/markers", "/identifier/stiffness_map"),
+        *("/identifier/complex_modulus", "/identifier/stiffness_map"),
         "/diagnostics",
     }
     assert contents["/identifier/palpation"].offered_qos[0].latched

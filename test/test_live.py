@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The live system over DDS: controller, example, monitor, markers, and who listens."""
+"""The live system over DDS: controller, example, monitor, map, and who listens."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from rich.console import Console
 from ros_helpers import wait_for
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
-from visualization_msgs.msg import Marker, MarkerArray
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.core.law.geometry import FlatPunch
@@ -42,14 +41,14 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.report.monitor import MonitorView, monitor_view
-from fden_ros.ros.markers import StiffnessMap
+from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column
 from fden_ros.tissue_feed import TissueFeed
 from simulation.simulate import EXACT
 
-# The live system over DDS: controller, example, monitor, markers, and a clean end
+# The live system over DDS: controller, example, monitor, map, and a clean end
 
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -87,14 +86,12 @@ def points(cloud: PointCloud2) -> dict[str, np.ndarray]:
     return {name: rows[name] for name in rows.dtype.names or ()}
 
 
-def test_a_site_is_one_marker_and_one_point_of_its_newest_contact():
+def test_a_site_is_one_point_of_its_newest_contact():
     stiffness_map = StiffnessMap()
     for site, stiffness in ((1, 300.0), (2, 900.0), (1, 320.0)):
         assert stiffness_map.add(on_map(site, stiffness))
-    markers = stiffness_map.markers().markers
-    assert sorted(m.id for m in markers if m.ns == "sites") == [1, 2]
-    assert all(m.header.frame_id == "base" for m in markers)
     raw = stiffness_map.cloud()
+    assert raw.header.frame_id == "base"
     # RViz draws coordinates of float32 alone.
     assert [field.datatype for field in raw.fields[:3]] == [PointField.FLOAT32] * 3
     assert len(raw.data) == raw.row_step == 2 * raw.point_step
@@ -104,38 +101,14 @@ def test_a_site_is_one_marker_and_one_point_of_its_newest_contact():
     assert cloud["G_sd"] == pytest.approx([6.4, 18.0])
 
 
-def drawn(messages: list[MarkerArray]) -> set[int]:
-    """The sites that are left on the screen after messages: what RViz makes of their actions."""
-    shown: dict[tuple[str, int], Marker] = {}
-    for marker in (m for message in messages for m in message.markers):
-        if marker.action == Marker.DELETEALL:
-            assert marker.header.frame_id, "RViz refuses a marker without a frame"
-            shown.clear()
-        elif marker.action == Marker.DELETE:
-            shown.pop((marker.ns, marker.id), None)
-        else:
-            shown[marker.ns, marker.id] = marker
-    return {site for _, site in shown}
-
-
-def test_markers_go_where_their_sites_are_on_the_map_no_longer():
-    """Withdrawn, forgotten as the oldest, or of the node's run before."""
+def test_sites_are_taken_off_the_map_where_withdrawn_or_the_oldest_of_too_many():
     stiffness_map = StiffnessMap()
-    messages = []
     for site in range(1, 1004):
         stiffness_map.add(on_map(site))
-        if site > 998:
-            messages.append(stiffness_map.markers())
-    assert drawn(messages) == set(range(4, 1004))
     assert points(stiffness_map.cloud())["x"] == pytest.approx(0.01 * np.arange(4, 1004))
     withdrawn = replace(on_map(1003), estimate=None, converged=False)
     assert stiffness_map.add(withdrawn) and withdrawn in stiffness_map
-    messages.append(stiffness_map.markers())
-    assert drawn(messages) == set(range(4, 1003))
     assert points(stiffness_map.cloud())["x"] == pytest.approx(0.01 * np.arange(4, 1003))
-    another_run = StiffnessMap()
-    another_run.add(on_map(1))
-    assert drawn([*messages, another_run.markers()]) == {1}
 
 
 def shown(view: MonitorView) -> str:
@@ -187,7 +160,6 @@ def test_the_controller_schedules_live_and_falls_back_when_the_node_dies():
         forces = ears.hear(WrenchStamped, "/force")
         estimates = ears.hear(TissueEstimate, "/identifier/estimate")
         maps = ears.hear(PointCloud2, "/identifier/stiffness_map", LATCHED)
-        markers = ears.hear(MarkerArray, "/identifier/markers", LATCHED)
         target = ears.node.create_publisher(Float64, "/target_force", 10)
         with (
             node_process("tissue_simulator", SIMULATOR, file=PARAMETERS),
@@ -202,7 +174,7 @@ def test_the_controller_schedules_live_and_falls_back_when_the_node_dies():
                 ears.wait_for(lambda: gains and gains[-1].data == "live", "live gains")
                 ears.wait_for(lambda: abs(mean_force(forces) - 0.1) < 0.01, "the force wanted")
                 target.publish(Float64(data=0.0))
-                ears.wait_for(lambda: maps and markers, "the map")
+                ears.wait_for(lambda: maps, "the map")
                 cloud = points(maps[-1])
                 assert cloud["G"] == pytest.approx([341.8], rel=0.1)
                 assert cloud["x"] == pytest.approx([0.0], abs=1e-4)

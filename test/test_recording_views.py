@@ -37,7 +37,6 @@ PLANNER_TYPES = {
 }
 DISPLAYS = {
     "Marker": "visualization_msgs/msg/Marker",
-    "MarkerArray": "visualization_msgs/msg/MarkerArray",
     "PointCloud2": "sensor_msgs/msg/PointCloud2",
     "Pose": "geometry_msgs/msg/PoseStamped",
     "Wrench": "geometry_msgs/msg/WrenchStamped",
@@ -84,7 +83,7 @@ def test_every_path_of_the_foxglove_layout_exists(layout):
 def test_every_display_of_rviz_has_a_topic_of_its_type():
     manager = yaml.safe_load((CONFIG / "identifier.rviz").read_text())["Visualization Manager"]
     shown = [d for d in manager["Displays"] if "Topic" in d]
-    assert len(shown) == 6
+    assert len(shown) == 5
     for display in shown:
         kind, topic = display["Class"].rpartition("/")[2], display["Topic"]["Value"]
         # RViz shows the probe where it is published as a pose; a joint has no place.

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker
 
 from fden_ros.core.arrays import Array
 from fden_ros.planning.region import Region, RegionMap
-from fden_ros.ros.markers import cloud_of_points
+from fden_ros.ros.stiffness_map import cloud_of_points
 
 _FIELDS = ("x", "y", "z", "log_stiffness", "log_stiffness_sd", "probability")
 _LINE = 5e-4  #: width of the boundary [m]

@@ -23,7 +23,6 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from sensor_msgs.msg import PointCloud2
-from visualization_msgs.msg import MarkerArray
 
 from fden_ros.core.outputs import (
     Classification,
@@ -32,13 +31,13 @@ from fden_ros.core.outputs import (
     Output,
     TissueState,
 )
-from fden_ros.ros.markers import StiffnessMap
 from fden_ros.ros.messages import (
     classification_message,
     estimate_message,
     modulus_message,
     summary_message,
 )
+from fden_ros.ros.stiffness_map import StiffnessMap
 
 #: Of the inputs. Deep: one lost sample is lost to the fractional integral for good.
 INPUT_QOS = QoSProfile(
@@ -137,15 +136,6 @@ OUTPUT_TOPICS = (
         _RELIABLE,
         DynamicModulus,
         lambda output, frame, sites: modulus_message(output, frame),
-    ),
-    OutputTopic(
-        "markers",
-        MarkerArray,
-        latched(1),
-        ContactSummary,
-        lambda summary, frame, sites: (
-            sites.markers() if summary in sites and not summary.is_of_path else None
-        ),
     ),
     OutputTopic(
         "stiffness_map",

@@ -1,42 +1,20 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The touched sites as markers and as a stiffness map: pure building of messages."""
+"""The touched sites as a stiffness map: pure building of messages."""
 
 from __future__ import annotations
 
 import array
-import math
 from collections import OrderedDict
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
 
-from fden_ros.core.estimation.estimate import StateIndex
 from fden_ros.core.outputs import WITHHELD, ContactSummary
 from fden_ros.ros.messages import to_stamp
 
-#: Linear stiffness [Pa s^alpha] at the ends of the colours.
-_SOFTEST, _STIFFEST = 200.0, 5000.0
-#: Viridis, from soft to stiff: to be told apart in grey and by the colour-blind too.
-_COLOURS = np.array(
-    [
-        (0.267, 0.005, 0.329),
-        (0.230, 0.322, 0.546),
-        (0.128, 0.567, 0.551),
-        (0.369, 0.789, 0.383),
-        (0.993, 0.906, 0.144),
-    ]
-)
-#: A relative deviation of G of 10 % is drawn half transparent.
-_HALF_TRANSPARENT = 0.1
-_LEAST_OPACITY = 0.1
-#: Of the markers [m].
-_DIAMETER = 0.005
 #: The map holds the 1,000 newest sites: a cloud of 80 kB.
 _MOST_SITES = 1000
 #: x, y, z as RViz wants them; the rest from the next multiple of 8 bytes on.
@@ -81,22 +59,6 @@ class StiffnessMap:
             self._sites.popitem(last=False)
         return True
 
-    def markers(self) -> MarkerArray:
-        """Return a sphere and a word per site: colour by G, transparency by its deviation.
-
-        First all that was drawn is taken away: what is not on the map is shown no longer, whether
-        it was withdrawn or forgotten, or is of another run.
-        """
-        newest = self._newest
-        frame_id = newest.position_frame if newest is not None else ""
-        markers = [Marker(header=Header(frame_id=frame_id), action=Marker.DELETEALL)]
-        for site_id, summary in self._sites.items():
-            # A path has too many places for a word each; its points are in the cloud.
-            if summary.is_of_path:
-                continue
-            markers += self._site_markers(site_id, summary)
-        return MarkerArray(markers=markers)
-
     def cloud(self) -> PointCloud2:
         """Return the sites as points: float32 ``x, y, z``, float64 values and deviations.
 
@@ -108,31 +70,6 @@ class StiffnessMap:
         stamp = to_stamp(newest.stamp_ns if newest is not None else 0)
         points = np.array([_values_of(summary) for summary in sites], _POINT)
         return cloud_of_points(points, Header(stamp=stamp, frame_id=frame_id))
-
-    def _site_markers(self, site_id: int, summary: ContactSummary) -> tuple[Marker, Marker]:
-        assert summary.position is not None and summary.estimate is not None
-        x, y, z = (float(value) for value in summary.position)
-        stiffness = summary.estimate.linear_stiffness
-        deviation = float(summary.estimate.deviations[StateIndex.LOG_LINEAR_STIFFNESS])
-        header = Header(stamp=Time(), frame_id=summary.position_frame)
-        ball = Marker(header=header, ns="sites", id=site_id, type=Marker.SPHERE, action=Marker.ADD)
-        ball.pose.position = Point(x=x, y=y, z=z)
-        ball.pose.orientation.w = 1.0
-        ball.scale = Vector3(x=_DIAMETER, y=_DIAMETER, z=_DIAMETER)
-        ball.color = colour_of(stiffness, deviation)
-        word = Marker(
-            header=header,
-            ns="values",
-            id=site_id,
-            type=Marker.TEXT_VIEW_FACING,
-            action=Marker.ADD,
-            text=f"{stiffness:.0f} ± {stiffness * deviation:.0f}",
-        )
-        word.pose.position = Point(x=x, y=y, z=z - _DIAMETER)
-        word.pose.orientation.w = 1.0
-        word.scale = Vector3(x=0.0, y=0.0, z=0.5 * _DIAMETER)
-        word.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
-        return ball, word
 
 
 def cloud_of_points(points: np.ndarray, header: Header) -> PointCloud2:
@@ -151,17 +88,6 @@ def cloud_of_points(points: np.ndarray, header: Header) -> PointCloud2:
         data=array.array("B", points.tobytes()),
         is_dense=True,
     )
-
-
-def colour_of(linear_stiffness: float, log_sd: float) -> ColorRGBA:
-    """Return the colour of G [Pa s^alpha] whose logarithm has a deviation."""
-    place = math.log(linear_stiffness / _SOFTEST) / math.log(_STIFFEST / _SOFTEST)
-    places = np.linspace(0.0, 1.0, len(_COLOURS))
-    red, green, blue = (
-        float(np.interp(place, places, _COLOURS[:, channel])) for channel in range(3)
-    )
-    opacity = max(1.0 / (1.0 + (log_sd / _HALF_TRANSPARENT) ** 2), _LEAST_OPACITY)
-    return ColorRGBA(r=red, g=green, b=blue, a=float(opacity))
 
 
 def _values_of(summary: ContactSummary) -> tuple[float, ...]:
