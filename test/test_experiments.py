@@ -196,7 +196,7 @@ def test_the_command_prints_what_stands_beside(tmp_path, capsys):
     table = capsys.readouterr().out
     assert "by the slope of |G*|" in table and "by the phase" in table
     found = fit_object(capsys, "dynamic", path)
-    assert found["g_n"] is None and found["slopes"]["loss"] == pytest.approx(0.131)
+    assert found["g_n"] is None and found["slope"]["alpha"] == pytest.approx(0.131)
 
 
 def test_options_reach_the_fit(tmp_path, capsys):

@@ -56,7 +56,6 @@ _UNITS = {
 _TITLES = {
     "slope": "by the slope of |G*|",
     "phase": "by the phase",
-    "slopes": "slopes of G' and G''",
     "coefficients": "by one coefficient a curve",
 }
 

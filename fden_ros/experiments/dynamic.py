@@ -54,11 +54,9 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
     deviations. The noise is not known beforehand: a first run, equally sure of both moduli, gives
     the residuals, and a second takes the variance of each modulus from them.
 
-    The slopes of the two lines are also fitted separately: where their mean contradicts the alpha
-    that the ratio G''/G' gives, no single springpot describes the data, which is reported.
-    ``slope`` has the alpha of the slope of \|G*\|, ``phase`` that of the mean phase, each with its
-    deviation: some tissue has a larger phase than its slope says (Kobayashi et al.,
-    arXiv:1804.00979).
+    Beside it ``slope`` has the alpha of the slope of \|G*\|, ``phase`` that of the mean phase;
+    some tissue has a larger phase than its slope says (Kobayashi et al., arXiv:1804.00979). Where
+    they contradict each other, no single springpot describes the data: a warning says so.
 
     Parameters
     ----------
@@ -85,24 +83,15 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
         "alpha": plain(state[0], deviations[0], dof),
         "g": positive(state[1], deviations[1], dof),
     }
-    slopes = [line_through(np.log(omega), logs[:, i]) for i in (0, 1)]
-    slope = float(np.mean([s.values[0] for s in slopes]))
-    variance = float(np.sum([s.covariance[0, 0] for s in slopes])) / 4.0
-    angles = np.arctan2(moduli[:, 1], moduli[:, 0])
-    whole = line_through(np.log(omega), np.log(np.hypot(moduli[:, 0], moduli[:, 1])))
+    phase = alpha_by_phase(np.arctan2(moduli[:, 1], moduli[:, 0]))
+    slope = line_through(np.log(omega), np.log(np.hypot(*moduli.T))).plain(1.0)
     return Fit(
         "dynamic",
         parameters,
         r_squared(logs, _predicted(state, np.log(omega))),
         omega.size,
-        contradiction(slope, variance, angles, "G''/G'"),
-        {
-            "slopes": {
-                name: s.plain(1.0) for name, s in zip(("storage", "loss"), slopes, strict=True)
-            },
-            "slope": {"alpha": whole.plain(1.0)},
-            "phase": {"alpha": alpha_by_phase(angles)},
-        },
+        _contradiction(slope, phase),
+        {"slope": {"alpha": slope}, "phase": {"alpha": phase}},
     )
 
 
@@ -147,17 +136,13 @@ def _filter(log_omega: Array, logs: Array, noise: Array) -> tuple[Array, Array]:
     return np.array(ekf.x), np.array(ekf.P)
 
 
-def contradiction(slope: float, variance: float, angles: Array, source: str) -> tuple[str, ...]:
-    """Return a warning if a slope of this variance is not the alpha of the loss angles (n,)."""
-    if angles.size < 3:
-        return ()
-    from_angle = 2.0 / math.pi * angles
-    sd = math.sqrt(variance + from_angle.var(ddof=1) / angles.size)
-    difference = slope - float(from_angle.mean())
-    if abs(difference) <= max(_CONTRADICTION * sd, _NEGLIGIBLE_ORDER):
+def _contradiction(slope: Parameter, phase: Parameter) -> tuple[str, ...]:
+    """Return a warning if the alphas of slope and phase exclude each other."""
+    difference, sd = abs(slope.value - phase.value), math.hypot(slope.sd, phase.sd)
+    if not difference > max(_CONTRADICTION * sd, _NEGLIGIBLE_ORDER):
         return ()
     return (
-        f"slope and phase contradict each other: alpha is {slope:.3f} by the slope, "
-        f"{from_angle.mean():.3f} by {source} ({abs(difference) / max(sd, 1e-12):.0f} deviations "
-        "apart); one springpot does not describe both",
+        f"slope and phase contradict each other: alpha is {slope.value:.3f} by the slope, "
+        f"{phase.value:.3f} by G''/G' ({difference / max(sd, 1e-12):.0f} deviations apart); one "
+        "springpot does not describe both",
     )
