@@ -77,10 +77,9 @@ class ForceControllerNode(Node):
             )
         )
         self._places = _places(values["program.x"], values["program.y"])
-        name = str(values["identifier"])
         self._feed = TissueFeed(
             self,
-            name if name.startswith("/") else f"{self.get_namespace().rstrip('/')}/{name}",
+            self.resolve_topic_name(str(values["identifier"])),
             deadline=values["deadline"],
             on_loss=lambda why: self.get_logger().info(f"safe gains: {why.value}"),
         )

@@ -56,8 +56,7 @@ class Planner(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("planner", **options)
         values = declared(self, PARAMETERS)
-        name = str(values["identifier"])
-        name = name if name.startswith("/") else f"{self.get_namespace().rstrip('/')}/{name}"
+        name = self.resolve_topic_name(str(values["identifier"]))
         files = [Path(path) for path in values["parameters"] if path]
         parameters = read_parameter_files(files, name)
         self._config = pipeline_config(parameters)
