@@ -21,7 +21,6 @@ from fden_ros.offline.session import Contact, Session, normalized_innovation, pr
 from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import unit_vector
 from fden_ros.report import style
-from fden_ros.report.limits import interval_limits, symmetric_limit
 from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, SHADE, TRUTH, WIDE, draw
 
 #: Makes the logarithm of 0 finite.
@@ -92,7 +91,7 @@ def comparison(session: Session) -> str:
             axes.locator_params(axis="x", integer=True)
             axes.margins(x=0.08)
             shown = style.interval([s.estimate for s in known], index)
-            axes.set_ylim(*interval_limits(*(np.append(part, truth[1]) for part in shown)))
+            axes.set_ylim(*style.interval_limits(*(np.append(part, truth[1]) for part in shown)))
             axes.grid(axis="x", visible=False)
         figure.axes[0].legend(loc="best")
 
@@ -113,7 +112,7 @@ def site_map(session: Session) -> str:
         )
         axes.scatter(x, y, s=260, c="none", edgecolors=MUTED)
         if np.isfinite(values).any():
-            low, high = interval_limits(values, values, values)
+            low, high = style.interval_limits(values, values, values)
             axes.scatter(
                 x, y, s=260, c=values, cmap="viridis", edgecolors=MUTED, vmin=low, vmax=high
             )
@@ -281,7 +280,7 @@ def innovations(contact: Contact) -> str:
         axes.plot(time, values, ".", color=MEASURED, markersize=3)
         axes.set_title("Innovations over their standard deviation")
         axes.set_xlabel("time since the touch [s]")
-        extent = symmetric_limit(values, 3.0)
+        extent = style.symmetric_limit(values, 3.0)
         axes.set_ylim(-extent, extent)
         beyond = int(np.count_nonzero(np.abs(values) > extent))
         if beyond:
