@@ -229,11 +229,11 @@ ROOMS = (
     "core",  # its public names
     "planning",
     "simulation",
-    "experiments",
     "tissues",
     "parameters",
     "ros",
     "recording",
+    "experiments",
     "control",
     "tissue_feed",
     "offline",

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
+from fden_ros.recording.table import cells_of, delimiter_of, is_number, lines_of
 
 #: The columns that experiments read, and their units.
 UNITS = {
@@ -168,29 +168,13 @@ def read_table(path: str | Path) -> Table:
         If the file cannot be read, is empty, or has names only.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; give a CSV file")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file; give CSV in UTF-8") from None
-    kept = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    kept = list(lines_of(path))
     if not kept:
         raise InputError(f"{path} is empty; give a line of column names and then numbers")
-    header = kept[0][1]
-    delimiter = max("\t;,", key=header.count)
-    cells = [
-        tuple(cell.strip() for cell in row)
-        for row in csv.reader([line for _, line in kept], delimiter=delimiter)
-    ]
+    rows = cells_of([line for _, line in kept], delimiter_of(kept[0][1]))
+    cells = [tuple(cell.strip() for cell in row) for row in rows]
     names = cells[0]
-    if all(_is_number(cell) for cell in names):
+    if all(is_number(cell) for cell in names):
         raise InputError(f"{path}: line {kept[0][0]} holds numbers; it must hold the column names")
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled is not None:
@@ -206,11 +190,3 @@ def csv_files(folder: str | Path) -> list[Path]:
     if not paths:
         raise InputError(f"{folder} holds no .csv file")
     return paths
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

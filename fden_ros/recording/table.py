@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 from fden_ros.errors import InputError
 
@@ -172,9 +172,9 @@ class TableReader:
         self.path = Path(path)
         self.skipped = 0
         first = _first_line(self.path)
-        self._delimiter = _delimiter(first)
+        self._delimiter = delimiter_of(first)
         self.headings = headings_of(self.path)
-        self.has_heading = not any(map(_is_number, self.headings))
+        self.has_heading = not any(map(is_number, self.headings))
         self._columns = columns
         self._rate = self._rate_of(columns.time)
         self._time = self._index(columns.time.name) if self._rate is None else -1
@@ -228,17 +228,15 @@ class TableReader:
     def _cells(self) -> Iterator[list[str]]:
         where = self._where
         try:
-            with _open(self.path) as file:
-                lines = (line for line in file if line.strip() and not line.startswith("#"))
-                reader = _reader(lines, self._delimiter)
-                if self.has_heading:
-                    next(reader, None)
-                for cells in reader:
-                    if where is None or (
-                        where[0] < len(cells) and cells[where[0]].strip() == where[1]
-                    ):
-                        yield cells
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            reader = cells_of((line for _, line in lines_of(self.path)), self._delimiter)
+            if self.has_heading:
+                next(reader, None)
+            for cells in reader:
+                if where is None or (
+                    where[0] < len(cells) and cells[where[0]].strip() == where[1]
+                ):
+                    yield cells
+        except csv.Error as error:
             raise _unreadable(self.path, error) from None
 
     def _rate_of(self, time: Column) -> Decimal | None:
@@ -279,32 +277,41 @@ def headings_of(path: str | Path) -> list[str]:
         If the file cannot be read.
     """
     first = _first_line(Path(path))
-    return [cell.strip() for cell in next(_reader([first], _delimiter(first)), [])]
+    return [cell.strip() for cell in next(cells_of([first], delimiter_of(first)), [])]
 
 
-def _reader(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    if delimiter == " ":
-        return (line.split() for line in lines)
-    return csv.reader(lines, delimiter=delimiter)
+def lines_of(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text table with their numbers from 1, less comments and empty ones.
 
-
-def _first_line(path: Path) -> str:
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
     try:
-        with _open(path) as file:
-            for line in file:
-                if line.strip() and not line.startswith("#"):
-                    return line.rstrip("\r\n")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            for number, line in enumerate(file, start=1):
+                if line.strip() and not line.lstrip().startswith("#"):
+                    yield number, line.rstrip("\r\n")
     except FileNotFoundError:
         raise InputError(
             f"{path} does not exist: give a table of comma-separated values"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise _unreadable(path, error) from None
+
+
+def cells_of(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    """Return the rows of lines, as lists of cells."""
+    if delimiter == " ":
+        return (line.split() for line in lines)
+    return csv.reader(lines, delimiter=delimiter)
+
+
+def _first_line(path: Path) -> str:
+    for _, line in lines_of(path):
+        return line
     raise InputError(f"{path} is empty: expected a table of comma-separated values")
-
-
-def _open(path: Path) -> TextIO:
-    return path.open(encoding="utf-8-sig", newline="")
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
@@ -312,7 +319,8 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     return InputError(f"{path} cannot be read: {reason}")
 
 
-def _delimiter(line: str) -> str:
+def delimiter_of(line: str) -> str:
+    """Return what stands between the cells of a line."""
     if ";" in line or "\t" in line:
         line = _DECIMAL_COMMA.sub(".", line)
     for delimiter in ";\t":
@@ -322,7 +330,8 @@ def _delimiter(line: str) -> str:
     return max(_DELIMITERS, key=lambda delimiter: line.strip().count(delimiter))
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a finite number, with a point or a comma."""
     try:
         return math.isfinite(float(cell.replace(",", ".")))
     except ValueError:
