@@ -314,7 +314,7 @@ def test_a_browser_shows_the_numbers_without_a_script_error(page, session):
             assert np.min(np.abs(shown / value - 1.0)) < 1e-3
     assert "2 contacts at 2 sites; all converged." in text
     assert dom.count('<details class="contact" open') == 2
-    assert dom.count("<svg") == 3 + 4 * 2
+    assert dom.count("<svg") == 3 + 3 * 2
 
 
 def test_the_page_needs_nothing_from_elsewhere(page):

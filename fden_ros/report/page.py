@@ -206,8 +206,6 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         drawings += [plots.signals(session, contact), plots.characteristic(contact, summary)]
     if any(state.estimate is not None for state in states):
         drawings.append(plots.convergence(contact, session.truth.get(summary.site_id)))
-    if any(state.innovation is not None for state in states):
-        drawings.append(plots.innovations(contact))
     place = ""
     if summary.position is not None:
         place = (

@@ -17,11 +17,11 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.offline.session import Contact, Session, normalized_innovation, predicted_stress
+from fden_ros.offline.session import Contact, Session, predicted_stress
 from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import unit_vector
 from fden_ros.report import style
-from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, SHADE, TRUTH, WIDE, draw
+from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, TRUTH, WIDE, draw
 
 #: Makes the logarithm of 0 finite.
 _TINY = 1e-300
@@ -263,36 +263,6 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
         style.legend_above(figure.axes[0])
         figure.axes[-1].set_xlabel("time since the touch [s]")
         figure.align_ylabels()
-
-    return draw(plot)
-
-
-def innovations(contact: Contact) -> str:
-    """Innovations over their standard deviation, which stay within ±2 nearly always."""
-    states = [s for s in contact.states.items if s.innovation is not None]
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        time = _since(states, contact.states.items[0].stamp_ns)
-        values = np.array([normalized_innovation(s.innovation) for s in states if s.innovation])
-        axes.axhspan(-2.0, 2.0, color=SHADE, zorder=0, linewidth=0)
-        axes.axhline(0.0, color=MUTED, linewidth=0.8)
-        axes.plot(time, values, ".", color=MEASURED, markersize=3)
-        axes.set_title("Innovations over their standard deviation")
-        axes.set_xlabel("time since the touch [s]")
-        extent = style.symmetric_limit(values, 3.0)
-        axes.set_ylim(-extent, extent)
-        beyond = int(np.count_nonzero(np.abs(values) > extent))
-        if beyond:
-            axes.annotate(
-                f"{beyond} beyond, up to {np.max(np.abs(values)):.3g}",
-                (0.99, 0.97),
-                xycoords="axes fraction",
-                ha="right",
-                va="top",
-                fontsize=8,
-                color=MUTED,
-            )
 
     return draw(plot)
 

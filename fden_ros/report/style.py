@@ -222,15 +222,3 @@ def interval_limits(values: Array, low: Array, high: Array) -> tuple[float, floa
     most = float(np.max(np.fmin(high, values * _INTERVAL)))
     margin = _MARGIN * (most - least) or _MARGIN * most
     return least - margin, most + margin
-
-
-def symmetric_limit(reaches: Array, least: float) -> float:
-    """Return the limit of an axis about 0, of at least `least`, for distances from 0 (n,).
-
-    What lies beyond five times the quantile at 0.9 is left out.
-    """
-    finite = np.abs(reaches[np.isfinite(reaches)])
-    if not finite.size:
-        return least
-    usual = 5.0 * float(np.quantile(finite, 0.9, method="lower"))
-    return max(least, 1.1 * float(np.max(finite[finite <= usual], initial=0.0)))
