@@ -180,6 +180,8 @@ _COLOUR, _LONG_WINDOW = 1.5, 1.0
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
+#: It holds still within this share of that of its deepest place.
+_HELD = 0.05
 #: At most this number of samples in the air is kept, whatever the sampling rate.
 _MAX_LOOKBACK_SAMPLES = 40_000
 
@@ -223,6 +225,7 @@ class ContactDetector:
         self._doubted_chunks = 0
         self._surface = self._deepest = 0.0
         self._behind_chunks = 0
+        self._has_held = False
         self._highest: _Highest | None = None
 
     def mean_air_force(self) -> float | None:
@@ -436,9 +439,21 @@ class ContactDetector:
         while self._samples[0].stamp_ns < newest[0].start_ns:
             self._samples.popleft()
         mean = math.fsum(one.size * one.mean for one in newest) / sum(one.size for one in newest)
-        if len(newest) < self._averaged or mean >= level:
+        if len(newest) < self._averaged or mean >= level or self._is_held(pair):
             return None
         return self._release(newest[0].start_ns)
+
+    def _is_held(self, pair: Pair) -> bool:
+        """Whether it is the tissue's relaxation that lowers the force, and no release.
+
+        Under a probe that holds still at its deepest it is, in the newer half of what is averaged;
+        from then on until the probe moves back.
+        """
+        least = self._deepest - _HELD * (self._deepest - self._surface)
+        if pair.displacement <= least:
+            return False
+        self._has_held |= self._samples[len(self._samples) // 2].displacement > least
+        return self._has_held
 
     def _tell_by_chunks(self) -> None:
         """End a contact, however faintly it began, as one that single chunks have told."""

@@ -216,10 +216,12 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     scales = best.best_scales
     linear = posterior.given(LOG_GN, points, state, scales)
     mean = float(posterior.belief.mean[LOG_GN])
-    width = 1.0 / math.sqrt(float(posterior.belief.precision[LOG_GN, LOG_GN]))
+    # Whatever the others are: after an earlier press they are known together.
+    width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
     there = posterior.evidence(points, best.maximum, [scales])[0]
-    gain = linear.log_evidence - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
+    here = _under(posterior, points, linear, best.maximum.errors)
+    gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
     log_gain = float(np.logaddexp(modes.log_gain, gain))
     if beyond < 0.0 and best.maximum.state[LOG_GN] < boundary:
