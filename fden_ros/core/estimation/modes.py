@@ -21,12 +21,11 @@ import numpy as np
 from scipy.special import expit, log_ndtr
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.estimate import Member, mixture
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Solution, log_evidence
+from fden_ros.core.estimation.solution import Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
 #: Maxima less likely than the best by this logarithm do not count [1].
@@ -162,7 +161,7 @@ def _weighed(
     if len(found) == 1:
         return _with_linear(posterior, points, Modes((found[0],)), strain)
     errors = found[0].maximum.errors
-    evidence = np.array([_under(posterior, points, s, errors) for s in found])
+    evidence = np.array([evidence_under(posterior, points, s, errors) for s in found])
     kept: list[tuple[float, Solution]] = []
     boundary = _boundary(strain)
     has_linear = False
@@ -179,15 +178,6 @@ def _weighed(
     solutions = tuple(s for _, s in kept)
     modes = Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
     return _with_linear(posterior, points, modes, strain)
-
-
-def _under(posterior: Posterior, points: Points, solution: Solution, errors: Errors) -> float:
-    """Return the log evidence of a solution, over all scales, as it is under other errors."""
-    best = solution.maximum
-    if errors is best.errors:
-        return solution.log_evidence
-    there = log_evidence(posterior, points, best, errors)
-    return solution.log_evidence + there - log_evidence(posterior, points, best, best.errors)
 
 
 def _boundary(strain: float) -> float:
@@ -220,7 +210,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
     there = posterior.evidence(points, best.maximum, [scales])[0]
-    here = _under(posterior, points, linear, best.maximum.errors)
+    here = evidence_under(posterior, points, linear, best.maximum.errors)
     gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
     log_gain = float(np.logaddexp(modes.log_gain, gain))

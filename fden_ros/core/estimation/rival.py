@@ -20,7 +20,7 @@ from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posteri
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Solution
+from fden_ros.core.estimation.solution import Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
@@ -89,15 +89,15 @@ def mismatch_log_odds(
         rival.belief.mean[ORDER] = _PART
         rival.belief.precision[ORDER, ORDER] = 1.0 / _PART_SD**2
         found = _solution(rival, points, at, scales)
-        rivals.append(found.log_evidence if found is not None else -math.inf)
         if found is not None:
+            rivals.append(evidence_under(rival, points, found, law.maximum.errors))
             at, scales = found.maximum.state, found.best_scales
     if not rivals:
         return -math.inf
     best = max(rivals)
     if not math.isfinite(best):
         return -math.inf
-    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / len(rivals))
+    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / wanted.size)
     gain -= law.log_evidence
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
     return gain / max(float(np.mean(solution.residuals**2)), 1.0)

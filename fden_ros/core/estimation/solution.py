@@ -190,3 +190,16 @@ def log_evidence(density: Density, points: Points, maximum: Maximum, errors: Err
     normal = white[:, 1:].T @ white[:, 1:] + precision
     misfit = white[:, 0] @ white[:, 0] + off @ precision @ off + density.tails(maximum.state)
     return -0.5 * float(misfit + log_det + np.linalg.slogdet(normal)[1])
+
+
+def evidence_under(density: Density, points: Points, solution: Solution, errors: Errors) -> float:
+    """Return the log evidence of a solution, over all scales, as it is under other errors.
+
+    Where solutions are compared the errors are the same: each has its own at its stiffness, and
+    where more is stated of them than there is the softer tissue would win.
+    """
+    best = solution.maximum
+    if errors is best.errors:
+        return solution.log_evidence
+    there = log_evidence(density, points, best, errors)
+    return solution.log_evidence + there - log_evidence(density, points, best, best.errors)
