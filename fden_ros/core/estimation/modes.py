@@ -34,9 +34,6 @@ _NEGLIGIBLE = 7.0
 _MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
 _SAME = 0.2
-#: Beyond the boundary by this many standard deviations of ln Gn nothing is cut off [1]: Laplace's
-#: is the slope there, and twice the distance is not beyond.
-_CLEAR = 8.0
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
 #: far above it [1].
 _NEAR, _BENT = 0.05, 0.3
@@ -199,8 +196,6 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
         return modes
     boundary = _boundary(strain)
     beyond = (float(best.mean[LOG_GN]) - boundary) / sd
-    if beyond > _CLEAR:
-        return modes
     state = best.maximum.state.copy()
     state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
     scales = best.best_scales
