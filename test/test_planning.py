@@ -37,8 +37,6 @@ from fden_ros.planning.motion import Motion, Sensors, record
 from fden_ros.planning.plan import Limits, Search, Target, plan
 from fden_ros.planning.region import Presses, Region
 from fden_ros.planning.tissue import TissueBelief
-from fden_ros.report.region_picture import draw_region
-from fden_ros.report.style import draw
 from fden_ros.ros.messages import summary_message, to_stamp
 from fden_ros.ros.topics import latched
 from simulation.scenario import (
@@ -213,12 +211,14 @@ def probe(tmp_path):
     return path
 
 
-def test_the_command_plans_from_what_configure_has_written(probe, capsys):
+def test_the_command_plans_from_what_configure_has_written(probe, tmp_path, capsys):
+    picture = tmp_path / "plan.png"
     arguments = ["plan", "--config", str(probe), "--config", "config/priors/liver.yaml"]
-    assert main([*arguments, "--target", "G=0.2,Gn=0.2", "--json"]) == 0
+    assert main([*arguments, "--target", "G=0.2,Gn=0.2", "--json", "--plot", str(picture)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["possible"] and found["presses"] == 1
     assert found["line"].startswith("press to ")
+    assert picture.stat().st_size > 10_000
     assert main([*arguments, "--target", "G=0.001"]) == 3
     assert capsys.readouterr().out.startswith("not possible: ")
 
@@ -383,14 +383,11 @@ def test_the_command_names_the_place_that_python_names(tmp_path, capsys):
         }
         for place, log in zip(places.tolist(), field(places), strict=True)
     ]
-    results = tmp_path / "palpation.json"
+    results, picture = tmp_path / "palpation.json", tmp_path / "map.png"
     results.write_text(json.dumps({"contacts": contacts}), encoding="utf-8")
     arguments = ["plan", "--map", str(results), "--region", "0,0,0.06,0.06", "--json"]
-    assert main(arguments) == 0
+    assert main([*arguments, "--plot", str(picture)]) == 0
     found = json.loads(capsys.readouterr().out)
-    presses = Presses(places, field(places), np.full(16, 0.05))
-    expected = region.propose(presses)
+    expected = region.propose(Presses(places, field(places), np.full(16, 0.05)))
     np.testing.assert_allclose(found["places"], expected.places, atol=1e-6)
-    assert not found["done"]
-    drawing = draw(lambda figure: draw_region(figure, region, presses, expected))
-    assert "<svg" in drawing and len(drawing) > 10_000
+    assert not found["done"] and picture.stat().st_size > 10_000

@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import add_json, positive, print_json
+from fden_ros.commands.command import add_json, positive, print_json, write
 from fden_ros.commands.inputs import add_config_options, as_argument, parameters_of
 from fden_ros.errors import InputError
 
@@ -29,8 +29,8 @@ state after it, the probability that these are what you want, or why that is not
 EPILOG = """\
 examples:
   fden plan --config probe.yaml --target G=0.1,Gn=0.1
-  fden plan --config probe.yaml --config liver.yaml --target Gn=0.05 --max-force 2
-  fden plan --map palpation.json --region 0,0,0.06,0.06
+  fden plan --config probe.yaml --config liver.yaml --target Gn=0.05 --max-force 2 --plot plan.png
+  fden plan --map palpation.json --region 0,0,0.06,0.06 --plot map.png
   fden replay press.csv --config probe.yaml --json > press.json
       then: fden plan --config probe.yaml --after press.json
 
@@ -90,6 +90,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X0,Y0,X1,Y1",
         help="corners of the region of --map [m] (default: around its places)",
     )
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="draw deviations against depth and time, or the map",
+    )
     add_json(parser)
 
 
@@ -110,7 +116,13 @@ def run(args: argparse.Namespace) -> int:
         args.config or [], parameters, args.noise, args.rate, args.displacement_noise
     )
     target = Target(args.target) if args.target else None
-    plan = Search(config, sensors, target, _limits(args, config), tissue).plan()
+    search = Search(config, sensors, target, _limits(args, config), tissue)
+    plan = search.plan()
+    if args.plot is not None:
+        from fden_ros.report.plan_picture import draw_plan
+        from fden_ros.report.style import save
+
+        write(args.plot, lambda path: save(lambda figure: draw_plan(figure, search, plan), path))
     if args.json:
         print_json(plan_object(plan))
     else:
@@ -127,6 +139,14 @@ def _run_map(args: argparse.Namespace) -> int:
         raise InputError(f"{args.map} has no contact with a place and a stiffness in N/m")
     region = Region(*args.region) if args.region else Region.around(presses)
     found = region.propose(presses)
+    if args.plot is not None and found.known is not None:
+        from fden_ros.report.region_picture import draw_region
+        from fden_ros.report.style import save
+
+        def draw(figure: Any) -> None:
+            draw_region(figure, region, presses, found)
+
+        write(args.plot, lambda path: save(draw, path))
     if args.json:
         known = found.known
         print_json(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -85,10 +86,20 @@ def draw(plot: Plot, size: tuple[float, float] = PANEL) -> str:
     buffer = io.StringIO()
     unsaid = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        plot(figure)
-        figure.savefig(buffer, format="svg", transparent=True, metadata=unsaid)
+        _drawn(plot, size).savefig(buffer, format="svg", transparent=True, metadata=unsaid)
     return _for_page(buffer.getvalue())
+
+
+def save(plot: Plot, path: str | Path) -> None:
+    """Save what `plot` draws as PNG, SVG or PDF, by the ending of `path`."""
+    with mpl.rc_context(_STYLE):
+        _drawn(plot, WIDE).savefig(path, dpi=110)
+
+
+def _drawn(plot: Plot, size: tuple[float, float]) -> Figure:
+    figure = Figure(figsize=size, layout="constrained")
+    plot(figure)
+    return figure
 
 
 def _for_page(svg: str) -> str:
