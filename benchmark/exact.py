@@ -7,7 +7,8 @@ Tissue, motion, rate, noise and prior are drawn (see below), simulated apart fro
 and identified with the noise as it is measured in the air; the rig's deviations are 0 and an arm's
 defaults in turn. A *false alarm* is a contact whose summary tells a mismatch or a change, *live*
 where any state does; *silent* is one that is converged, unflagged, and off by more than five
-stated deviations and 3 % (0.01 of alpha).
+stated deviations and 3 % (0.01 of alpha). Error over the bound: of what is known exactly but the
+tissue (rig, motion, a linear part that is seen) over the least that is possible.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmark.bound import contact_bounds
 from benchmark.harness import Benchmark, Goal, Report, Table, at_most, few, measured, within
-from benchmark.score import NAMES, Outcome, Share, figures_of
-from benchmark.trial import outcome_of
+from benchmark.score import NAMES, Outcome, Share, bootstrapped, figures_of
+from benchmark.trial import elapsed, outcome_of
+from fden_ros.core.arrays import Array
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation.model import FdenModel
-from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
@@ -33,8 +37,8 @@ from simulation.scenario import (
     Site,
     Tissue,
 )
-from simulation.simulate import EXACT, KNOWN_RIG, Recording, simulate
-from simulation.trajectory import Approach, Palpation, Ramp, RampHold, Staircase
+from simulation.simulate import END_PAUSE_S, EXACT, KNOWN_RIG, Recording, simulate
+from simulation.trajectory import Approach, Palpation, Path, Ramp, RampHold, Staircase
 
 EPILOG = """\
 examples:
@@ -87,6 +91,8 @@ _SLOW_TIME = 0.3
 #: In the air before a touch and after the last [s], about.
 _AIR_S = 3.5
 _DRAWS = 23
+#: The bound is that of contacts held for less [s]: its samples are spread evenly.
+_BOUND_HOLD_S = 10.0
 #: A tissue that no motion of so many makes pressable is drawn anew.
 _TRIES = 50
 
@@ -124,6 +130,12 @@ class Contact:
     def is_hidden(self) -> bool:
         """Whether the stress at the boundary strain is below the noise of a sample."""
         return self.model.linear_stiffness < self.noise_pa * self.model.nonlinear_stiffness
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether all but the tissue is known, and its bound can be told."""
+        is_known = self.rig == RIGID and not self.displacement_noise_m
+        return is_known and not self.is_hidden and self.held_s < _BOUND_HOLD_S
 
     @property
     def is_pressable(self) -> bool:
@@ -233,17 +245,48 @@ def parameters_of(contact: Contact, recording: Recording) -> dict[str, Any]:
 
 
 class Trial(NamedTuple):
-    """One contact, and what was said of it."""
+    """One contact, what was said of it, and the least deviations of ln G, ln Gn, alpha (3,)."""
 
     contact: Contact
     outcome: Outcome
+    bound: Array | None
+
+    @property
+    def over_bound(self) -> Array | None:
+        """Errors over the bound (3,); None: no bound or no estimate."""
+        last = self.outcome.contacts[-1] if self.outcome.contacts else None
+        if self.bound is None or last is None or last.estimate is None:
+            return None
+        ratio: Array = last.error / self.bound
+        return ratio
 
 
 def run_trial(number: int, samples: int) -> Trial:
     """Simulate contact `number`, identify it, and judge what is said."""
     contact = drawn(number, samples)
     recording = simulate(scenario_of(contact))
-    return Trial(contact, outcome_of(recording, parameters_of(contact, recording)))
+    parameters = parameters_of(contact, recording)
+    bound = _bound(contact, recording, parameters) if contact.has_bound else None
+    return Trial(contact, outcome_of(recording, parameters), bound)
+
+
+def _bound(contact: Contact, recording: Recording, parameters: Mapping[str, Any]) -> Array:
+    """Return the bound with the identifier's own prior, and the air before the touch."""
+    prior = pipeline_config(check(parameters)).estimator.prior
+    stamps = np.array([elapsed(stamp) for stamp in recording.force.stamp_ns.tolist()])
+    in_air = int(np.sum(stamps < elapsed(recording.truth["contacts"][0]["start_ns"])))
+    deviations = (
+        *(prior.linear_stiffness_log_sd, prior.nonlinear_stiffness_log_sd),
+        *(prior.fractional_order_sd, math.inf, contact.noise_pa / math.sqrt(in_air)),
+    )
+    approach = scenario_of(contact).approach
+    path = Path(-approach.distance_m / _GEOMETRY.length_m, _GEOMETRY.length_m)
+    path.rest(approach.start_pause_s)
+    contact.press.press(path, approach)
+    path.rest(END_PAUSE_S)
+    moves = [move for move in path.moves if isinstance(move, LinearMove)]
+    prior_sds = np.array(deviations)
+    return contact_bounds(moves, contact.model, stamps, contact.noise_pa, prior_sds)[:3]
 
 
 def run(args: argparse.Namespace) -> Report:
@@ -278,6 +321,9 @@ def report_of(found: Found) -> Report:
         if any(some)
     }
     tables = {"rows": Table("Tissue that obeys the law", rows)}
+    over = [trial.over_bound for trial in found if trial.over_bound is not None]
+    if over:
+        tables["bound"] = Table("Error over the Cramér-Rao bound", _over_bound(np.array(over)))
     alarms = {
         str(trial.contact.number): row
         for trial in found
@@ -286,6 +332,15 @@ def report_of(found: Found) -> Report:
     if alarms:
         tables["alarms"] = Table("Told falsely, or silently off; by number", alarms)
     return Report(goals_of(found, rows), tables)
+
+
+def _over_bound(ratios: Array) -> dict[str, dict[str, Any]]:
+    """Return root mean squares of ratios (n, 3), and their 95 % intervals, by parameter."""
+    rows = {}
+    for name, values in zip(NAMES, ratios.T, strict=True):
+        rms, low, high = bootstrapped(np.square(values), np.sqrt)
+        rows[name] = {"contacts": len(values), "rms": rms, "95 %": [low, high]}
+    return rows
 
 
 def _alarm(contact: Contact, outcome: Outcome) -> dict[str, Any] | None:
@@ -322,6 +377,10 @@ def goals_of(found: Found, rows: Mapping[str, Mapping[str, Any]]) -> list[Goal]:
         if hidden := rows.get("linear part hidden"):
             words = f"linear part hidden: error over deviation, {name}"
             goals.append(at_most(words, hidden["error over sd"][index], 1.3))
+    over = [trial.over_bound for trial in found if trial.over_bound is not None]
+    for name, row in _over_bound(np.array(over).reshape(-1, 3)).items():
+        low, high = row["95 %"]
+        goals.append(at_most(f"error over the bound, {name}", row["rms"], 1.25, (low, high)))
     return goals
 
 

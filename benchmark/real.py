@@ -3,8 +3,6 @@
 
 """Measured tissue: from the ramp and the first 2 s of the hold, predict the rest of the hold.
 
-Beef and silicone are told apart, too, by a library that is learned from the other pieces.
-
 Every test goes through the online pipeline sample by sample, with wide priors, and the same
 samples go to the estimators of others. Nothing is fitted afterwards. *Error*: root mean square, in
 percent of the peak force; *score*: of the 95 % interval (Gneiting and Raftery 2007), likewise;
@@ -25,26 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured, within
-from benchmark.measured import (
-    FORCE_NOISE,
-    PRIOR_STIFFNESS,
-    Test,
-    hold_order,
-    identify,
-    read_tests,
-    some_of,
-)
+from benchmark.measured import FORCE_NOISE, Test, hold_order, identify, read_tests, some_of
 from benchmark.peers import PEERS, Samples
 from benchmark.score import NAMES, TWO_SIDED_95, mean_of, rms, share
 from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate, StateIndex
-from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.tissues.training import check as leave_out
-from fden_ros.tissues.training import contacts_of, learn
 
 EPILOG = """\
 examples:
@@ -130,8 +117,6 @@ def run(args: argparse.Namespace) -> Report:
         if kind in groups:
             title = f"{kind}: error of FDEN and of others"
             tables[f"others, {kind}"] = Table(title, _others(groups[kind]))
-    if {TISSUE, NOT_TISSUE} <= groups.keys():
-        tables["told apart"] = Table("One piece left out", {"FDEN, online": told(found)})
     return Report(_goals(rows), tables)
 
 
@@ -202,31 +187,6 @@ def _others(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
         for name, e in errors.items()
     }
     return dict(sorted(rows.items(), key=lambda item: item[1]["error, median"]))
-
-
-def told(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return what the parameters tell of the materials, one piece left out at a time."""
-    pieces = [outcome.test.specimen for outcome in outcomes]
-    for index, outcome in enumerate(outcomes):
-        kind = outcome.test.kind
-        own = {other.test.specimen for other in outcomes if other.test.kind == kind}
-        # Silicone is one piece, or a numbered series of tests of it: one test is left out.
-        head, _, number = outcome.test.specimen.rpartition("-")
-        if len(own) == 1 or (head and number.isdigit()):
-            pieces[index] = f"{outcome.test.specimen}, test {index}"
-    contacts = contacts_of(
-        [outcome.test.kind for outcome in outcomes],
-        pieces,
-        np.array([outcome.whole.mean for outcome in outcomes]),
-        np.array([outcome.whole.covariance for outcome in outcomes]),
-        Prior(linear_stiffness=PRIOR_STIFFNESS),
-    )
-    result = leave_out(contacts, learn(contacts))
-    return {
-        "errors": share(result.errors),
-        "95 %": result.interval(),
-        "unknown": share(result.unknown),
-    }
 
 
 def _goals(rows: dict[str, dict[str, Any]]) -> list[Goal]:

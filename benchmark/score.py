@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ _NOTHING = np.full(3, np.nan)
 _DEVIATIONS, _SIZES = 5.0, np.array([0.03, 0.03, 0.01])
 #: Summaries and states with another flag than these say that something is wrong.
 _HARMLESS = Flag.INPUT_REJECTED
+_RESAMPLES = 1000
 
 
 class Share(NamedTuple):
@@ -182,3 +183,14 @@ def median(values: Array) -> Array:
     values = np.asarray(values, dtype=float)
     finite = values[np.all(np.isfinite(values), axis=1)] if values.size else values
     return np.median(finite, axis=0) if finite.size else _NOTHING
+
+
+def bootstrapped(
+    values: Array, transform: Callable[[Any], Any] = lambda mean: mean
+) -> tuple[float, float, float]:
+    """Return the transformed mean and its 95 % interval, values drawn anew with replacement."""
+    if len(values) < 2:
+        return math.nan, math.nan, math.nan
+    picks = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
+    low, high = np.quantile(transform(values[picks].mean(axis=1)), [0.025, 0.975])
+    return float(transform(values.mean())), float(low), float(high)

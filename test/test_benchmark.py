@@ -15,8 +15,19 @@ import numpy as np
 import pytest
 from property_helpers import counts, first
 
-from benchmark import changes, harness, laws, node, presses, real, robots
-from benchmark.harness import measured, within
+from benchmark import (
+    changes,
+    classification,
+    harness,
+    invariance,
+    laws,
+    node,
+    presses,
+    robots,
+)
+from benchmark.bound import contact_bounds
+from benchmark.classification import told
+from benchmark.harness import within
 from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order, read_tests
 from benchmark.score import Judged, Share
@@ -25,7 +36,7 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
 from fden_ros.nodes.backlog import Backlog, Input
 from fden_ros.simulation.model import FdenModel
-from simulation.closed_form import stress_of_piecewise_linear_strain
+from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 
 DEVIATION = np.array([0.01, 0.01, 0.002])
 
@@ -108,6 +119,32 @@ def test_error_is_silent_unless_something_tells_of_it():
         assert not judged(off, flags=flag).is_silent
 
 
+# The bound
+
+
+def test_bound_of_a_ramp_below_the_boundary_strain_is_the_analytic_one():
+    # f = G v t^(1-alpha) / Gamma(2-alpha), df/dorigin = -G t^-alpha / Gamma(1-alpha).
+    g, alpha, rate, noise, start = 500.0, 0.3, 0.05, 0.2, 1.0
+    moves = [LinearMove(0.0, 2.5, -start * rate, 1.5 * rate)]
+    stamps = np.arange(0.0025, 2.5, 5e-3)
+    prior = np.array([0.3, 0.0, 0.0, math.inf, 0.01])
+    found = contact_bounds(moves, FdenModel(g, 5.0, alpha), stamps, noise, prior)
+
+    elapsed = stamps[stamps > start] - start
+    rows = np.array(
+        [
+            g * rate * elapsed ** (1.0 - alpha) / math.gamma(2.0 - alpha),
+            -g * elapsed**-alpha / math.gamma(1.0 - alpha),
+            np.ones_like(elapsed),
+        ]
+    )
+    total = rows @ rows.T / noise**2 + np.diag([0.3**-2, 0.0, 0.01**-2])
+    expected = np.sqrt(np.linalg.inv(total).diagonal())
+    # The derivative by the origin is singular at the touch: differences see it blunted.
+    np.testing.assert_allclose(found[[0, 3, 4]], expected, rtol=0.01)
+    assert found[1] == found[2] == 0.0
+
+
 # Small runs
 
 
@@ -167,7 +204,9 @@ def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case,
 
 def test_exact_counts_its_contacts_by_what_they_are(tmp_path, capsys):
     own = ("exact", "--contacts", 2, "--samples", 300, "--jobs", 1)
-    rows = benchmark(capsys, tmp_path, *own)["rows"]
+    figures = benchmark(capsys, tmp_path, *own)
+    rows, bound = figures["rows"], figures["bound"]
+    assert bound["ln G"]["contacts"] == 1
     assert rows["all"]["no estimate"][1] == rows["ramp"]["no estimate"][1] == 2
     assert rows["rig known"]["silent"] == [0, 2] and "palpation" not in rows
 
@@ -247,8 +286,7 @@ def tables(tmp_path_factory):
 
 def test_measured_tests_of_two_materials_are_told_apart_by_two_processes(tables, monkeypatch):
     monkeypatch.setattr(harness, "PROCESSES", 2)
-    found = measured(real.predict, [(test,) for test in read_tests(tables)])
-    assert real.told(found)["errors"] == Share(0, 8)
+    assert told(read_tests(tables))["beef | silicone: errors"] == Share(0, 8)
 
 
 def test_rest_of_a_hold_is_predicted_beside_the_peers(tables, tmp_path, capsys):
@@ -267,6 +305,27 @@ def test_a_hold_shows_its_order_whatever_the_curve():
         forces = (since[:, :-1] - since[:, 1:]) @ steps
         test = Measured("a", "b", times, forces, 0.02 * strain, 0.02)
         assert hold_order(test) == pytest.approx(0.3, abs=0.005)
+
+
+# Invariance
+
+
+def test_shifted_stamps_move_nothing(tmp_path, capsys, monkeypatch):
+    shifted = {"stamps shifted": invariance.CHANGES["stamps shifted"]}
+    monkeypatch.setattr(invariance, "CHANGES", shifted)
+    figures = benchmark(capsys, tmp_path, "invariance", "--contacts", 1, "--jobs", 1)
+    row = figures["changes"]["stamps shifted"]
+    assert row["records"] == 1 and max(row["largest"]) < 1e-3
+
+
+# Classification
+
+
+def test_tiny_run_measures_how_probabilities_hold(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(classification, "_QUICK_CONTACTS", 8)
+    figures = benchmark(capsys, tmp_path, "classification", "--quick")["figures"]
+    assert figures["converged"][""][1] == 8
+    assert 0.0 <= figures["expected"][""] < 0.5
 
 
 # The benchmarks of speed measure what they say; their goals are for a quiet machine

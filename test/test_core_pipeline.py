@@ -17,10 +17,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import pytest
 from fault_helpers import TISSUE, Outcome, is_wrong, outcome_of
-from pipeline_helpers import DISPLACEMENT, Item, items_of, parameters_of
+from pipeline_helpers import Item, items_of, parameters_of
 
 from fden_ros.core.outputs import (
     Classification,
@@ -124,36 +123,6 @@ def ids(outputs: Sequence[Any]) -> list[tuple[int, int]]:
 
 def without_ids(output: Output) -> bytes:
     return pickle.dumps(replace(output, site_id=0, contact_id=0))
-
-
-# What should not matter
-
-
-def moved(other: Outcome, whole: Outcome) -> float:
-    """Return the largest move of ln G, ln Gn, alpha in stated standard deviations."""
-    a, b = (one.summaries[-1].estimate for one in (other, whole))
-    assert a is not None and b is not None
-    # Alpha is given: it does not move.
-    return float(np.max(np.abs(a.mean - b.mean) / np.maximum(b.deviations, 1e-9)))
-
-
-def test_what_should_not_move_an_estimate_hardly_does() -> None:
-    data = presses((FIRM,))
-    whole = outcome(data)
-    shifted = [item._replace(stamp_ns=item.stamp_ns + 12_345_678_901) for item in data.items]
-    assert moved(outcome(data, shifted), whole) < 0.1
-    noise = np.random.default_rng(0)
-    one_nm = [
-        item._replace(value=item.value + float(noise.normal(0.0, 1e-9)))
-        if item.stream == DISPLACEMENT
-        else item
-        for item in data.items
-    ]
-    assert moved(outcome(data, one_nm), whole) < 0.1
-    for period in (0.02, 0.05):
-        assert moved(outcome(data, estimate__period=period), whole) < 0.5
-    halved = [item for number, item in enumerate(data.items) if number % 4 < 2]
-    assert moved(outcome(data, halved), whole) < 2.0
 
 
 # Several contacts of one site

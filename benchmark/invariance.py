@@ -1,0 +1,204 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What should not move an estimate: how far it does, in stated deviations.
+
+20 presses on simulated rigs, each with something disturbed, go through the pipeline as they are
+and again with one thing changed. A *move* is the largest change of ln G, ln Gn and alpha over the
+deviation that the unchanged record states. The live state is the last before the recording ends,
+in the hold: there is no air after it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured
+from benchmark.presses import CASES, parameters_of, scenario_of
+from benchmark.score import share
+from benchmark.trial import feed, presses_of
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.outputs import ContactSummary, Output, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.parameters import check, pipeline_config
+from simulation.simulate import START_NS, Recording, Stream, simulate
+
+EPILOG = """\
+examples:
+  fden benchmark invariance --quick                 a few presses
+  fden benchmark invariance --json | jq '.figures.changes'
+"""
+
+#: All stamps are shifted by this [ns].
+_SHIFT_NS = 12_345_678_901
+_NANOMETRE, _TENTH_MICROMETRE = 1e-9, 1e-7
+#: Deviation of a parameter that is given [1]: it does not move.
+_TINY = 1e-9
+
+
+@dataclass(frozen=True)
+class Record:
+    """A recording, and the identifier's parameters."""
+
+    number: int
+    recording: Recording
+    parameters: Mapping[str, Any]
+
+    def with_streams(self, change: Callable[[Stream], Stream], *, both: bool = True) -> Record:
+        """Return the same with its displacement changed, and its force too."""
+        force, moved = self.recording.force, change(self.recording.displacement)
+        changed = replace(
+            self.recording, force=change(force) if both else force, displacement=moved
+        )
+        return replace(self, recording=changed)
+
+
+def _noisy(size: float) -> Callable[[Record], Record]:
+    def change(record: Record) -> Record:
+        generator = np.random.default_rng([record.number, 29])
+
+        def noisy(stream: Stream) -> Stream:
+            return replace(
+                stream, value=stream.value + generator.normal(0.0, size, stream.value.size)
+            )
+
+        return record.with_streams(noisy, both=False)
+
+    return change
+
+
+def _shifted(record: Record) -> Record:
+    return record.with_streams(lambda one: replace(one, stamp_ns=one.stamp_ns + _SHIFT_NS))
+
+
+def _halved(record: Record) -> Record:
+    return record.with_streams(
+        lambda one: replace(one, stamp_ns=one.stamp_ns[::2], value=one.value[::2])
+    )
+
+
+def _with_period(period: float) -> Callable[[Record], Record]:
+    return lambda record: replace(
+        record, parameters={**record.parameters, "estimate.period": period}
+    )
+
+
+class Change(NamedTuple):
+    """What is changed, and how far the estimate may move: in so many of the records, in all."""
+
+    change: Callable[[Record], Record]
+    usual: float  #: [deviations]
+    quantile: float  #: share of the records within `usual`
+    most: float  #: [deviations]
+
+
+#: 10 ms is the default period.
+CHANGES = {
+    "noise of 1 nm": Change(_noisy(_NANOMETRE), 0.1, 1.0, 0.1),
+    "stamps shifted": Change(_shifted, 0.1, 1.0, 0.1),
+    "noise of 0.1 um": Change(_noisy(_TENTH_MICROMETRE), 0.2, 0.95, 0.5),
+    "period of 20 ms": Change(_with_period(0.02), 0.2, 0.95, 0.5),
+    "period of 50 ms": Change(_with_period(0.05), 0.2, 0.95, 0.5),
+    "every second sample left out": Change(_halved, 0.5, 0.9, 2.0),
+}
+LIVE = "last live state against the summary"
+_LIVE_LIMIT = 0.1
+
+#: How far one record's estimate moves by what is changed, (3,) each; empty: there is none.
+Moves = Mapping[str, Array]
+
+
+def run(args: argparse.Namespace) -> Report:
+    """Identify every record as it is and changed, and hold the moves against their goals."""
+    tasks = [(number,) for number in args.numbers]
+    found = measured(run_trial, tasks, jobs=args.jobs, what="records")
+    rows = {
+        name: row_of(values)
+        for name in (*CHANGES, LIVE)
+        if (values := [moves[name] for moves in found if name in moves])
+    }
+    title = "Moves in stated deviations: ln G, ln Gn, alpha"
+    return Report(goals_of(found), {"changes": Table(title, rows)})
+
+
+def run_trial(number: int) -> Moves:
+    """Simulate record `number`, and identify it as it is and after each change."""
+    return moves_of(simulated(number))
+
+
+def simulated(number: int) -> Record:
+    """Return a press on a rig of `presses`, each another one, up to the end of its hold."""
+    cases = [case for case in CASES.values() if case.press_count == 1 and case.surface is None]
+    case = cases[number % len(cases)]
+    recording = simulate(scenario_of(case, number // len(cases)))
+    last = START_NS + round(NANOSECONDS * (presses_of(recording)[0][0] + case.held_s))
+
+    def cut(stream: Stream) -> Stream:
+        kept = stream.stamp_ns <= last
+        return replace(stream, stamp_ns=stream.stamp_ns[kept], value=stream.value[kept])
+
+    return Record(number, recording, parameters_of(recording)).with_streams(cut)
+
+
+def moves_of(record: Record) -> Moves:
+    """Identify a record as it is, and after each change."""
+    live, whole = identify(record)
+    if whole is None:
+        return {}
+    scale = np.maximum(whole.deviations, _TINY)
+    moves = {} if live is None else {LIVE: np.abs(live.mean - whole.mean) / scale}
+    for name, change in CHANGES.items():
+        _, other = identify(change.change(record))
+        # An estimate that is lost is infinitely far.
+        far = np.full(3, np.inf) if other is None else np.abs(other.mean - whole.mean) / scale
+        moves[name] = far
+    return moves
+
+
+def identify(record: Record) -> tuple[Estimate | None, Estimate | None]:
+    """Return the last live estimate, and that of the last summary."""
+    outputs: list[Output] = []
+    pipeline = Pipeline(pipeline_config(check(dict(record.parameters))), outputs.append)
+    feed(pipeline, record.recording, to_the_end=False)
+    live = [o.estimate for o in outputs if isinstance(o, TissueState)]
+    pipeline.finish()
+    whole = [o.estimate for o in outputs if isinstance(o, ContactSummary)]
+    return live[-1] if live else None, whole[-1] if whole else None
+
+
+def row_of(moves: Sequence[Array]) -> dict[str, Any]:
+    """Return the figures of a change: over the records, for each parameter."""
+    values = np.array(moves)
+    return {
+        "records": len(values),
+        "median": np.median(values, axis=0),
+        "95 %": np.quantile(values, 0.95, axis=0, method="inverted_cdf"),
+        "largest": values.max(axis=0),
+        "beyond 1": share(values.max(axis=1) > 1.0),
+    }
+
+
+def goals_of(found: Sequence[Moves]) -> list[Goal]:
+    """Hold the moves of all records against the goals."""
+    goals = []
+    for name, change in CHANGES.items():
+        largest = np.array([moves[name].max() for moves in found if name in moves])
+        if change.quantile < 1.0:
+            within_usual = share(largest <= change.usual).value
+            words = f"{name}: records that move by at most {change.usual:g}"
+            goals.append(at_least(words, within_usual, change.quantile))
+        most = float(min(largest.max(), 1e9)) if largest.size else float("nan")
+        goals.append(at_most(f"{name}: largest move", most, change.most))
+    live = [float(moves[LIVE].max()) for moves in found if LIVE in moves]
+    goals.append(at_most(f"{LIVE}: largest move", max(live, default=float("nan")), _LIVE_LIMIT))
+    return goals
+
+
+BENCHMARK = Benchmark(run, EPILOG, contacts=(20, 3))
