@@ -205,7 +205,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
     there = posterior.evidence(points, best.maximum, [scales])[0]
-    here = evidence_under(posterior, points, linear, best.maximum.errors)
+    here = evidence_under(posterior, points, linear, best.maximum.errors, LOG_GN)
     gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
     log_gain = float(np.logaddexp(modes.log_gain, gain))

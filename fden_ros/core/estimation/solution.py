@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -192,14 +192,23 @@ def log_evidence(density: Density, points: Points, maximum: Maximum, errors: Err
     return -0.5 * float(misfit + log_det + np.linalg.slogdet(normal)[1])
 
 
-def evidence_under(density: Density, points: Points, solution: Solution, errors: Errors) -> float:
-    """Return the log evidence of a solution, over all scales, as it is under other errors.
+def evidence_under(
+    density: Density,
+    points: Points,
+    solution: Solution,
+    errors: Errors,
+    held: int | None = None,
+) -> float:
+    """Return the log evidence of a solution as it is under other errors.
 
     Where solutions are compared the errors are the same: each has its own at its stiffness, and
-    where more is stated of them than there is the softer tissue would win.
+    where more is stated of them than there is the softer tissue would win. `held` is that of
+    `averaged`.
     """
-    best = solution.maximum
-    if errors is best.errors:
+    maximum = solution.maximum
+    if errors is maximum.errors:
         return solution.log_evidence
-    there = log_evidence(density, points, best, errors)
-    return solution.log_evidence + there - log_evidence(density, points, best, best.errors)
+    place = (WeighedScales(maximum.scales, 0.0),)
+    there = averaged(density, points, replace(maximum, errors=errors), place, held)
+    own = averaged(density, points, maximum, place, held)
+    return solution.log_evidence + there.log_evidence - own.log_evidence
