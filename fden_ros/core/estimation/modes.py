@@ -37,6 +37,9 @@ _SAME = 0.2
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
 #: far above it [1].
 _NEAR, _BENT = 0.05, 0.3
+#: A linear law that is less likely than the bend by this logarithm after as many steps is not
+#: sought on [1].
+_HOPELESS, _FIRST_STEPS = 40.0, 2
 #: ln Gn of a linear law is below the boundary by this [1].
 _BELOW = 1e-3
 
@@ -199,7 +202,12 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     state = best.maximum.state.copy()
     state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
     scales = best.best_scales
-    linear = posterior.given(LOG_GN, points, state, scales)
+    linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS)
+    if not linear.is_solved:
+        here = evidence_under(posterior, points, linear, best.maximum.errors, LOG_GN)
+        if here < best.log_evidence - _HOPELESS:
+            return modes
+        linear = posterior.given(LOG_GN, points, linear.maximum.state, scales)
     mean = float(posterior.belief.mean[LOG_GN])
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))

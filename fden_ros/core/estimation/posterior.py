@@ -208,8 +208,12 @@ class Posterior(Density):
             return found
         return replace(found, considered=self._considered(points, found.maximum))
 
-    def given(self, place: int, points: Points, state: Array, scales: Scales) -> Solution:
+    def given(
+        self, place: int, points: Points, state: Array, scales: Scales, most: int = MOST_STEPS
+    ) -> Solution:
         """Return the posterior given the unknown at a place, at one place of the grid.
+
+        `most`: steps at most.
 
         Raises
         ------
@@ -219,7 +223,7 @@ class Posterior(Density):
         other = copy.copy(self)
         other._held = place
         with np.errstate(over="ignore", invalid="ignore"):
-            best = other.maximum(points, state, scales, NEARLY_FOUND)
+            best = other.maximum(points, state, scales, NEARLY_FOUND, most)
             return averaged(other, points, best, (WeighedScales(scales, 0.0),), place)
 
     def _considered(self, points: Points, maximum: Maximum) -> Array:
