@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fden_msgs.msg import TissueEstimate
+from fden_msgs.msg import PalpationSummary, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from live_helpers import LIMIT, PARAMETERS, ROOT, Ears, command_of, node_process, process_of
 from output_helpers import ESTIMATE, summary
@@ -40,9 +40,12 @@ from fden_ros.core.outputs import (
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
+from fden_ros.planning.region import Presses, Region
 from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
+from fden_ros.ros.topics import latched
 from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation.phantom import Phantom
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column
 from fden_ros.tissue_feed import TissueFeed
@@ -238,6 +241,29 @@ def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path):
         ears.wait_for(
             lambda: not ears.node.count_publishers("/fden_live/force"), "everybody's end"
         )
+
+
+def test_the_planner_s_presses_are_made_and_drawn(tmp_path):
+    picture, phantom = tmp_path / "map.png", Phantom()
+    region = Region((0.0, 0.0), (phantom.side, phantom.side))
+    first = region.propose(Presses.of([])).places[0]
+    with Ears() as ears:
+        summaries = ears.hear(PalpationSummary, "/fden_live/identifier/palpation", latched(100))
+        command = [sys.executable, "-m", "fden_ros.cli", "live", "--plan", str(picture)]
+        with process_of(command) as live:
+            ears.wait_for(lambda: len(summaries) > 1, "two presses")
+            live.send_signal(signal.SIGINT)
+            assert live.wait(LIMIT) == 0
+    places = [[one.position.x, one.position.y] for one in summaries[:2]]
+    second = region.propose(Presses(np.array([first]), np.zeros(1), np.ones(1))).places[0]
+    np.testing.assert_allclose(places, [first, second], atol=2e-4)
+    assert summaries[0].max_force < 3.0
+    stiffer = phantom.is_stiffer(np.array(places))
+    truth = phantom.linear_stiffness * np.where(stiffer > 0.0, phantom.discs[0][3], 1.0)
+    found = [one.linear_stiffness for one in summaries[:2]]
+    np.testing.assert_allclose(found, truth, rtol=0.1)
+    assert "presses; press at (" in live.output and "planner" in live.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 # What a controller is told: of states directly, and of a live identifier that freezes or dies

@@ -10,11 +10,21 @@ import contextlib
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import positive
+import yaml
+
+from fden_ros.commands.command import positive, write
+from fden_ros.errors import InputError
+from fden_ros.simulation.phantom import Phantom
+
+if TYPE_CHECKING:
+    from fden_ros.core.outputs import ContactSummary
+    from fden_ros.nodes.monitor import Monitor
 
 DESCRIPTION = """\
 Start the tissue simulator, the identifier and the force controller, each in a process of its own,
@@ -26,6 +36,7 @@ examples:
   fden live                          the controller presses four sites, one with an inclusion
   fden live --fixed                  the same with fixed gains
   fden live --duration 30            for half a minute
+  fden live --plan map.png           a planner says where to press a square with a stiffer disc
 """
 
 NAMESPACE = "/fden_live"
@@ -43,27 +54,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="parameters of the three nodes (default: config/tissue_simulator.yaml)",
     )
     parser.add_argument("--fixed", action="store_true", help="fixed gains")
+    parser.add_argument(
+        "--plan",
+        nargs="?",
+        type=Path,
+        const=Path("map.png"),
+        metavar="PICTURE",
+        help="press a region as the node planner proposes; at the end draw presses, map and truth "
+        "(default: map.png)",
+    )
     parser.add_argument("--duration", type=positive, metavar="S", help="stop after this time [s]")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the live system; return the exit code."""
     from fden_ros.commands.monitor import watch
-    from fden_ros.errors import InputError
     from fden_ros.shipped import shipped
 
     path = args.parameters or shipped("config/tissue_simulator.yaml")
     if not path.is_file():
         raise InputError(f"{path}: there is no such parameter file; give one by --parameters")
-    scheduled = str(not args.fixed).lower()
     settings = {
         "tissue_simulator": "",
         "identifier": "autostart:=true",
-        "force_controller": f"scheduled:={scheduled}",
+        "force_controller": f"scheduled:={str(not args.fixed).lower()}",
     }
-    with _running(path, NAMESPACE, settings) as nodes:
+    summaries: tuple[ContactSummary, ...] = ()
+    with contextlib.ExitStack() as opened:
+        if args.plan is not None:
+            folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
+            path = _planning(folder, path, shipped("config/priors/liver.yaml"))
+            settings["planner"] = ""
+        nodes = opened.enter_context(_running(path, NAMESPACE, settings))
 
-        def look() -> None:
+        def look(monitor: Monitor) -> None:
+            nonlocal summaries
+            summaries = monitor.summaries
             for name, process in nodes.items():
                 if process.poll() is not None:
                     raise InputError(f"{name} ended early, with exit code {process.returncode}")
@@ -71,7 +97,55 @@ def run(args: argparse.Namespace) -> int:
         with contextlib.suppress(KeyboardInterrupt):
             watch(f"{NAMESPACE}/identifier", duration=args.duration, look=look)
     print("stopped " + ", ".join(nodes))
+    if args.plan is not None:
+        _draw(args.plan, summaries)
     return 0
+
+
+def _planning(folder: Path, usual: Path, prior: Path) -> Path:
+    """Write the nodes' parameters with which a phantom is pressed as a planner proposes."""
+    phantom = Phantom()
+    values: dict[str, dict[str, Any]] = {
+        "tissue_simulator": phantom.parameters(),
+        "planner": {
+            "parameters": [str(usual), str(prior)],
+            # As the simulator's sensors are.
+            "noise": 1e-3,
+            "rate": 250.0,
+            "displacement_noise": 1e-6,
+        },
+        "force_controller": {
+            "planner": "planner",
+            "region": [0.0, 0.0, phantom.side, phantom.side],
+            "force_limit": 3.0,
+            "lift": 0.002,
+        },
+    }
+    sections = yaml.safe_load(usual.read_text(encoding="utf-8")) | {
+        f"{NAMESPACE}/{name}": {"ros__parameters": value} for name, value in values.items()
+    }
+    path = folder / "plan.yaml"
+    path.write_text(yaml.safe_dump(sections), encoding="utf-8")
+    return path
+
+
+def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
+    """Draw the presses, the map that they tell and the truth; say what is known."""
+    from fden_ros.planning.region import Presses, Region
+    from fden_ros.report.region_picture import draw_region
+    from fden_ros.report.style import save
+
+    phantom, presses = Phantom(), Presses.found(summaries)
+    if not presses.logs.size:
+        raise InputError("no press has told a stiffness: there is nothing to draw")
+    region = Region((0.0, 0.0), (phantom.side, phantom.side))
+    found = region.propose(presses)
+    print(f"{presses.logs.size} presses; {found.line()}")
+
+    def draw(figure: Any) -> None:
+        draw_region(figure, region, presses, found, phantom.is_stiffer)
+
+    write(path, lambda path: save(draw, path))
 
 
 @contextlib.contextmanager

@@ -10,8 +10,12 @@ import contextlib
 import signal
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from fden_ros.commands.command import positive
+
+if TYPE_CHECKING:
+    from fden_ros.nodes.monitor import Monitor
 
 DESCRIPTION = """\
 Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
@@ -46,9 +50,9 @@ def watch(
     identifier: str,
     *,
     duration: float | None = None,
-    look: Callable[[], object] = lambda: None,
+    look: Callable[[Monitor], object] = lambda monitor: None,
 ) -> None:
-    """Show an identifier until `duration` [s] is over; call `look` again and again.
+    """Show an identifier until `duration` [s] is over; call `look` with it again and again.
 
     Raises
     ------
@@ -69,8 +73,8 @@ def watch(
         Live(console=console, auto_refresh=False, transient=False) as live,
     ):
         while not noted and (end is None or time.monotonic() < end):
-            look()
             monitor.spin(_PERIOD)
+            look(monitor)
             live.update(monitor_view(monitor.view()), refresh=True)
     if not console.is_terminal:
         console.line()  # rich ends the last line on terminals only

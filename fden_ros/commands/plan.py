@@ -229,8 +229,14 @@ def _rows(path: Path) -> list[tuple[float, float, float, float]]:
     return [
         (*one["position"][:2], one["apparent_stiffness"], one["apparent_stiffness_sd"])
         for one in _contacts(path)
-        if one.get("position") and one.get("apparent_stiffness")
+        if one.get("position") and one.get("apparent_stiffness") and not _is_withheld(one)
     ]
+
+
+def _is_withheld(contact: dict[str, Any]) -> bool:
+    from fden_ros.core.outputs import WITHHELD, Flag
+
+    return any(Flag[name.upper()] & WITHHELD for name in contact.get("flags", ()))
 
 
 def _tissue(path: Path) -> TissueBelief:

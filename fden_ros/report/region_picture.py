@@ -5,20 +5,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from matplotlib.figure import Figure
 
+from fden_ros.core.arrays import Array
 from fden_ros.planning.region import Presses, Proposal, Region
 from fden_ros.report import style
 
+#: Places along a side at which the truth is drawn.
+_FINE = 200
 
-def draw_region(figure: Figure, region: Region, presses: Presses, found: Proposal) -> None:
-    """Draw N/m and the probability of being stiffer, each with the boundary."""
+
+def draw_region(
+    figure: Figure,
+    region: Region,
+    presses: Presses,
+    found: Proposal,
+    truth: Callable[[Array], Array] | None = None,
+) -> None:
+    """Draw N/m and the probability of being stiffer, each with the boundary.
+
+    `truth`, where it is known, gives 1 at places (n, 2) [m] that are stiffer; it is dashed.
+    """
     assert found.known is not None
     shape = tuple(axis.size for axis in region.axes)
     x, y = (1e3 * axis for axis in region.axes)
     chance = found.known.probability.reshape(shape).T
     stiffness = np.exp(found.known.mean).reshape(shape).T
+    fine_axes = [1e3 * np.linspace(axis[0], axis[-1], _FINE) for axis in region.axes]
+    fine = 1e-3 * np.stack(np.meshgrid(*fine_axes, indexing="ij"), axis=-1).reshape(-1, 2)
     panels = figure.subplots(1, 2, sharey=True)
     shown = (stiffness, "stiffness [N/m]"), (chance, "probability of being stiffer")
     for axes, (values, title) in zip(panels, shown, strict=True):
@@ -26,6 +43,9 @@ def draw_region(figure: Figure, region: Region, presses: Presses, found: Proposa
         figure.colorbar(mesh, ax=axes)
         if chance.min() < found.known.level < chance.max():
             axes.contour(x, y, chance, [found.known.level], colors=style.TRUTH)
+        if truth is not None:
+            stiffer = truth(fine).reshape(_FINE, _FINE).T
+            axes.contour(*fine_axes, stiffer, [0.5], colors="white", linestyles="dashed")
         axes.plot(*(1e3 * presses.places.T), "o", color="white", markersize=3)
         if not found.is_done:
             axes.plot(*(1e3 * found.places.T), "x", color=style.TRUTH, markersize=9)
