@@ -144,14 +144,16 @@ def _partitions(course: Course) -> list[Cuts]:
     if not active.any():
         return found
     stroke = float(np.ptp(np.quantile(middles[active], [0.05, 0.95])))
-    for sign in (1.0, -1.0):
-        turns = find_peaks(sign * motion, prominence=max(_STROKE * stroke, 1e-300))[0]
+    least = max(_STROKE * stroke, 1e-300)
+    farthest, nearest = (find_peaks(sign * motion, prominence=least)[0] for sign in (1.0, -1.0))
+    for turns, opposite in ((farthest, nearest), (nearest, farthest)):
         turns = turns[:: max(math.ceil(turns.size / _MOST_PARTS), 1)]
         ends = [0]
         for turn in turns:
             if min(turn - ends[-1], motion.size - turn) >= _LEAST_CHUNKS:
                 ends.append(int(turn))
-        if len(ends) > 1:
+        # Half a press fits any sign, with a memory of its own: a cut leaves no two halves alone.
+        if len(ends) > 1 and opposite.size:
             found.append(list(zip(ends, [*ends[1:], motion.size], strict=True)))
     return found
 
