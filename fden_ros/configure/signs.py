@@ -43,8 +43,6 @@ _KNOTS = 6
 _STROKE = 0.4
 #: Parts are fitted one by one up to this number, and from this number of chunks on.
 _MOST_PARTS, _LEAST_CHUNKS = 40, 10
-#: A reading explains the whole where it leaves this part of what the worst one leaves [1].
-_EXPLAINED = 0.01
 
 #: Signs of force and motion.
 _READINGS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
@@ -92,23 +90,15 @@ def find_signs(courses: Sequence[Course]) -> Signs:
 
 
 def _compared(course: Course) -> Array:
-    """Return ln of the likelihoods (4,), with those cuts with which any reading fits best.
-
-    Where another reading is best of the whole, and explains it, neither excludes the other.
-    """
+    """Return ln of the likelihoods (4,), with those cuts with which any reading fits best."""
     course = min((_shifted(course, delay) for delay in _DELAYS), key=_misfit)
     least, found = math.inf, np.zeros(len(_READINGS))
-    of_whole: Array | None = None
-    for count, cuts in enumerate(_partitions(course)):
+    for cuts in _partitions(course):
         parts = [[_residual(course, a, b, reading) for reading in _READINGS] for a, b in cuts]
-        misfits = np.array([[float(r @ r) for r in part] for part in parts])
-        if float(misfits.sum(axis=0).min()) < least:
-            least = float(misfits.sum(axis=0).min())
+        misfit = float(np.sum([[r @ r for r in part] for part in parts], axis=0).min())
+        if misfit < least:
+            least = misfit
             found = sum((_log_likelihoods(part) for part in parts), np.zeros(len(_READINGS)))
-        if count == 0 and least < _EXPLAINED * float(misfits.sum(axis=0).max()):
-            of_whole = found
-    if of_whole is not None and np.argmax(of_whole) != np.argmax(found):
-        return np.maximum(of_whole - of_whole.max(), found - found.max())
     return found
 
 
