@@ -24,6 +24,8 @@ LARGEST_SD = math.radians(5.0) / 2.45
 _TOGETHER = 0.5
 #: Force and motion of a contact are compared by their changes over this part of it.
 _CHANGES = 20
+#: A single contact shows by its quarters how far its direction holds.
+_QUARTERS = 4
 #: No drive runs straighter than this [m]: a short stroke shows no direction.
 _STRAIGHT = 5e-6
 #: Approach to a contact and retreat are looked at for this time [s], and count from this many
@@ -136,7 +138,7 @@ def _from_touches(sessions: tuple[Session, ...], lines: Lines) -> Axes:
     force = _combined([_force_part(*one, direction) for one in contacts], basis)
     if lines.into.size == 1:
         return Axes(force, Axis(lines.into, 0.0, basis), sessions)
-    parts = [_motion_part(*one, direction) for one in contacts]
+    parts = [part for one in contacts for part in _motion_parts(*one, direction)]
     weights = [float(np.linalg.norm(part.vector)) for part in parts]
     together = float(np.average([part.correlation for part in parts], weights=weights))
     displacement = _combined(parts, basis) if together >= _TOGETHER else None
@@ -163,19 +165,23 @@ def _force_part(session: Session, contact: Contact, direction: Array) -> _Part:
     return _Part(push.T @ along, noise)
 
 
-def _motion_part(session: Session, contact: Contact, direction: Array) -> _Part:
-    """Return the motion that goes with the force of a contact."""
+def _motion_parts(session: Session, contact: Contact, direction: Array) -> list[_Part]:
+    """Return the motion that goes with the force, of each quarter of a contact."""
     push, position = session.net[contact.span] @ direction, session.position[contact.span]
     # Changes over a short time: in a hold the force relaxes without any motion.
     lag = max(2, len(push) // _CHANGES)
     moved, rose = position[lag:] - position[:-lag], push[lag:] - push[:-lag]
     rose = rose / max(float(np.sqrt(np.mean(rose**2))), 1e-300)
-    vector: Array = moved.T @ rose
-    length = float(np.linalg.norm(vector))
-    along = moved @ (vector / max(length, 1e-300))
+    whole: Array = moved.T @ rose
+    length = float(np.linalg.norm(whole))
+    along = moved @ (whole / max(length, 1e-300))
     correlation = length / max(rose.size * float(np.sqrt(np.mean(along**2))), 1e-300)
-    noise = float(np.mean(session.motion_chunk_noise)) * math.sqrt(2.0 * rose.size)
-    return _Part(vector, noise, correlation)
+    noise = float(np.mean(session.motion_chunk_noise))
+    quarters = zip(np.array_split(moved, _QUARTERS), np.array_split(rose, _QUARTERS), strict=True)
+    return [
+        _Part(some.T @ part, noise * math.sqrt(2.0 * part.size), correlation)
+        for some, part in quarters
+    ]
 
 
 def _approach_axis(contacts: Sequence[tuple[Session, Contact]]) -> Axis | None:
