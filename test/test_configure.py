@@ -122,9 +122,7 @@ def test_of_200_other_rigs_nothing_is_stated_wrongly_and_intervals_hold():
     for seed in range(5000, 5200):
         rig = simulate_rig(seed)
         judged.append(judge(survey([rig.streams]), rig.truth))
-    wrong = {one.seed for one in judged if one.misses}
-    # An axis from the only contact that is seen: 13 degrees off, stated to 0.014.
-    assert wrong <= {5045}
+    assert [one.seed for one in judged if one.misses] == []
     assert [one.seed for one in judged if one.unfounded] == []
     for name in judged[0].subjects:
         errors = np.array([error for one in judged for error in one.errors.get(name, [])])
