@@ -104,15 +104,21 @@ def run(args: argparse.Namespace) -> int:
 
 def _planning(folder: Path, usual: Path, prior: Path) -> Path:
     """Write the nodes' parameters with which a phantom is pressed as a planner proposes."""
+    from fden_ros.nodes import tissue_simulator
+    from fden_ros.parameters.files import read_sections
+
     phantom = Phantom()
-    values: dict[str, dict[str, Any]] = {
+    simulated = {name: default for name, default, _ in tissue_simulator.PARAMETERS}
+    for section in read_sections(usual):
+        if section.is_for(f"{NAMESPACE}/tissue_simulator"):
+            simulated |= section.values
+    planned: dict[str, dict[str, Any]] = {
         "tissue_simulator": phantom.parameters(),
         "planner": {
             "parameters": [str(usual), str(prior)],
-            # As the simulator's sensors are.
-            "noise": 1e-3,
-            "rate": 250.0,
-            "displacement_noise": 1e-6,
+            "noise": simulated["force.noise"],
+            "rate": simulated["force.rate"],
+            "displacement_noise": simulated["displacement.noise"],
         },
         "force_controller": {
             "planner": "planner",
@@ -121,11 +127,9 @@ def _planning(folder: Path, usual: Path, prior: Path) -> Path:
             "lift": 0.002,
         },
     }
-    sections = yaml.safe_load(usual.read_text(encoding="utf-8")) | {
-        f"{NAMESPACE}/{name}": {"ros__parameters": value} for name, value in values.items()
-    }
+    tree = {f"{NAMESPACE}/{name}": {"ros__parameters": more} for name, more in planned.items()}
     path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump(sections), encoding="utf-8")
+    path.write_text(f"{usual.read_text(encoding='utf-8')}\n{yaml.safe_dump(tree)}", "utf-8")
     return path
 
 

@@ -52,7 +52,7 @@ def watch(
     duration: float | None = None,
     look: Callable[[Monitor], object] = lambda monitor: None,
 ) -> None:
-    """Show an identifier until `duration` [s] is over; call `look` with it again and again.
+    """Show an identifier until `duration` [s] is over; call `look` with what is heard, each time.
 
     Raises
     ------

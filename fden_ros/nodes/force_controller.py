@@ -129,13 +129,12 @@ class ForceControllerNode(Node):
         if self._bias is None:
             self._tare(force, now)
             return
+        force -= self._bias
         if self._planned is not None:
-            force -= self._bias
             self._send(velocity=self._planned.velocity(now, force, self._depth, self._place))
             return
         self._follow_program(now)
         reading = self._feed.reading() if self._values["scheduled"] else None
-        force -= self._bias
         velocity = self._controller.step(now, force, self._depth, self._target, reading)
         if self._target <= 0.0 and self._depth < -self._values["lift"]:
             velocity = 0.0

@@ -34,8 +34,7 @@ def draw_region(
     x, y = (1e3 * axis for axis in region.axes)
     chance = found.known.probability.reshape(shape).T
     stiffness = np.exp(found.known.mean).reshape(shape).T
-    fine_axes = [1e3 * np.linspace(axis[0], axis[-1], _FINE) for axis in region.axes]
-    fine = 1e-3 * np.stack(np.meshgrid(*fine_axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    stiffer = _on_fine_grid(region, truth) if truth is not None else None
     panels = figure.subplots(1, 2, sharey=True)
     shown = (stiffness, "stiffness [N/m]"), (chance, "probability of being stiffer")
     for axes, (values, title) in zip(panels, shown, strict=True):
@@ -43,9 +42,8 @@ def draw_region(
         figure.colorbar(mesh, ax=axes)
         if chance.min() < found.known.level < chance.max():
             axes.contour(x, y, chance, [found.known.level], colors=style.TRUTH)
-        if truth is not None:
-            stiffer = truth(fine).reshape(_FINE, _FINE).T
-            axes.contour(*fine_axes, stiffer, [0.5], colors="white", linestyles="dashed")
+        if stiffer is not None:
+            axes.contour(*stiffer, [0.5], colors="white", linestyles="dashed")
         axes.plot(*(1e3 * presses.places.T), "o", color="white", markersize=3)
         if not found.is_done:
             axes.plot(*(1e3 * found.places.T), "x", color=style.TRUTH, markersize=9)
@@ -53,3 +51,10 @@ def draw_region(
         axes.set_title(title)
         axes.set_xlabel("x [mm]")
     panels[0].set_ylabel("y [mm]")
+
+
+def _on_fine_grid(region: Region, truth: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+    """Return x and y [mm] and the truth there, as contours take them."""
+    x, y = (np.linspace(axis[0], axis[-1], _FINE) for axis in region.axes)
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    return 1e3 * x, 1e3 * y, truth(places).reshape(_FINE, _FINE).T

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,8 +36,7 @@ class Phantom:
 
     def is_stiffer(self, places: FloatArray) -> FloatArray:
         """Return 1 at those of the places (n, 2) that lie in a disc, otherwise 0, (n,)."""
-        factors = self._factors(places)
-        return np.asarray(factors > 1.0, dtype=float)
+        return np.asarray(self._factors(places) > 1.0, dtype=float)
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters of the node ``tissue_simulator`` for its sites."""
@@ -56,6 +54,6 @@ class Phantom:
     def _factors(self, places: FloatArray) -> FloatArray:
         factors = np.ones(len(places))
         for x, y, radius, factor in self.discs:
-            inside = np.array([math.hypot(a - x, b - y) < radius for a, b in places])
+            inside = np.linalg.norm(places - [x, y], axis=1) < radius
             factors = np.where(inside, np.maximum(factors, factor), factors)
         return factors
