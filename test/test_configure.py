@@ -42,7 +42,7 @@ DATA = os.environ.get("FDEN_DATA")
 PRESS = Path(__file__).parents[1] / "examples" / "press.csv"
 #: A dozen rigs of every kind; see `test_the_dozen_rigs_are_of_every_kind`.
 DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
-    (1002, {}),
+    (1008, {}),
     (1009, {}),
     (1025, {"tissue": False}),
     (1028, {}),
@@ -56,7 +56,7 @@ DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
     (1089, {}),
 )
 #: Those that are looked at in each run.
-OFTEN = (1009, 1025, 1058, 1071, 1075)
+OFTEN = (1008, 1009, 1025, 1031, 1058, 1071, 1075)
 #: Whole recordings: turns, a plate and tissue.
 WHOLE: dict[str, Any] = {
     "turns": True,

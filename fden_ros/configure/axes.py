@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from fden_ros.configure.finding import Finding, unknown
-from fden_ros.configure.session import Contact, Lines, Session
+from fden_ros.configure.session import DRIFT_PART, Contact, Lines, Session
 from fden_ros.configure.signs import LEAST_RATIO
 from fden_ros.core.arrays import Array
 
@@ -28,6 +28,8 @@ _CHANGES = 20
 _QUARTERS = 4
 #: No drive runs straighter than this [m]: a short stroke shows no direction.
 _STRAIGHT = 5e-6
+#: What is said of directions from a probe that was never seen in the air.
+_NEVER = "contact that never ends for sure"
 #: Approach to a contact and retreat are looked at for this time [s], and count from this many
 #: deviations of the position's noise on.
 _APPROACH, _LEAST_APPROACH, _LEAST_CHUNKS = 0.8, 20.0, 5
@@ -94,7 +96,7 @@ def find_axes(sessions: Sequence[Session]) -> Axes:
         return _from_touches(chosen, lines)
     return Axes(
         _split_axis([s.force[~s.turning] for s in touched], lines.grows),
-        _split_axis([s.position[~s.turning] for s in touched], lines.into),
+        _motion_axis(touched, lines),
         touched,
     )
 
@@ -135,7 +137,7 @@ def _from_touches(sessions: tuple[Session, ...], lines: Lines) -> Axes:
     pushes = [session.net[contact.span] for session, contact in contacts]
     direction = np.linalg.svd(np.concatenate(pushes), full_matrices=False)[2][0]
     direction = direction * math.copysign(1.0, float(direction @ lines.grows))
-    force = _combined([_force_part(*one, direction) for one in contacts], basis)
+    force = _combined([part for one in contacts for part in _force_parts(*one, direction)], basis)
     if lines.into.size == 1:
         return Axes(force, Axis(lines.into, 0.0, basis), sessions)
     parts = [part for one in contacts for part in _motion_parts(*one, direction)]
@@ -155,14 +157,29 @@ def _from_touches(sessions: tuple[Session, ...], lines: Lines) -> Axes:
     return Axes(force, displacement, sessions, reason)
 
 
-def _force_part(session: Session, contact: Contact, direction: Array) -> _Part:
-    """Return the force of a contact, every chunk weighted by its size."""
-    push = session.net[contact.span]
-    along = push @ direction
-    # Noise of the force, and of the level in the air: that of two medians over 2 s.
+def _force_parts(session: Session, contact: Contact, direction: Array) -> list[_Part]:
+    """Return the force of each quarter of a contact, every chunk weighted by its size."""
     chunk = float(np.mean(session.force_chunk_noise))
-    noise = chunk * math.hypot(float(np.linalg.norm(along)), 0.28 * float(np.sum(along)))
-    return _Part(push.T @ along, noise)
+    parts = []
+    for net, drift in zip(
+        np.array_split(session.net[contact.span], _QUARTERS),
+        np.array_split(_drift_sd(session, direction)[contact.span], _QUARTERS),
+        strict=True,
+    ):
+        along = net @ direction
+        # The level in the air is wrong alike in all quarters, by the noise of two medians over
+        # 2 s and by the drift.
+        level = float(np.abs(along) @ np.hypot(0.28 * chunk, drift)) * math.sqrt(_QUARTERS)
+        parts.append(_Part(net.T @ along, math.hypot(chunk * float(np.linalg.norm(along)), level)))
+    return parts
+
+
+def _drift_sd(session: Session, direction: Array) -> Array:
+    """Return how far the force's level may have drifted off since the nearest air (n,)."""
+    times, seen = session.times, session.times[session.air]
+    after = np.clip(np.searchsorted(seen, times), 1, seen.size - 1)
+    away = np.minimum(np.abs(times - seen[after - 1]), np.abs(times - seen[after]))
+    return np.asarray(DRIFT_PART * float(np.ptp(session.net[~session.turning] @ direction)) * away)
 
 
 def _motion_parts(session: Session, contact: Contact, direction: Array) -> list[_Part]:
@@ -170,7 +187,9 @@ def _motion_parts(session: Session, contact: Contact, direction: Array) -> list[
     push, position = session.net[contact.span] @ direction, session.position[contact.span]
     # Changes over a short time: in a hold the force relaxes without any motion.
     lag = max(2, len(push) // _CHANGES)
-    moved, rose = position[lag:] - position[:-lag], push[lag:] - push[:-lag]
+    turning = session.turning[contact.span]
+    still = ~(turning[lag:] | turning[:-lag])
+    moved, rose = (position[lag:] - position[:-lag])[still], (push[lag:] - push[:-lag])[still]
     rose = rose / max(float(np.sqrt(np.mean(rose**2))), 1e-300)
     whole: Array = moved.T @ rose
     length = float(np.linalg.norm(whole))
@@ -238,14 +257,22 @@ def _combined(parts: Sequence[_Part], basis: str) -> Axis | None:
     return Axis(direction, max(scatter, noise), basis)
 
 
+def _motion_axis(sessions: Sequence[Session], lines: Lines) -> Axis:
+    """Return the direction of the motion that goes with the force of a probe never in the air."""
+    if lines.into.size == 1:
+        return Axis(lines.into, 0.0, _NEVER)
+    contacts = [(session, contact) for session in sessions for contact in session.contacts]
+    parts = [part for one in contacts for part in _motion_parts(*one, lines.grows)]
+    return _combined(parts, _NEVER) or Axis(lines.into, math.inf, _NEVER)
+
+
 def _split_axis(values: Sequence[Array], direction: Array) -> Axis:
     """Return the main direction of eight parts of values from a probe never seen in the air."""
-    basis = "contact that never ends for sure"
     if direction.size == 1:
-        return Axis(direction, 0.0, basis)
+        return Axis(direction, 0.0, _NEVER)
     parts = []
     for block in values:
         for some in np.array_split(block, 8):
             centred = some - some.mean(axis=0)
             parts.append(_Part(centred.T @ (centred @ direction), 0.0))
-    return _combined(parts, basis) or Axis(direction, math.inf, basis)
+    return _combined(parts, _NEVER) or Axis(direction, math.inf, _NEVER)

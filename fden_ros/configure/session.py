@@ -28,7 +28,7 @@ _PART = 0.003
 #: Medians over this time [s] show the level in the air, which drifts by 0.2 % of the range a
 #: second at most.
 _WINDOW = 0.6
-_DRIFT_PART = 0.002
+DRIFT_PART = 0.002
 #: The force in the air is followed by medians over this time [s].
 _FOLLOW = 2.0
 #: Force and motion are compared by their changes over this part of a recording.
@@ -311,7 +311,7 @@ def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
         while len(hull) > 1 and _is_above(knots, levels, hull[-2], hull[-1], new):
             hull.pop()
         hull.append(new)
-    steepest = _DRIFT_PART * float(np.ptp(push[still]))
+    steepest = DRIFT_PART * float(np.ptp(push[still]))
     middle = int(np.argmin(levels[hull]))
     kept = [hull[middle]]
     for some in (hull[middle + 1 :], hull[:middle][::-1]):
