@@ -317,6 +317,17 @@ def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:
     assert sizes[2] - sizes[1] == pytest.approx(sizes[1] - sizes[0], abs=15)
 
 
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 1000.0])
+def test_a_press_has_the_same_blocks_whenever_it_begins(rate: float) -> None:
+    def counts(start: float) -> list[float]:
+        record = Record()
+        for k in range(round(3.0 * rate)):
+            record.add(start + k / rate, min(0.2 * k / rate, 0.2), 100.0, is_observed=True)
+        return record.points().counts.tolist()
+
+    assert counts(8.399989999999969) == counts(0.0) == counts(16.829979999999892)
+
+
 def test_blocks_keep_the_line_of_their_motion() -> None:
     press = pressed(4)
     points = points_of(press)

@@ -238,8 +238,22 @@ def test_one_contact_that_drifts_outweighs_a_hundred_that_did_not():
 
 
 def of_three_sites(name, own):
-    """Return the last contact of three sites."""
-    return trial_of(replace(case_of(name), sites=3), 0, own).contacts[-1]
+    """Return the last contact of three sites whose places are told."""
+    return trial_of(replace(case_of(name), sites=3, pitch_m=0.02), 0, own).contacts[-1]
+
+
+@pytest.mark.parametrize("number", [3, 5])
+def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(number, monkeypatch):
+    """Rounding of the time since the first touch made other blocks of the second press of a place
+    than of the first of another, whose evidence was then 30 lower: alpha was 6 to 11 deviations
+    off without a flag.
+    """
+    monkeypatch.setattr(presses, "RATE_HZ", 100.0)
+    contacts = trial_of(replace(case_of("undisturbed"), sites=3), number, {}).contacts
+    assert len(contacts) == 3
+    for contact in contacts:
+        assert contact.claims
+        assert np.all(np.abs(contact.error) < 2.5 * contact.deviation)
 
 
 @pytest.mark.parametrize(
@@ -257,7 +271,7 @@ def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
     if not breathes:
         stated = of_three_sites(name, {"force.learn_drift": False})
-        assert learned.deviation[0] < 0.95 * stated.deviation[0]
+        assert learned.deviation[0] < 0.97 * stated.deviation[0]
 
 
 def ratios(name, numbers):

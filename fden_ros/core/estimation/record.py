@@ -42,6 +42,9 @@ _MOST_OFF = 2e-4
 #: A block may last for this part of the time since the motion changed [1], while its compression
 #: changes by at most this [1].
 _GROWTH, _MOST_CHANGE = 0.05, 5e-4
+#: Times closer than this are the same [s]: rounding must not decide whether blocks are joined, or
+#: two records of one press would have other blocks, and their evidence could not be compared.
+_SAME_TIME = 1e-6
 #: A slope counts by half where it is as many of its standard deviations [1]: friction and delay
 #: would else meet the noise of the motion in a hold, which makes them less than they are.
 _SLOPE_DEVIATIONS = 3.0
@@ -275,7 +278,7 @@ class Record:
         change = abs(cell.compression / cell.count - last.compression / last.count)
         return (
             change < _MOST_CHANGE + _LINE_DEVIATIONS * self.noise_sd * spread
-            and cell.end - last.start <= _GROWTH * (cell.end - self._changed)
+            and cell.end - last.start <= _GROWTH * (cell.end - self._changed) + _SAME_TIME
         )
 
     def points(self) -> Points:
