@@ -36,7 +36,8 @@ CONVERGED = 1e-4
 #: The same where rounding lets no step lower it [1].
 _NEARLY_CONVERGED = 1e-3
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
-#: the distance [1], so that both cannot take turns.
+#: the distance [1], which falls as one over the steps: where a kink lies between two states each
+#: is the better one by its own variances, and the search took turns.
 _QUICK_STEPS, _FOLLOWING = 5, 0.5
 #: Stiffness by which a touch is held at a sample, over the stiffest of the normal equations [1].
 _HELD = 1e4
@@ -136,7 +137,8 @@ class MaximumSearch:
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
         for count in range(self._most):
-            at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
+            part = _FOLLOWING * _QUICK_STEPS / max(count, 1)
+            at = state if count < _QUICK_STEPS else at + part * (state - at)
             metric = self._metric(at, found if at is state else None)
             free = self._equations(state, found, metric)
             normal = free.normal
