@@ -317,7 +317,7 @@ def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:
     assert sizes[2] - sizes[1] == pytest.approx(sizes[1] - sizes[0], abs=15)
 
 
-@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 1000.0])
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 250.0, 1000.0])
 def test_a_press_has_the_same_blocks_whenever_it_begins(rate: float) -> None:
     def counts(start: float) -> list[float]:
         record = Record()

@@ -21,6 +21,8 @@ from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from fden_ros.core.estimation.drift_scale import (
     drift_evidence,
 )
+from fden_ros.core.estimation.either_place import Tissue as Belief
+from fden_ros.core.estimation.either_place import log_ratio
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.motion_scale import (
     LEAST_SHARE,
@@ -242,13 +244,13 @@ def of_three_sites(name, own):
     return trial_of(replace(case_of(name), sites=3, pitch_m=0.02), 0, own).contacts[-1]
 
 
-@pytest.mark.parametrize("number", [3, 5])
-def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(number, monkeypatch):
+@pytest.mark.parametrize(("rate", "number"), [(100.0, 3), (100.0, 5), (250.0, 24)])
+def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(rate, number, monkeypatch):
     """Rounding of the time since the first touch made other blocks of the second press of a place
     than of the first of another, whose evidence was then 30 lower: alpha was 6 to 11 deviations
     off without a flag.
     """
-    monkeypatch.setattr(presses, "RATE_HZ", 100.0)
+    monkeypatch.setattr(presses, "RATE_HZ", rate)
     contacts = trial_of(replace(case_of("undisturbed"), sites=3), number, {}).contacts
     assert len(contacts) == 3
     for contact in contacts:
@@ -424,6 +426,25 @@ def errors(seed: int, places: int) -> list[list[float]]:
         off = estimate.mean - [*truth, tissue.fractional_order]
         result.append((off / estimate.deviations).tolist())
     return result
+
+
+def test_the_evidence_under_another_prior_is_that_of_its_own_integral():
+    drawn = np.random.default_rng(4)
+    root = drawn.normal(size=(3, 3))
+    told_alone = root @ root.T  # precision of what the press tells
+    best = drawn.normal(size=3)
+    prior = Belief(np.zeros(3), np.diag([4.0, 1.0, 0.25]))
+    other = Belief(np.array([0.3, -0.2, 0.1]), np.diag([0.09, 0.04, 0.01]))
+    precision = told_alone + np.linalg.inv(prior.covariance)
+    covariance = np.linalg.inv(precision)
+    told = Belief(covariance @ told_alone @ best, covariance)
+
+    def integral(belief):
+        samples = drawn.multivariate_normal(belief.mean, belief.covariance, 400_000) - best
+        return np.mean(np.exp(-0.5 * np.einsum("ni,ij,nj->n", samples, told_alone, samples)))
+
+    expected = np.log(integral(other) / integral(prior))
+    assert log_ratio(prior, other, told, learns_order=True) == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("places", [1, 3])

@@ -18,7 +18,7 @@ from fden_ros.core.contact.detector import ContactConfig, Onset
 from fden_ros.core.contact.surface import Rise
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
-from fden_ros.core.estimation.either_place import EitherPlace, Placed
+from fden_ros.core.estimation.either_place import EitherPlace, Placed, Tissue
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
@@ -334,12 +334,13 @@ class Site:
             self.is_usable and isinstance(own, EitherPlace) and isinstance(new, PosteriorEstimator)
         ):
             return new
-        placed = own.likeliest
+        placed, before = own.likeliest, own.estimate()
+        last = Tissue(before.mean, before.covariance)
         placed.estimator.go_on_beside(new)
         self._rest_until(first.stamp_ns)
         shift = placed.shift + (origin - self.origin) / self._config.geometry.length
         same = Placed(placed.estimator, shift, placed.estimator.change_count)
-        return EitherPlace(self._config.estimator, same, Placed(new))
+        return EitherPlace(self._config.estimator, same, Placed(new, last=last))
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""

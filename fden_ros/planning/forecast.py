@@ -46,8 +46,8 @@ from fden_ros.planning.touch import Touch, touch_of, zero_sd
 #: Scales of the law's errors at which motions are compared, over the stated one [1]: of tissue
 #: that is all but the law's.
 _COMPARED = (0.1, 0.1, 0.05)
-#: Places of the scales that stand for all, of the smooth errors and of the roughness [1].
-_SMOOTH, _ROUGH = (0, 2, 3), (0, 1, 3)
+#: Places of the scales that stand for all [1]: of kernel and characteristic, and of the roughness.
+_SMOOTH, _ROUGH = ((0, 0), (2, 0), (2, 2)), (0, 1, 3)
 #: Standard deviation of the origin before a touch was simulated [1].
 _FIRST_ORIGIN_SD = 3e-3
 #: Standard deviations of the origin that a touch may be before its nominal place [1].
@@ -262,11 +262,10 @@ def _thinned(grid: Sequence[WeighedScales]) -> tuple[Sequence[WeighedScales], Sc
     each = [sorted({getattr(w.scales, name) for w in grid}) for name in Scales._fields]
     if len(each[0]) == 1:
         return grid, grid[0].scales
-    kernels, curves = ([values[k] for k in _SMOOTH] for values in each[:2])
+    pairs = [(each[0][i], each[1][j]) for i, j in _SMOOTH]
     rough = [each[2][k] for k in _ROUGH]
-    pairs = set(zip(kernels, curves, strict=True))
     kept = [w for w in grid if w.scales[:2] in pairs and w.scales.roughness in rough]
-    return kept, Scales(kernels[1], curves[1], rough[1], each[3][0])
+    return kept, Scales(*pairs[-1], rough[1], each[3][0])
 
 
 def _linearised(posterior: Posterior, points: Points, state: Array, scales: Scales) -> Solution:

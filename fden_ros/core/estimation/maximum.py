@@ -36,9 +36,9 @@ CONVERGED = 1e-4
 #: The same where rounding lets no step lower it [1].
 _NEARLY_CONVERGED = 1e-3
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
-#: the distance [1], which falls as one over the steps: where a kink lies between two states each
-#: is the better one by its own variances, and the search took turns.
-_QUICK_STEPS, _FOLLOWING = 5, 0.5
+#: the distance [1], so that both cannot take turns; after so many steps [1] by less and less:
+#: where a kink lies between two states each is the better one by its own variances.
+_QUICK_STEPS, _FOLLOWING, _PATIENCE = 5, 0.5, 15
 #: Stiffness by which a touch is held at a sample, over the stiffest of the normal equations [1].
 _HELD = 1e4
 #: Times that a touch held at a sample is moved on [1], and how far at most, in standard deviations
@@ -137,7 +137,7 @@ class MaximumSearch:
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
         for count in range(self._most):
-            part = _FOLLOWING * _QUICK_STEPS / max(count, 1)
+            part = _FOLLOWING * min(1.0, _PATIENCE / max(count, 1))
             at = state if count < _QUICK_STEPS else at + part * (state - at)
             metric = self._metric(at, found if at is state else None)
             free = self._equations(state, found, metric)

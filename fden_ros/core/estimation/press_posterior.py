@@ -14,6 +14,8 @@ import math
 from concurrent.futures import Executor
 from typing import NamedTuple
 
+import numpy as np
+
 from fden_ros.core.estimation.beside import Pending
 from fden_ros.core.estimation.change import (
     LOOK_PERIOD,
@@ -31,13 +33,16 @@ from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Record, Sample, points_after
 from fden_ros.core.estimation.search import Search, Solved
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
 from fden_ros.core.law.characteristic import elastic_response
 
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
+#: So is it when ln G, ln Gn or alpha has moved by this many standard deviations [1]: the filter
+#: is linear about the last solution, and went on by four of them in a hold of a minute.
+_MOVED = 1.0
 #: A solution is used so long after its record has ended [s]: it takes up to 40 ms. At 10 Hz that
 #: is with the next sample.
 SOLUTION_TIME = 0.095
@@ -236,7 +241,16 @@ class PressPosterior:
         return (
             self._now - self._start > _TIME_RATIO * elapsed
             or self.record.max_compression > _DEPTH_RATIO * depth > 0.0
+            or self._has_moved()
         )
+
+    def _has_moved(self) -> bool:
+        """Whether the filter is far from the solution about which it is linear."""
+        if self.solved is None or self.filter is None:
+            return False
+        law, best = slice(0, len(LAW)), self.solved.best
+        moved = np.square(self.filter.mean - best.mean)[law]
+        return bool(np.any(moved > _MOVED**2 * best.covariance.diagonal()[law]))
 
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts."""

@@ -42,8 +42,8 @@ _MOST_OFF = 2e-4
 #: A block may last for this part of the time since the motion changed [1], while its compression
 #: changes by at most this [1].
 _GROWTH, _MOST_CHANGE = 0.05, 5e-4
-#: Times closer than this are the same [s]: rounding must not decide whether blocks are joined, or
-#: two records of one press would have other blocks, and their evidence could not be compared.
+#: Times closer than this are the same [s]: rounding must not decide where blocks end and are
+#: joined, or two records of one press would have other blocks, whose evidence cannot be compared.
 _SAME_TIME = 1e-6
 #: A slope counts by half where it is as many of its standard deviations [1]: friction and delay
 #: would else meet the noise of the motion in a hold, which makes them less than they are.
@@ -245,7 +245,7 @@ class Record:
             return True
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        if time - cell.start > BLOCK_TIME - 0.5 * step:
+        if time - cell.start > BLOCK_TIME - 0.5 * step + _SAME_TIME:
             return True
         if cell.count < 2:
             return False

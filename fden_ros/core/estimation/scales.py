@@ -30,8 +30,8 @@ class WeighedScales(NamedTuple):
 
 #: Scales of the kernel's error and of the characteristic's, over the stated one of the latter [1]:
 #: from a law that is exact to one that is hardly a law. A kernel that is nearly the law's is less
-#: likely by the logarithm beside it, as is one that is hardly a law: 2 s of a hold look like a power
-#: law, and the rest of it is none. Chosen on measured beef of one day, held on that of another.
+#: likely by the logarithm beside it, as is one that is hardly a law: 2 s of a hold look like a
+#: power law, and the rest of it is none. Chosen on measured beef of one day, held on another's.
 KERNEL_FACTORS = (0.001, 0.1, 1.0, 2.0, 4.0)
 _KERNEL_LOG_PRIOR = (-2.0, -2.0, 0.0, 0.0, -1.0)
 CHARACTERISTIC_FACTORS = (0.001, 0.1, 0.5, 1.65, 5.0)
