@@ -189,6 +189,17 @@ def test_noise_alone_is_no_contact():
     assert not found.finding("lift-off").claim
 
 
+def test_a_press_whose_parts_noise_cuts_short_is_no_contact():
+    draw = np.random.default_rng(32)
+    times = np.arange(0.0, 4.0, 1 / 30)
+    depth = np.interp(times, [0.0, 1.0, 3.0, 4.0], [0.0, 0.0, 0.005, 0.0])[:, None]
+    force = (depth / 0.005) ** 2 + draw.normal(0.0, 0.2, (times.size, 1))
+    place = depth + draw.normal(0.0, 1e-5, depth.shape)
+    found = survey([Streams("faint", times, force, times, place)])
+    assert "no contact was seen" in found.finding("force axis").evidence
+    assert not found.finding("lift-off").claim
+
+
 # The command
 
 

@@ -86,9 +86,9 @@ class Axes:
 def find_axes(sessions: Sequence[Session]) -> Axes:
     """Find both axes from the contacts of one rig's recordings."""
     lines = next((session.lines for session in sessions if session.lines is not None), None)
-    if lines is None:
-        return Axes(None, None, (), "no contact was seen")
     touched = tuple(session for session in sessions if session.contacts)
+    if lines is None or not touched:
+        return Axes(None, None, (), "no contact was seen")
     if not lines.signs.is_stated:
         return Axes(None, None, touched, _two_readings(lines))
     chosen = tuple(session for session in touched if session.leaves)
