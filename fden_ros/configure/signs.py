@@ -119,9 +119,7 @@ def _shifted(course: Course, delay: float) -> Course:
 
 def _misfit(course: Course) -> float:
     """Return what the nearest reading of the whole leaves."""
-    return min(
-        _fitted(course, 0, course.times.size, reading).misfit for reading in _READINGS
-    )
+    return min(_fitted(course, 0, course.times.size, reading).misfit for reading in _READINGS)
 
 
 def _log_likelihoods(fits: Sequence[_Fit]) -> Array:
