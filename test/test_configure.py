@@ -189,6 +189,17 @@ def test_noise_alone_is_no_contact():
     assert not found.finding("lift-off").claim
 
 
+def test_taps_too_short_for_a_contact_are_none():
+    draw = np.random.default_rng(1)
+    times = np.arange(0.0, 6.0, 1 / 500)
+    depth = np.maximum(0.005 - np.abs(times % 2.0 - 1.0) / 10.0, -0.02)[:, None]
+    force = 5.0 * (np.maximum(depth, 0.0) / 0.005) ** 2 + draw.normal(0.0, 0.02, depth.shape)
+    place = depth + draw.normal(0.0, 1e-5, depth.shape)
+    found = survey([Streams("taps", times, force, times, place)])
+    assert found.finding("force axis").evidence == "no contact was seen"
+    assert not found.finding("lift-off").claim
+
+
 # The command
 
 
@@ -246,6 +257,20 @@ def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, caps
     assert any("millimetres" in problem for problem in answer["problems"])
 
 
+@pytest.mark.parametrize("name", ["recorder 1.log", "recorder"])
+def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys):
+    table, probe = tmp_path / name, tmp_path / "probe.yaml"
+    _, _, rows = PRESS.read_text(encoding="utf-8").partition("\n")
+    table.write_text(f"zeit;kraft;tiefe\n{rows.replace(',', ';').replace('.', ',')}")
+    columns = ("--columns", "zeit,kraft,tiefe*1e-3")
+    indenter = ("--flat-punch", "3.14e-4", "--thickness", "0.02")
+    assert run("configure", table, *columns, *indenter, "-o", probe) == 0
+    for command in ("replay", "report"):
+        assert run(command, table, "--config", probe) == 0
+    assert run("batch", table, "--config", probe, "-o", tmp_path / "contacts.csv") == 0
+    assert "2 contacts new" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("headings", "columns"),
     [
@@ -255,6 +280,7 @@ def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, caps
             ["timestamp", "actual_TCP_pose_2", "actual_TCP_force_2"],
             "timestamp,actual_TCP_force_2,actual_TCP_pose_2*-1",
         ),
+        (["Zeit [s]", "Kraft [N]", "Weg [mm]"], "Zeit [s],Kraft [N],Weg [mm]*0.001"),
         (["t", "f", "z"], None),
         (["time_s", "force_N", "temperature_K"], None),
     ],

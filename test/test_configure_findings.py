@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from property_helpers import first
 from scipy.spatial.transform import Rotation, Slerp
 
+from fden_ros.configure.signs import Course, find_signs
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import survey
 from fden_ros.configure.weight import find_weight, weight_findings
@@ -89,6 +90,8 @@ def verdict(seed: int) -> Verdict:
         range(12),
         # Single presses without a hold, whose force axes were reversed once.
         (239, 245, 296, 570, 858, 5747),
+        # A drift that outdoes the contact.
+        (20330,),
         pytest.param(range(200), marks=pytest.mark.statistics),
     ],
 )
@@ -97,6 +100,17 @@ def test_signs_of_slow_presses_are_right_or_left_open(seeds):
     assert [name for one in verdicts for name in one.wrong] == []
     clear = [one.is_open for one in verdicts if one.is_clear]
     assert sum(clear) <= max(1, 0.05 * len(clear))
+
+
+def test_a_few_chunks_of_noise_tell_no_sign():
+    times = 0.2 * np.arange(24)
+    motion = np.interp(times, [0.0, 1.2, 2.4, 3.6, 4.8], [0.0, 1.0, 0.0, 1.0, 0.0])
+    for seed in range(60):
+        draw = np.random.default_rng(seed)
+        push = draw.normal(0.0, 1.0, times.size)
+        place = motion + draw.normal(0.0, 1e-3, times.size)
+        course = Course(times, place, push, np.ones(times.size, bool), 1.0)
+        assert not find_signs([course]).is_stated, seed
 
 
 # The tool's weight from turns in the air: how far what is found holds, and what is lacking

@@ -382,6 +382,23 @@ def test_the_commands_of_a_page_run_beside_the_files_that_they_name(page, tmp_pa
         assert main(shlex.split(line, comments=True)) == 0, line
 
 
+@pytest.mark.parametrize("page", ["docs/plan.md", "docs/continuous.md"])
+def test_the_commands_of_a_page_run_one_after_the_other(page, tmp_path, monkeypatch):
+    for name, file in {"press.csv": PRESS, "config": ROOT / "config"}.items():
+        (tmp_path / name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    command = re.compile(r"(?m)^ {4}(?:scripts/ros_env )?fden ((?:bag|configure|plan|re).*)$")
+    lines = [line for line in command.findall(text_of(page)) if "NAME" not in line]
+    assert len(lines) >= 3
+    for line in lines:
+        words, _, target = line.replace("/tmp/", f"{tmp_path}/").partition(" > ")
+        printed = io.StringIO()
+        with redirect_stdout(printed):
+            assert main(shlex.split(words, comments=True)) == 0, line
+        if target:
+            Path(target).write_text(printed.getvalue(), encoding="utf-8")
+
+
 # The interface
 
 

@@ -153,6 +153,7 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
         assert bench.diagnostic_level() == DiagnosticStatus.ERROR
         found = examined("/arm/identifier", lambda e: refusal in e.page())
         assert "mend what it refused" in found.next_step
+        assert "last refusal: none" not in found.page()
         assert set_library("")
         for is_first in (True, False):
             assert bench.change_state(change.TRANSITION_CONFIGURE)
@@ -188,6 +189,7 @@ def examined(name: str, is_right: Callable[[Examination], object]) -> Examinatio
 
 def test_the_doctor_says_what_a_node_hears_and_lacks_and_the_next_step():
     assert "start it" in Examination("/nobody").next_step
+    assert "lacks nothing" not in Examination("/nobody").page()
     with Bench() as bench, active():
         bench.wait_until_heard()
         assert not bench.call(Trigger, "tare").success

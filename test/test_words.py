@@ -329,6 +329,21 @@ def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is():
     assert following.motion.depth > 0.1 * 0.02  # beyond 1/Gn
 
 
+def test_a_gn_that_a_faint_press_hides_has_its_budget_and_what_would_help_beside_the_press():
+    contact, config = pressed(150.0, 0.002, 0.15)
+    words = shortfall(contact, config)
+    assert re.search(r"Gn is not observable: .*\(of the variance: drift \d+ %", words)
+    assert "drift of 5.0 mN in a second is assumed and the press had" in words
+
+
+def test_a_touch_that_was_not_seen_is_said_where_the_command_ends():
+    contact = summary(converged=False, estimate=None, flags=Flag.ORIGIN_UNCERTAIN)
+    config = PipelineConfig(None, geometry=FlatPunch(math.pi * RADIUS**2, 0.02))
+    words = shortfall(contact, config)
+    assert words.startswith("the touch was not seen") and "with a larger face" in words
+    assert next_step(contact, config) in words
+
+
 @pytest.mark.parametrize("source", ["drift", "motion"])
 def test_a_part_is_what_the_variance_loses_where_the_source_is_stated_as_none(source):
     stated = {

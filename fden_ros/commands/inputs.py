@@ -113,7 +113,8 @@ def _take_from_files(args: argparse.Namespace) -> None:
     from fden_ros.recording.table import looks_like_a_table
 
     paths = [path for path in map(vars(args).get, ("bag", "recording")) if path is not None]
-    is_table = args.columns is not None or any(map(looks_like_a_table, paths))
+    paths += getattr(args, "places", [])
+    is_table = args.columns is not None or (bool(paths) and all(map(looks_like_a_table, paths)))
     for path in getattr(args, "config", None) or []:
         if not path.is_file():
             continue

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -86,9 +86,9 @@ class Axes:
 def find_axes(sessions: Sequence[Session]) -> Axes:
     """Find both axes from the contacts of one rig's recordings."""
     lines = next((session.lines for session in sessions if session.lines is not None), None)
-    if lines is None:
-        return Axes(None, None, (), "no contact was seen")
     touched = tuple(session for session in sessions if session.contacts)
+    if lines is None or not touched:
+        return Axes(None, None, (), "no contact was seen")
     if not lines.signs.is_stated:
         return Axes(None, None, touched, _two_readings(lines))
     chosen = tuple(session for session in touched if session.leaves)
@@ -143,7 +143,7 @@ def _from_touches(sessions: tuple[Session, ...], lines: Lines) -> Axes:
     parts = [part for one in contacts for part in _motion_parts(*one, direction)]
     weights = [float(np.linalg.norm(part.vector)) for part in parts]
     together = float(np.average([part.correlation for part in parts], weights=weights))
-    displacement = _combined(parts, basis) if together >= _TOGETHER else None
+    displacement = _signed(_combined(parts, basis), lines) if together >= _TOGETHER else None
     if displacement is not None:
         into = displacement.direction
         stroke = max(float(np.ptp(s.position[c.span] @ into)) for s, c in contacts)
@@ -263,7 +263,15 @@ def _motion_axis(sessions: Sequence[Session], lines: Lines) -> Axis:
         return Axis(lines.into, 0.0, _NEVER)
     contacts = [(session, contact) for session in sessions for contact in session.contacts]
     parts = [part for one in contacts for part in _motion_parts(*one, lines.grows)]
-    return _combined(parts, _NEVER) or Axis(lines.into, math.inf, _NEVER)
+    return _signed(_combined(parts, _NEVER), lines) or Axis(lines.into, math.inf, _NEVER)
+
+
+def _signed(axis: Axis | None, lines: Lines) -> Axis | None:
+    """Return the axis with the sign of the likeliest reading: a drift may outdo the contact."""
+    if axis is None:
+        return None
+    sign = math.copysign(1.0, float(axis.direction @ lines.into))
+    return replace(axis, direction=sign * axis.direction)
 
 
 def _split_axis(values: Sequence[Array], direction: Array) -> Axis:

@@ -187,9 +187,7 @@ def make_sessions(
         return tuple(sessions)
     grows = _force_line(pressed)
     into = _motion_line(pressed, grows)
-    signs = find_signs(
-        [Course(c.times, c.position @ into, c.force @ grows, ~c.turning) for c in pressed]
-    )
+    signs = find_signs([_course(one, grows, into) for one in pressed])
     lines = Lines(signs.force * grows, signs.motion * into, signs)
     return tuple(_cut(one, lines) if one.is_pressed else one for one in sessions)
 
@@ -229,6 +227,12 @@ def _motion_line(pressed: Sequence[Session], grows: Array) -> Array:
         rises = (one.force[lag:] - one.force[:-lag]) @ grows
         total += (one.position[lag:] - one.position[:-lag])[still].T @ rises[still]
     return np.asarray(total / max(float(np.linalg.norm(total)), 1e-300))
+
+
+def _course(session: Session, grows: Array, into: Array) -> Course:
+    noise = float(np.linalg.norm(session.force_chunk_noise * grows))
+    motion, push = session.position @ into, session.force @ grows
+    return Course(session.times, motion, push, ~session.turning, noise)
 
 
 def _cut(session: Session, lines: Lines) -> Session:

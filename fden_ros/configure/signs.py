@@ -12,8 +12,9 @@ two go with the force's change. Under the right one the force is that of a conta
 It is constant in the air but for a drift d, grows convexly with the depth x, never pulls, and
 relaxes towards the force in the air; h is what the tissue remembers from before. Least squares
 with weights that are not negative fit each reading, and the ratio of the likelihoods says how far
-the next best is excluded. Several presses, perhaps of several places, are fitted one by one, cut
-between them.
+the next best is excluded. Each weight follows the noise too: twice its variance a weight is added
+to what a fit leaves (Mallows), or a few chunks fit any sign. Several presses, perhaps of several
+places, are fitted one by one, cut between them.
 """
 
 from __future__ import annotations
@@ -58,6 +59,15 @@ class Course:
     motion: Array  #: (n,)
     push: Array  #: (n,)
     seen: Mask  #: chunks that count (n,)
+    noise: float  #: standard deviation of the push
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What a reading leaves of the force, and what it would leave of another such recording."""
+
+    residual: Array
+    misfit: float
 
 
 @dataclass(frozen=True)
@@ -94,8 +104,8 @@ def _compared(course: Course) -> Array:
     course = min((_shifted(course, delay) for delay in _DELAYS), key=_misfit)
     least, found = math.inf, np.zeros(len(_READINGS))
     for cuts in _partitions(course):
-        parts = [[_residual(course, a, b, reading) for reading in _READINGS] for a, b in cuts]
-        misfit = float(np.sum([[r @ r for r in part] for part in parts], axis=0).min())
+        parts = [[_fitted(course, a, b, reading) for reading in _READINGS] for a, b in cuts]
+        misfit = float(np.sum([[one.misfit for one in part] for part in parts], axis=0).min())
         if misfit < least:
             least = misfit
             found = sum((_log_likelihoods(part) for part in parts), np.zeros(len(_READINGS)))
@@ -109,16 +119,16 @@ def _shifted(course: Course, delay: float) -> Course:
 
 def _misfit(course: Course) -> float:
     """Return what the nearest reading of the whole leaves."""
-    whole = (_residual(course, 0, course.times.size, reading) for reading in _READINGS)
-    return min(float(residual @ residual) for residual in whole)
+    return min(_fitted(course, 0, course.times.size, reading).misfit for reading in _READINGS)
 
 
-def _log_likelihoods(residuals: Sequence[Array]) -> Array:
+def _log_likelihoods(fits: Sequence[_Fit]) -> Array:
     """Return those of a Gaussian whose variance is not known (4,)."""
-    misfits = np.maximum([float(r @ r) for r in residuals], 1e-300)
-    nearest = residuals[int(np.argmin(misfits))]
+    misfits = np.maximum([one.misfit for one in fits], 1e-300)
+    nearest = fits[int(np.argmin(misfits))].residual
     # Neighbours that hang together count for less.
-    together = float(nearest[1:] @ nearest[:-1]) / misfits.min() if nearest.size > 1 else 0.0
+    size = max(float(nearest @ nearest), 1e-300)
+    together = float(nearest[1:] @ nearest[:-1]) / size if nearest.size > 1 else 0.0
     together = min(max(together, 0.0), 0.99)
     count = nearest.size * (1.0 - together) / (1.0 + together)
     return np.asarray(-0.5 * count * np.log(misfits))
@@ -148,12 +158,12 @@ def _partitions(course: Course) -> list[Cuts]:
     return found
 
 
-def _residual(course: Course, first: int, last: int, reading: tuple[float, float]) -> Array:
-    """Return what a part leaves under a reading."""
+def _fitted(course: Course, first: int, last: int, reading: tuple[float, float]) -> _Fit:
+    """Fit a reading to a part."""
     span = slice(first, last)
     seen = course.seen[span]
     if seen.sum() < _LEAST_CHUNKS:
-        return np.empty(0)
+        return _Fit(np.empty(0), 0.0)
     since = course.times[span] - course.times[first]
     push, depth = reading[0] * course.push[span], reading[1] * course.motion[span]
     free = [np.ones_like(since), since, *(np.exp(-since / time) for time in _TIMES)]
@@ -163,7 +173,9 @@ def _residual(course: Course, first: int, last: int, reading: tuple[float, float
     sizes = np.maximum(np.linalg.norm(columns[:, :-1], axis=0), 1e-12)
     small = np.asarray(np.linalg.qr(columns / [*sizes, 1.0], mode="r"))
     weights = nnls(small[:, :-1], small[:, -1], maxiter=100 * sizes.size)[0]
-    return np.asarray(columns[:, -1] - columns[:, :-1] @ (weights / sizes))
+    residual = np.asarray(columns[:, -1] - columns[:, :-1] @ (weights / sizes))
+    count = len(free) + int(np.count_nonzero(weights))
+    return _Fit(residual, float(residual @ residual) + 2.0 * count * course.noise**2)
 
 
 def _contact(since: Array, depth: Array, push: Array) -> Array:

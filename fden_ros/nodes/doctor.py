@@ -87,8 +87,11 @@ class Examination:
                 f"  saw {values['contacts']} contacts at {values['sites']} sites; "
                 f"rejected {values['rejected']} samples" + (f": {rejected}" if rejected else ""),
             ]
-        lines += [f"  lacks: {problem}" for problem in self.problems] or ["  lacks nothing"]
-        lines.append(f"  last refusal: {values.get('last refusal') or 'none'}")
+        lines += [f"  lacks: {problem}" for problem in self.problems]
+        if self.is_well:
+            lines.append("  lacks nothing")
+        if "last refusal" in values:
+            lines.append(f"  last refusal: {values['last refusal'] or 'none'}")
         return "\n".join([*lines, f"Next: {self.next_step}"])
 
 

@@ -10,10 +10,11 @@ import math
 import numpy as np
 
 from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.outputs import WITHHELD, ContactSummary
+from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.planning.motion import Sensors
 from fden_ros.planning.plan import Plan, plan
@@ -49,20 +50,31 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
     Empty: nothing is known that would.
     """
     estimate, budget = summary.estimate, summary.budget
+    if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
+        return "begin 1 s in the air, and touch faster or with a larger face, for G and Gn"
     if estimate is None or not _is_open(summary):
         return ""
     if budget is not None and any(estimate.hidden):
         linear = estimate.linear_stiffness / estimate.nonlinear_stiffness
         return uncover(budget, config.geometry, linear)
     planned = next_press(summary, config)
-    if planned is not None and planned.is_worth_it:
+    if planned is not None and planned.is_possible:
         return planned.line()
+    mend = _by_largest_source(summary, config)
+    if planned is not None and planned.is_worth_it:
+        return f"{planned.line()}; else: {mend}" if mend else planned.line()
     if not estimate.determines(1):
-        return deeper(summary.max_strain, estimate.nonlinear_stiffness, config.geometry)
-    poor = _poor(estimate, config.estimator)
-    largest = budget.largest(poor[0]) if budget is not None and poor else ()
-    if budget is None or not largest:
-        return "press here once more"
+        gn = estimate.nonlinear_stiffness
+        return mend or deeper(summary.max_strain, gn, config.geometry)
+    return mend or "press here once more"
+
+
+def _by_largest_source(summary: ContactSummary, config: PipelineConfig) -> str:
+    """Return the remedy for what makes G or Gn most uncertain; empty: none is known."""
+    estimate, budget = summary.estimate, summary.budget
+    poor = _poor(estimate, config.estimator) if estimate is not None else []
+    if estimate is None or budget is None or not poor:
+        return ""
     case = Case(
         config,
         budget,
@@ -119,28 +131,34 @@ def _poor(estimate: Estimate, config: EstimatorConfig) -> list[int]:
 
 def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
     estimate, budget = summary.estimate, summary.budget
+    if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
+        return "the touch was not seen, in the recording or above noise and drift"
     if estimate is None or not _is_open(summary):
         return ""
     if budget is not None and any(estimate.hidden):
         noise = quantity(budget.stress_noise / config.geometry.stress_per_force, "N")
         return f"{noise} of noise hide the linear part, so that G is not seen"
+    poor = _poor(estimate, config.estimator)
     if not estimate.determines(1):
         known = "G is known, " if estimate.knows(0) else ""
         return (
             f"{known}Gn is not observable: the strain reached {summary.max_strain:.3f} and did "
             f"not surely pass the boundary 1/Gn, about {estimate.boundary_strain:.3f}"
+            f"{_sources(budget, poor[0] if poor else 1)}"
         )
-    poor = _poor(estimate, config.estimator)
     if not poor:
         return "the press is not explained yet"
     why = ", ".join(f"{_NAMES[k]} is known to {_percent(estimate, k)}" for k in poor) + " only"
-    if budget is None:
-        return why
+    return why + _sources(budget, poor[0])
+
+
+def _sources(budget: Budget | None, index: int) -> str:
+    """Return what the variance of ln G or ln Gn is made of, the largest first."""
     parts = [
-        f"{WORDS[name]} {100.0 * budget.share(name, poor[0]):.0f} %"
-        for name in budget.largest(poor[0])[:_NAMED]
+        f"{WORDS[name]} {100.0 * budget.share(name, index):.0f} %"
+        for name in (budget.largest(index)[:_NAMED] if budget is not None else ())
     ]
-    return f"{why} (of the variance: {', '.join(parts)})" if parts else why
+    return f" (of the variance: {', '.join(parts)})" if budget is not None and parts else ""
 
 
 def _percent(estimate: Estimate, index: int) -> str:

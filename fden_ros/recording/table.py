@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import math
 import re
@@ -17,6 +18,7 @@ from typing import NamedTuple
 from fden_ros.errors import InputError
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 
 _NS = Decimal(1_000_000_000)
 _DELIMITERS = ",;\t "
@@ -39,6 +41,7 @@ _WORDS = {
         "disp",
         "stroke",
         "extension",
+        "weg",
     ),
 }
 _UNITS = {
@@ -263,9 +266,22 @@ class TableReader:
 
 
 def looks_like_a_table(path: str | Path) -> bool:
-    """Return whether the name of `path` is that of a text table."""
+    """Return whether `path` is a text table by its name, or else by what it begins with."""
     path = Path(path)
-    return path.suffix.lower() in TABLE_SUFFIXES and not path.is_dir()
+    suffix = path.suffix.lower()
+    if suffix in TABLE_SUFFIXES:
+        return not path.is_dir()
+    return suffix not in _BAG_SUFFIXES and path.is_file() and _begins_as_text(path)
+
+
+def _begins_as_text(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+        text = codecs.getincrementaldecoder("utf-8-sig")().decode(head)
+    except (OSError, UnicodeDecodeError):
+        return False
+    return bool(text) and "\0" not in text
 
 
 def headings_of(path: str | Path) -> list[str]:

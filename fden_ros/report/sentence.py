@@ -48,12 +48,10 @@ def next_step(summary: ContactSummary, config: PipelineConfig) -> str:
         return "check the units"
     if flags & Flag.GEOMETRY_UNSTATED:
         return "state probe and tissue (geometry) for G and Gn"
-    if flags & Flag.ORIGIN_UNCERTAIN:
-        return "begin 1 s in the air for G and Gn"
-    if estimate is None or estimate.at_edge:
-        return "see what stands against an estimate"
     if remedy := cure(summary, config):
         return remedy
+    if estimate is None or estimate.at_edge:
+        return "see what stands against an estimate"
     return "" if estimate.determines(2) else "hold for 2 s for alpha"
 
 
