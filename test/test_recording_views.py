@@ -8,6 +8,7 @@ from __future__ import annotations
 import array
 import itertools
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,10 +66,29 @@ def paths(layout: dict[str, Any]) -> Iterator[str]:
             raise AssertionError(kind)
 
 
+def made_by_scripts(layout: dict[str, Any]) -> set[str]:
+    """Return the paths that the layout's own scripts make, what they read looked up."""
+    made = set()
+    for script in layout["userNodes"].values():
+        code = script["sourceCode"]
+        (topic,) = re.findall(r'inputs = \["(.*)"\];', code)
+        (output,) = re.findall(r'output = "(/studio_script/.*)";', code)
+        assert f'Input<"{topic}">' in code
+        (read,) = re.findall(r"const \{ (.*) \} = event.message;", code)
+        message = message_class(TYPES[topic])()
+        assert all(hasattr(message, field) for field in read.split(", "))
+        made |= {f"{output}.{field}" for field in re.findall(r"(?m)^    (\w+): Math", code)}
+    return made
+
+
 def test_every_path_of_the_foxglove_layout_exists(layout):
     found = list(paths(layout))
     assert len(found) > 10
+    made = made_by_scripts(layout)
+    assert len(made & set(found)) == len(made) == 4
     for path in found:
+        if path in made:
+            continue
         topic, *fields = path.split(".")
         message = message_class(TYPES[topic])()
         for field in fields:
@@ -103,12 +123,17 @@ def test_every_curve_of_the_plotjuggler_layout_exists_and_is_drawn_in_its_plot()
     for snippet in root.iterfind("customMathEquations/snippet"):
         sources = [snippet.findtext("linked_source"), snippet.findtext("additional_sources/v1")]
         made[snippet.get("name")] = sources
-        assert snippet.findtext("function") in ("return value - 2 * v1", "return value + 2 * v1")
+        ends = ("return math.max(value - 2 * v1, 0)", "return math.min(value + 2 * v1, 2 * value)")
+        assert snippet.findtext("function") in ends
     for tab in widget.iterfind("Tab"):
-        (splitter,) = tab.findall("Container/DockSplitter")
+        assert len(tab.findall("Container/DockSplitter")) == 1
+    for splitter in widget.iterfind(".//DockSplitter"):
         assert len(splitter) == int(splitter.get("count", "0"))
         assert len(str(splitter.get("sizes")).split(";")) == len(splitter)
-    curves = [curve.get("name") for curve in widget.iterfind(".//DockArea/plot/curve")]
+    drawn = widget.findall(".//DockArea/plot[@mode='TimeSeries']/curve")
+    (places,) = widget.findall(".//DockArea/plot[@mode='XYPlot']/curve")
+    curves = [curve.get("name") for curve in drawn]
+    curves += [places.get("curve_x"), places.get("curve_y")]
     assert set(made) < set(curves)
     for name in [*(c for c in curves if c not in made), *itertools.chain(*made.values())]:
         topic = next(topic for topic in TYPES if str(name).startswith(f"{topic}/"))
