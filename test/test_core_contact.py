@@ -216,34 +216,12 @@ def test_a_press_that_one_sample_does_not_show_is_found_and_ends(seed):
 
 @pytest.mark.parametrize("rate_hz", [125.0, 250.0, 500.0, 1000.0])
 def test_a_brief_press_of_two_and_a_half_deviations_is_found_once(rate_hz):
-    # 0.2 s; of 40 each none is missed. Of 200 at 60 Hz 11 are, at 30 Hz 115.
+    # 0.2 s; of 40 each none is missed. At 60 Hz 6 are, at 30 Hz 28.
     rng = np.random.default_rng(5)
     seconds = np.arange(0.0, 9.0, 1.0 / rate_hz)
     way = np.interp(seconds, [0.0, 4.7, 5.0, 5.03, 5.17, 5.2, 5.5], [-10, -10, 0, 1, 1, 0, -10])
     force = 0.05 * np.maximum(way, 0.0) + 0.02 * rng.standard_normal(way.size)
     assert len(onsets(events_of(made(force, 2e-3 * way, rate_hz))[1])) == 1
-
-
-@pytest.mark.parametrize("rate_hz", [30.0, 125.0])
-def test_a_press_that_only_means_over_seconds_show_is_mostly_found(rate_hz):
-    # 2.5 deviations of a mean over 0.2 s, held for 2 s: 24 of 100 are missed at 30 Hz, 22 at 125.
-    found = 0
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        seconds = np.arange(0.0, 26.0, 1.0 / rate_hz)
-        way = np.interp(
-            seconds, [0.0, 19.7, 20.0, 20.2, 22.2, 22.4, 22.7], [-10, -10, 0, 1, 1, 0, -10]
-        )
-        peak = 2.5 * 0.02 / np.sqrt(0.2 * rate_hz)
-        force = peak * np.maximum(way, 0.0) + 0.02 * rng.standard_normal(way.size)
-        (*early, _) = times = [
-            (told_ns - START_NS) / (1000 * MS)
-            for told_ns, event in events_of(made(force, 2e-3 * way, rate_hz))[1]
-            if isinstance(event, Onset)
-        ] or [0.0]
-        assert not early
-        found += 20.0 < times[-1] < 25.0
-    assert found >= 6
 
 
 def test_force_that_swings_with_the_motion_is_no_contact_and_one_that_stands_out_is():

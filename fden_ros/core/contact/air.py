@@ -4,20 +4,19 @@
 r"""The force in the air before a contact: its bias, its noise, its drift, and what exceeds them.
 
 Force is averaged over chunks of time: long enough to average, short enough to react. Means over 1
-to 128 chunks, up to 3 s, are compared with such means in the air.
+to 16 chunks are compared with such means in the air.
 
 Over :math:`s` chunks of :math:`n` samples the mean scatters by :math:`\sigma_s/\sqrt{s n}`, where
 :math:`\sigma_s` is constant with the scale for white noise, falls for a vibration and grows for a
-force that wanders. It is measured in the air at each scale, over the lookback by Allan's variance
-and over the last minute by how far such means lay off the bias; the threshold is the mean that air
-exceeds once in an hour, by Student's t.
+force that wanders. It is measured in the air at each scale; the threshold is the mean that air
+exceeds with a probability of 5e-6, by Student's t.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain, islice
 from typing import NamedTuple
@@ -116,12 +115,11 @@ class Chunks:
         return chunk
 
 
-#: Means are over so many chunks, and over so long at most [ns].
-SCALES = (1, 2, 4, 8, 16, 32, 64, 128)
-_LONGEST_NS = 3 * NANOSECONDS
-#: Of the means in the air of each scale, side by side, one in an hour exceeds its threshold, and
-#: what does must still be explained better by a contact than by a drift.
-_EXCESSES = 1.0 / (3600 * NANOSECONDS)
+#: Means are over so many chunks.
+SCALES = (1, 2, 4, 8, 16)
+#: Probability that a mean in the air exceeds its threshold: an hour has 180,000 chunks, and what
+#: exceeds it must still be explained better by a contact than by a drift.
+_CHANCE = 5e-6
 #: Longer means are expected to scatter as white noise has it, with the weight of so many of them.
 _EXPECTED = 8
 
@@ -132,11 +130,6 @@ class Excess(NamedTuple):
     ratio: float  #: of the mean above the bias to its threshold [1]
     threshold: float  #: [N]
     scale: int  #: chunks that are averaged
-
-    @property
-    def is_rising(self) -> bool:
-        """Whether a contact may be on that has not risen far enough to be told."""
-        return self.ratio > _SUSPICION
 
 
 def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
@@ -171,26 +164,24 @@ def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     return sd, degrees
 
 
-def thresholds_of(sd: Array, freedom: Array, chunk_ns: int) -> Array:
-    """Return the means of so many chunks that air exceeds once in an hour [N], shape (scales,)."""
-    chances = _EXCESSES * max(chunk_ns, CHUNK_NS) * np.array(SCALES)
-    limits: Array = -stdtrit(freedom, chances) * sd
+def thresholds_of(sd: Array, freedom: Array) -> Array:
+    """Return the means that air exceeds with a probability of 5e-6 [N], shape (scales,)."""
+    limits: Array = -stdtrit(freedom, _CHANCE) * sd
     return limits
 
 
-def rises_of(newest: Iterable[Chunk], bias: float, slope: float, end_ns: int) -> Array:
+def rises_of(newest: Iterable[Chunk], bias: Callable[[int], float]) -> Array:
     """Return the means of the newest chunks, the last one first, above the bias [N], per scale.
 
-    `bias` is the force without contact [N] at `end_ns`, and `slope` its drift [N/s].
+    `bias` gives the force without contact [N] at a stamp.
     """
     found = []
-    size, total, moment = 0, 0.0, 0
+    size, total = 0, 0.0
     for count, chunk in enumerate(newest, start=1):
         size += chunk.size
-        total += chunk.size * chunk.mean
-        moment += chunk.size * (chunk.end_ns - end_ns)
+        total += chunk.size * (chunk.mean - bias(chunk.end_ns))
         if count in SCALES:
-            found.append((total - slope * moment / NANOSECONDS) / size - bias)
+            found.append(total / size)
     return np.array(found)
 
 
@@ -240,9 +231,9 @@ _SLOW_LOOKBACKS = 4
 #: What swings, as a vibrating arm does, is no contact: that rises above the bias by 2.2 times as
 #: far as means over the same time fell below it in the lookback, so that no trough ends it.
 _SWING_FACTOR = 2.2
-#: How far means lie off the bias is a mean over so many looks, 8 chunks apart: a minute of chunks
-#: of 20 ms.
-_REMEMBERED_LOOKS = 375
+#: How far the bias wanders after it was measured is a mean over so many looks, 8 chunks apart: a
+#: minute of chunks of 20 ms. So many that showed nothing are taken to lie before the first.
+_REMEMBERED_WANDER, _UNSEEN_WANDER = 375, 60
 #: The noise counts as coloured when the variance of the chunks' means exceeds that of white noise
 #: by more than 4 of its standard deviations.
 _COLOUR_DEVIATIONS = 4.0
@@ -269,8 +260,8 @@ class Baseline:
         self.resolution = Resolution()  #: of the force
         self._thresholds: Array = np.zeros(len(SCALES))  # of contact [N]
         self._rises: Array = np.zeros(0)  # of the newest means above the bias [N]
-        # Mean squares of such means [N^2], of so many each.
-        self._squares, self._looks = np.zeros((2, len(SCALES)))
+        self._expected = 0.0  # variance of the longest of them [N^2]
+        self._wander, self._wander_count = 0.0, _UNSEEN_WANDER  # what it exceeds that by [N^2]
         self.is_suspected = False  #: a slow contact may be on
         self._chunks: deque[Chunk] = deque()
         self._count = 0
@@ -315,16 +306,16 @@ class Baseline:
             self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)
         self._count += 1
-        if self._count % _AIR_EVERY == 0:
-            self._learn(self._rises)
+        if self._count % _AIR_EVERY == 0 and self._rises.size == len(SCALES):
+            self._learn_wander(float(self._rises[-1]))
         while chunk.start_ns - chunks[0].start_ns > self.reach_ns:
             chunks.popleft()
 
-    def _learn(self, rises: Array) -> None:
-        """Take means above the bias [N]; a contact's are none of the air."""
-        seen = np.flatnonzero(np.abs(rises) < self._thresholds[: rises.size])
-        looks = self._looks[seen] = np.minimum(self._looks[seen] + 1.0, _REMEMBERED_LOOKS)
-        self._squares[seen] += (rises[seen] ** 2 - self._squares[seen]) / looks
+    def _learn_wander(self, rise: float) -> None:
+        """Take a mean over the longest time above the bias [N]; a contact's is none of the air."""
+        if abs(rise) < _SUSPICION * self._thresholds[-1]:
+            self._wander_count = min(self._wander_count + 1, _REMEMBERED_WANDER)
+            self._wander += (rise**2 - self._expected - self._wander) / self._wander_count
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
@@ -335,9 +326,7 @@ class Baseline:
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""
         newest = chain((chunk,), reversed(self._chunks))
-        count = _LONGEST_NS // max(self._chunk_ns, CHUNK_NS)
-        bias, slope = self.bias_at(chunk.end_ns), self._slope
-        rises = rises_of(islice(newest, count), bias, slope, chunk.end_ns)
+        rises = rises_of(islice(newest, SCALES[-1]), self.bias_at)
         self._rises = rises
         limits = self._thresholds[: rises.size]
         best = int(np.argmax(rises / limits))
@@ -366,7 +355,7 @@ class Baseline:
             self._thresholds = self._thresholds_in(chunks, air, chunk.size)
             return air
         is_new = chunks[-1].end_ns - chunks[0].start_ns < _LAG_NS
-        if self._is_carried and self._air is not None and is_new and self.excess(chunk).is_rising:
+        if self._is_carried and self._air is not None and is_new and self.is_rising(chunk):
             return self._air
         # Not while a slow contact may be on, or the baseline would creep along with it.
         is_due = not self.is_suspected and self._count % _AIR_EVERY == 0
@@ -381,6 +370,10 @@ class Baseline:
             self._thresholds = self._thresholds_in(old, self._air, chunk.size)
         return self._air
 
+    def is_rising(self, chunk: Chunk) -> bool:
+        """Whether a contact may be on that has not risen far enough to be told."""
+        return self.excess(chunk).ratio > _SUSPICION
+
     def _thresholds_in(self, chunks: tuple[Chunk, ...], air: Air, size: int) -> Array:
         """Return the least mean that is no air for each scale [N]."""
         means = np.array([chunk.mean for chunk in chunks])
@@ -390,10 +383,10 @@ class Baseline:
         step = self.resolution.step
         is_dithered = self._config.force_noise or air.fast_noise >= _DITHER * step
         rounding = 0.0 if is_dithered else self._rounding
-        sd = np.sqrt(np.maximum(sd**2 + self._trend.sd**2 + rounding**2, self._squares))
-        # Means that overlap are one look.
-        freedom += self._looks * np.minimum(_AIR_EVERY / np.array(SCALES), 1.0)
-        least = thresholds_of(sd, freedom, self._chunk_ns)
+        self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
+        wander = max(self._wander, 0.0)
+        sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
+        least = thresholds_of(sd, freedom)
         if not self._config.measure_bias:
             # A longer mean tells no better whether the bias is what it is said to be.
             least = np.maximum(least, least[0])
@@ -404,11 +397,7 @@ class Baseline:
         if not self._config.measure_bias:
             return 0.0
         elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
-        return self._trend.value + self._slope * elapsed
-
-    @property
-    def _slope(self) -> float:
-        return self._trend.slope if self._config.measure_bias else 0.0
+        return self._trend.value + self._trend.slope * elapsed
 
     def level(self, bias: float, noise: float, before_ns: int) -> Level:
         """Return the force without contact, as it was in the air before `before_ns`.
@@ -441,7 +430,7 @@ class Baseline:
     def forget_all_but(self, count: int) -> None:
         """Drop all chunks but the newest `count`, and what was learned against a false bias."""
         recent = tuple(self._chunks)[-count:] if count else ()
-        self._squares, self._looks = np.zeros((2, len(SCALES)))
+        self._wander, self._wander_count = 0.0, _UNSEEN_WANDER
         self._air = None
         self._chunks.clear()
         self._chunks.extend(recent)

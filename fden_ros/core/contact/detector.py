@@ -280,7 +280,7 @@ class ContactDetector:
         if is_over:
             self._end_rise(chunk.end_ns, excess.ratio)
         self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
-        baseline.is_suspected = not self._rise.is_doubted and excess.is_rising
+        baseline.is_suspected = not self._rise.is_doubted and baseline.is_rising(chunk)
         baseline.keep(chunk)
         self._watch_below_baseline(chunk.mean - bias < -beyond_noise)
         self._watch_fall(chunk, clear)
@@ -358,8 +358,7 @@ class ContactDetector:
         force -= self._drift_taken_off * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
-        # Over the length of a faint contact alone a line in time explains most of it.
-        window = FIRST_WINDOW if is_clear else math.inf
+        window = FIRST_WINDOW if is_clear else _LONG_WINDOW
         surface = find_surface(time, force, displacement, self._order, 0.0, window)
         level = self._baseline.level(
             bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
