@@ -154,11 +154,13 @@ def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
 
 def _sources(budget: Budget | None, index: int) -> str:
     """Return what the variance of ln G or ln Gn is made of, the largest first."""
+    if budget is None:
+        return ""
     parts = [
         f"{WORDS[name]} {100.0 * budget.share(name, index):.0f} %"
-        for name in (budget.largest(index)[:_NAMED] if budget is not None else ())
+        for name in budget.largest(index)[:_NAMED]
     ]
-    return f" (of the variance: {', '.join(parts)})" if budget is not None and parts else ""
+    return f" (of the variance: {', '.join(parts)})" if parts else ""
 
 
 def _percent(estimate: Estimate, index: int) -> str:
