@@ -325,6 +325,64 @@ def test_places_are_those_of_python_and_the_map_is_published(tmp_path):
     assert not bad.success and "no area" in bad.message
 
 
+def test_a_place_that_tells_no_stiffness_is_not_proposed_again():
+    region = Region((0.0, 0.0), (0.06, 0.06))
+    first = region.propose(Presses.of([])).places
+    untold = Presses.of([(*first[0], 0.0, 0.0)])
+    second = region.propose(untold).places
+    assert math.dist(first[0], second[0]) > 1e-2
+    places = region.propose(Presses.of([]), 16).places
+    told = Presses(places, field(places), np.full(16, 0.05))
+    for _ in range(3):
+        next_ = region.propose(told).places
+        assert np.linalg.norm(told.places - next_, axis=1).min() > 4e-3
+        told = Presses(
+            *(np.append(a, b, axis=0) for a, b in zip(told, (next_, [0.0], [np.inf]), strict=True))
+        )
+
+
+def test_presses_that_tell_little_leave_the_discs_as_they_were_likely_before():
+    region = Region((0.0, 0.0), (0.1, 0.1))
+    places = np.random.default_rng(1).uniform(0.0, 0.1, (30, 2))
+    for _ in range(40):
+        region.solve(Presses(places, np.zeros(30), np.full(30, 30.0)))
+    draws = region._inclusions
+    is_disc = draws.heights != 0.0
+    assert 0.35 < is_disc.mean() < 0.55  # of half, less what keeps apart
+    logs = draws.discs[is_disc, 2]
+    half = math.log(math.sqrt(3e-3 * 13e-3))
+    assert 0.42 < np.mean(logs < half) < 0.66
+    assert np.abs(draws.discs[is_disc, 3:].std() - 0.1) < 0.02
+    np.testing.assert_allclose(draws.discs[is_disc, :2].mean(axis=0), 0.05, atol=6e-3)
+
+
+def test_where_there_is_nothing_it_says_so_and_what_it_would_have_missed():
+    region = Region((0.0, 0.0), (0.06, 0.06))
+    first = region.propose(Presses.of([]), 16).places
+    assert not region.propose(Presses(first, np.full(16, 3.7), np.full(16, 0.05))).is_done
+    axis = np.linspace(3e-3, 57e-3, 8)
+    more = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    places = np.concatenate([first, more])
+    found = region.propose(Presses(places, np.full(80, 3.7), np.full(80, 0.05)))
+    assert found.is_done and found.line().startswith("done: no inclusion larger than ")
+    assert found.known is not None and found.known.missed <= 6e-3
+
+
+def test_three_small_discs_in_place_of_a_large_one_do_not_last():
+    region = Region((0.0, 0.0), (0.06, 0.06))
+    axis = np.linspace(4e-3, 56e-3, 8)
+    places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    away = np.linalg.norm(places - 0.03, axis=1)
+    logs = np.log(2.0) / (1.0 + np.exp((away - 0.012) / 1e-3))
+    few = np.arange(64) % 3 == 0
+    region.solve(Presses(places[few], logs[few], np.full(few.sum(), 0.05)))
+    found = region.solve(Presses(places, logs, np.full(64, 0.05)))
+    truth = np.linalg.norm(region.cells - 0.03, axis=1) < 0.012
+    mask = found.probability > found.level
+    assert np.sum(mask & truth) / np.sum(mask | truth) > 0.9
+    assert np.mean(np.sum(region._inclusions.heights > 0.3, axis=1) == 1) > 0.8
+
+
 def test_the_command_names_the_place_that_python_names(tmp_path, capsys):
     region = Region((0.0, 0.0), (0.06, 0.06))
     places = region.propose(Presses.of([]), 16).places

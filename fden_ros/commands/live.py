@@ -140,11 +140,11 @@ def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
     from fden_ros.report.style import save
 
     phantom, presses = Phantom(), Presses.found(summaries)
-    if not presses.logs.size:
+    if not presses.is_told.any():
         raise InputError("no press has told a stiffness: there is nothing to draw")
     region = Region((0.0, 0.0), (phantom.side, phantom.side))
     found = region.propose(presses)
-    print(f"{presses.logs.size} presses; {found.line()}")
+    print(f"{len(presses.logs)} presses; {found.line()}")
 
     def draw(figure: Any) -> None:
         draw_region(figure, region, presses, found, phantom.is_stiffer)

@@ -135,7 +135,7 @@ def _run_map(args: argparse.Namespace) -> int:
     from fden_ros.planning.region import Presses, Region
 
     presses = Presses.of(_rows(args.map))
-    if not presses.logs.size:
+    if not presses.is_told.any():
         raise InputError(f"{args.map} has no contact with a place and a stiffness in N/m")
     region = Region(*args.region) if args.region else Region.around(presses)
     found = region.propose(presses)
@@ -225,11 +225,13 @@ def _contacts(path: Path) -> list[dict[str, Any]]:
 
 
 def _rows(path: Path) -> list[tuple[float, float, float, float]]:
-    """Return x, y, N/m and its deviation of each contact of results."""
+    """Return x, y, N/m and its deviation of each contact of results; 0 where none is told."""
     return [
         (*one["position"][:2], one["apparent_stiffness"], one["apparent_stiffness_sd"])
+        if one.get("apparent_stiffness") and not _is_withheld(one)
+        else (*one["position"][:2], 0.0, 0.0)
         for one in _contacts(path)
-        if one.get("position") and one.get("apparent_stiffness") and not _is_withheld(one)
+        if one.get("position")
     ]
 
 

@@ -89,7 +89,7 @@ def _comparison(session: Session, *, is_path: bool) -> str | None:
 def _region(summaries: Sequence[ContactSummary]) -> str | None:
     """Return the map of what is stiffer, where a region was pressed."""
     presses = Presses.found(summaries)
-    if len(presses.logs) < _LEAST_OF_REGION or not presses.is_spread:
+    if presses.is_told.sum() < _LEAST_OF_REGION or not presses.is_spread:
         return None
     region = Region.around(presses)
     found = region.propose(presses)
