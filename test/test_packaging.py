@@ -299,17 +299,18 @@ POLICY = ROOT / "config" / "sros2_policy.xml"
 NAMESPACE, NODE = "/", "identifier"
 
 
-def allowed(kind: str, right: str) -> set[str]:
-    """Full names that the policy allows, such as ``topic`` and ``publish``."""
-    (profile,) = ElementTree.parse(POLICY).iterfind("./enclaves/enclave/profiles/profile")
-    assert (profile.get("ns"), profile.get("node")) == (NAMESPACE, NODE)
+def allowed(kind: str, right: str, node: str = NODE) -> set[str]:
+    """Full names that the policy allows a node, such as ``topic`` and ``publish``."""
+    path = f"./enclaves/enclave[@path='/{node}']/profiles/profile"
+    (profile,) = ElementTree.parse(POLICY).iterfind(path)
+    assert (profile.get("ns"), profile.get("node")) == (NAMESPACE, node)
     names = [
         str(entry.text)
         for group in profile.iterfind(f"{kind}s[@{right}='ALLOW']")
         for entry in group.iterfind(kind)
     ]
     assert len(set(names)) == len(names)
-    return {name.replace("~", f"/{NODE}") if name[0] in "~/" else f"/{name}" for name in names}
+    return {name.replace("~", f"/{node}") if name[0] in "~/" else f"/{name}" for name in names}
 
 
 def test_the_policy_names_what_the_running_node_has_and_nothing_else():

@@ -23,6 +23,7 @@ from live_helpers import node_process
 from pipeline_helpers import identified, items_of, summaries_of
 from ros_helpers import Remote
 from sensor_msgs.msg import PointCloud2
+from test_packaging import allowed
 from visualization_msgs.msg import Marker
 
 import fden_ros.planning.forecast as forecasting
@@ -314,6 +315,17 @@ def test_places_are_those_of_python_and_the_map_is_published(tmp_path):
         )
         remote.wait_for(lambda: clouds and lines, "the map")
         bad = ask(remote, number=1)
+        heard, published, offered = (
+            {name for name, _ in names("planner", "/")}
+            for names in (
+                remote.node.get_subscriber_names_and_types_by_node,
+                remote.node.get_publisher_names_and_types_by_node,
+                remote.node.get_service_names_and_types_by_node,
+            )
+        )
+    assert heard == allowed("topic", "subscribe", "planner")
+    assert published == allowed("topic", "publish", "planner")
+    assert offered == allowed("service", "reply", "planner")
     assert found.success and found.header.frame_id == "base"
     # Deviations over stiffnesses differ by their last bits: the draws may not.
     np.testing.assert_allclose([(p.x, p.y) for p in found.places], expected.places, atol=1e-6)
@@ -381,6 +393,16 @@ def test_three_small_discs_in_place_of_a_large_one_do_not_last():
     mask = found.probability > found.level
     assert np.sum(mask & truth) / np.sum(mask | truth) > 0.9
     assert np.mean(np.sum(region._inclusions.heights > 0.3, axis=1) == 1) > 0.8
+
+
+def test_many_presses_at_once_tell_what_they_tell_one_by_one():
+    axis = np.linspace(3e-3, 57e-3, 10)
+    places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    region = Region((0.0, 0.0), (0.06, 0.06))
+    found = region.solve(Presses(places, field(places), np.full(100, 0.05)))
+    truth = np.linalg.norm(region.cells - [0.04, 0.02], axis=1) < 8e-3
+    mask = found.probability > found.level
+    assert np.sum(mask & truth) / np.sum(mask | truth) > 0.85
 
 
 def test_the_command_names_the_place_that_python_names(tmp_path, capsys):

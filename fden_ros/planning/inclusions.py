@@ -32,6 +32,8 @@ _HEIGHT, _HEIGHT_SD = 0.7, 0.35
 _SLOTS, _EMPTY = 4, 0.5
 #: Draws, and rounds of moves after a press and at the first ones, each of one jump and shifts.
 DRAWS, _ROUNDS, _FIRST_ROUNDS, _SHIFTS = 160, 2, 6, 10
+#: Presses of a first call that are followed at once [1].
+_AT_ONCE = 8
 #: Dictionary: places along the longer side, and radii [1].
 _PLACES, _RADII = 16, 5
 #: Largest shifts: of places [m], of the logarithm of the radius and of stretches [1]; a share of
@@ -80,10 +82,17 @@ class Inclusions:
         ----------
         places : ndarray, shape (n, 2)
         root : ndarray, shape (n, n)
-            Whitens what is known of b and the noise at these places.
+            Lower triangular; whitens what is known of b and the noise at these places.
         target : ndarray, shape (n,)
             ln k less its mean, whitened.
         """
+        if self._fit is None:
+            # One after the other, so that all at once do not leave the draws where they first fit.
+            for count in range(_AT_ONCE, len(places), _AT_ONCE):
+                self._follow(places[:count], root[:count, :count], target[:count])
+        self._follow(places, root, target)
+
+    def _follow(self, places: Array, root: Array, target: Array) -> None:
         self._places, self._root = places, root
         self._white = _seen(self.discs.reshape(-1, 5), places) @ root.T
         self._white = self._white.reshape(DRAWS, _SLOTS, -1)
