@@ -25,7 +25,7 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertain
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample, points_after
+from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
@@ -48,6 +48,18 @@ class Press(NamedTuple):
     stresses: Array
     truth: Array  #: ln G, ln Gn, alpha
     noise: float  #: of the stress [Pa]
+    motion_noise: float = 0.0  #: of the strain [1]
+
+    def jittered(self, sd: float) -> Press:
+        """Return the same press, whose strain is measured with noise."""
+        noise = np.random.default_rng(0).normal(0.0, sd, self.times.size)
+        return self._replace(strains=self.strains + noise, motion_noise=sd)
+
+    def without(self, count: int) -> Press:
+        """Return the same press without its first samples."""
+        return self._replace(
+            times=self.times[count:], strains=self.strains[count:], stresses=self.stresses[count:]
+        )
 
     def every(self, step: int) -> Press:
         return self._replace(
@@ -85,11 +97,15 @@ def pressed(seed: int, noise_n: float = 0.001, factor: float = 1.0) -> Press:
     return Press(times[first:], strains[first:], stresses[first:], truth, noise)
 
 
-def points_of(press: Press, noise_sd: float = 0.0) -> Points:
-    record = Record(noise_sd)
+def recorded(press: Press) -> Record:
+    record = Record(press.motion_noise)
     for sample in zip(*(a.tolist() for a in press[:3]), strict=True):
         record.add(*sample, is_observed=True)
-    return record.points()
+    return record
+
+
+def points_of(press: Press) -> Points:
+    return recorded(press).points()
 
 
 def posterior_of(
@@ -107,7 +123,7 @@ def posterior_of(
     mean[: len(unknowns)] = [u.mean for u in unknowns]
     places = np.arange(len(unknowns))
     precision[places, places] = [u.unit**-2.0 for u in unknowns]
-    errors = ErrorModel(model, uncertainty, Noise(press.noise))
+    errors = ErrorModel(model, uncertainty, Noise(press.noise, press.motion_noise))
     grid = scales_of(uncertainty)
     return Posterior(model, errors, Belief(mean, precision), grid, has_field_prior=is_bent)
 
@@ -225,12 +241,14 @@ def test_errors_are_near_the_bound_where_law_and_rig_are_exact(
     assert np.all(over_bound(noise_n, seeds) < most)
 
 
-def test_the_filter_is_where_the_next_solution_is() -> None:
-    press = pressed(7, 0.005)
+@pytest.mark.parametrize("motion_noise", [0.0, 2.5e-4])
+def test_the_filter_is_where_the_next_solution_is(motion_noise: float) -> None:
+    press = pressed(7, 0.005).jittered(motion_noise)
     count = press.times.size - 50
     seen = Press(*(a[:count] for a in press[:3]), *press[3:])
     posterior = posterior_of(press)
     begun = solved(seen)
+    record = recorded(seen)
     kalman = PressFilter(begun, posterior.model, posterior.error_model)
     last = float(points_of(seen).times[-1])
     for first in range(count, count + 50, 5):
@@ -239,7 +257,9 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
             for sample in zip(*(a[first : first + 5].tolist() for a in press[:3]), strict=True)
         ]
         before = kalman.covariance.diagonal().copy()
-        update = kalman.step(points_after([block], last))
+        for sample in block:
+            record.add(*sample, is_observed=True)
+        update = kalman.step(record.points_after([record.block(block)], last))
         assert np.all(kalman.covariance.diagonal() <= before)
         last = block[-1].time
         assert abs(update.innovation) < 5.0 * math.sqrt(update.variance)
@@ -249,7 +269,8 @@ def test_the_filter_is_where_the_next_solution_is() -> None:
     ratio = kalman.covariance.diagonal()[:3] / anew.covariance.diagonal()[:3]
     assert np.all(np.abs(np.log(ratio)) < 0.3)
     with pytest.raises(FloatingPointError, match="not finite"):
-        kalman.step(points_after([[Sample(last + 0.01, 0.2, math.nan)]], last))
+        lost = record.block([Sample(last + 0.01, 0.2, math.nan)])
+        kalman.step(record.points_after([lost], last))
 
 
 def test_the_walks_gain_variance_by_the_square_of_their_scales() -> None:
@@ -315,6 +336,24 @@ def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:
             sizes.append(record.size)
     assert sizes[-1] < MOST_BLOCKS
     assert sizes[2] - sizes[1] == pytest.approx(sizes[1] - sizes[0], abs=15)
+
+
+def test_blocks_that_follow_one_line_have_it_without_the_noise_of_each() -> None:
+    press = pressed(5)
+    points = points_of(press.jittered(2.5e-4))
+    off = points.compressions - np.interp(points.times, press.times, press.strains)
+    # Two points of a block of five samples have 0.63 of the noise of one.
+    assert np.sqrt(np.mean(off**2)) < 0.25 * 2.5e-4
+    assert np.max(np.abs(off)) < 4.0 * 2.5e-4
+
+
+@pytest.mark.parametrize("seed", [5, 7, 10])
+def test_where_the_blocks_begin_does_not_move_the_estimate(seed: int) -> None:
+    """It moved that of the last by 1.2 standard deviations: noise of the motion as motion."""
+    press = pressed(seed, 0.005).jittered(2.5e-4)
+    solution = solved(press, LAW_OFF)
+    for count in range(1, 5):
+        assert moved(solved(press.without(count), LAW_OFF), solution) < 0.5
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 250.0, 1000.0])

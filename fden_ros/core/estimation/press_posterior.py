@@ -31,7 +31,7 @@ from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Record, Sample, points_after
+from fden_ros.core.estimation.record import Block, Record, Sample
 from fden_ros.core.estimation.search import Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
 from fden_ros.core.law.characteristic import elastic_response
@@ -64,7 +64,7 @@ class _Begun(NamedTuple):
 
     search: Search
     found: Pending[Solved]
-    since: list[list[Sample]]  #: the blocks after its record
+    since: list[Block]  #: the blocks after its record
 
 
 class PressPosterior:
@@ -179,11 +179,12 @@ class PressPosterior:
 
         """
         innovation = self._unpredicted(stress)
-        if self.filter is not None and self._samples:
-            innovation = self._filtered(self.filter, compression)
+        block = self.record.block(self._samples) if self._samples else None
+        if self.filter is not None and block is not None:
+            innovation = self._filtered(self.filter, block, compression)
         if self._begun is not None:
-            if self._samples:
-                self._begun.since.append(self._samples)
+            if block is not None:
+                self._begun.since.append(block)
             if self._now - self._start - self._begun.search.elapsed > SOLUTION_TIME:
                 self.go_on()
         self._samples = []
@@ -214,9 +215,9 @@ class PressPosterior:
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
 
-    def _filtered(self, own_filter: PressFilter, compression: float) -> Innovation:
-        """Let the filter take the samples of a block."""
-        points = points_after([self._samples], self._last, self.record.noise_sd)
+    def _filtered(self, own_filter: PressFilter, block: Block, compression: float) -> Innovation:
+        """Let the filter take a block."""
+        points = self.record.points_after([block], self._last)
         self._last = float(points.times[-1])
         try:
             found = own_filter.step(points)
@@ -307,7 +308,7 @@ class PressPosterior:
         self.filter = PressFilter(solved.best, solved.model, solved.posterior.error_model)
         if not begun.since:
             return
-        points = points_after(begun.since, self._last, self.record.noise_sd)
+        points = self.record.points_after(begun.since, self._last)
         self._last = float(points.times[-1])
         try:
             self.filter.step(points)

@@ -5,8 +5,10 @@ r"""One press in a bounded number of blocks: what the posterior is a function of
 
 A block of samples is kept as its mean stress and the line of its motion at two points, a standard
 deviation of the times before and after their mean. These two have the mean and the quadratic of
-the block, so a response averaged over them is that of the samples; and they average the noise of
-the motion. Between all points the motion is linear.
+the block, so a response averaged over them is that of the samples. Blocks that follow one line
+within the noise of the motion have that line: noise of the motion would else count as motion, in
+the stress and in its derivatives, and other blocks of the same press would give another estimate.
+Between all points the motion is linear.
 
 - Near the touch every sample is a block of its own.
 - A block ends early where the motion leaves its line.
@@ -34,7 +36,7 @@ TOUCH_TIME = 0.05
 #: Noise of the compression above which a sample alone tells nothing of the touch [1].
 _SHARP_NOISE = 5e-5
 #: A block ends where the motion leaves its line by this compression [1] and as many standard
-#: deviations of the noise [1].
+#: deviations of the noise [1]; a block goes on along the line of those before within the latter.
 _LINE_TOLERANCE, _LINE_DEVIATIONS = 1.5e-5, 4.0
 #: The motion changes where it leaves the line of a block by this compression [1]: 1.5e-5 would be
 #: exceeded by noise of 0.1 um, which would move estimates by half a standard deviation.
@@ -63,18 +65,27 @@ class Sample(NamedTuple):
     stress: float  #: [Pa]
 
 
-class _Row(NamedTuple):
+class Block(NamedTuple):
     """A block as its line, and what was observed."""
 
     middle: float  #: [s]
     spread: float  #: standard deviation of its times [s]
     compression: float  #: [1]
     slope: float  #: [1/s]
+    slope_sd: float  #: of the slope over that of a sample [1/s]; 0: one sample has none
     step: float  #: between its samples [s]; 0: it is one sample
     duration: float  #: from its first sample to its last [s]
     samples: int
     stress: float  #: [Pa]
     is_observed: bool
+
+    def along(self, path: _Cell) -> Block:
+        """Return the same block on the line of a longer one."""
+        _, spread, _, slope = path.line()
+        if spread == 0.0:
+            return self
+        slope_sd = 1.0 / (spread * math.sqrt(path.count))
+        return self._replace(compression=path.at(self.middle), slope=slope, slope_sd=slope_sd)
 
 
 @dataclass
@@ -129,12 +140,14 @@ class _Cell:
         slope = (self.product / self.count - mean * compression) / variance
         return self.start + mean, math.sqrt(variance), compression, slope
 
-    def row(self) -> _Row:
+    def row(self) -> Block:
         """Return what becomes of it in arrays."""
-        step = (self.end - self.start) / max(self.count - 1, 1)
-        return _Row(
-            *self.line(), step, self.end - self.start, self.count, self.stress / self.count,
-            self.is_observed,
+        middle, spread, compression, slope = self.line()
+        duration = self.end - self.start
+        slope_sd = 1.0 / (spread * math.sqrt(self.count)) if spread > 0.0 else 0.0
+        return Block(
+            middle, spread, compression, slope, slope_sd, duration / max(self.count - 1, 1),
+            duration, self.count, self.stress / self.count, self.is_observed,
         )  # fmt: skip
 
     def at(self, time: float) -> float:
@@ -198,7 +211,9 @@ class Record:
     def __init__(self, noise_sd: float = 0.0, reach: float = 0.0) -> None:
         self.noise_sd, self._reach = noise_sd, reach
         self._cells: list[_Cell] = []
-        self._rows: list[_Row] = []  # of the same
+        self._rows: list[Block] = []  # of the same; on their path but for those of the newest
+        self._path: _Cell | None = None  # the newest line that blocks have followed
+        self._path_begin = 0  # its first block
         self._open: _Cell | None = None
         self._start: float | None = None
         self._changed = 0.0
@@ -258,11 +273,49 @@ class Record:
     def _close(self) -> None:
         cell, self._open = self._open, None
         assert cell is not None
+        longer = None
+        if self._path is not None and self._is_along(self._path, cell):
+            longer = self._path.merged(cell)
         if self._cells and self._joins(self._cells[-1], cell):
             cell = self._cells.pop().merged(cell)
             self._rows.pop()
+        if longer is None:
+            self._rows = self._rows_on_path(self._path)
+            self._path, self._path_begin = cell, len(self._cells)
+        else:
+            self._path = longer
         self._cells.append(cell)
         self._rows.append(cell.row())
+
+    def _rows_on_path(self, path: _Cell | None) -> list[Block]:
+        if path is None:
+            return self._rows
+        newest = [row.along(path) for row in self._rows[self._path_begin :]]
+        return self._rows[: self._path_begin] + newest
+
+    def _is_along(self, path: _Cell, cell: _Cell) -> bool:
+        """Whether a block goes on along a path, as far as the noise of the motion tells."""
+        begun, width, _, path_slope = path.line()
+        middle, spread, compression, slope = cell.line()
+        if width == 0.0:
+            return cell.count == 1
+        place = (middle - begun) / width
+        mean_sd = math.sqrt(1.0 / cell.count + (1.0 + place**2) / path.count)
+        most = _LINE_DEVIATIONS * self.noise_sd
+        if abs(compression - path.at(middle)) > most * mean_sd:
+            return False
+        if spread == 0.0:
+            return True
+        slope_sd = math.hypot(
+            1.0 / (spread * math.sqrt(cell.count)), 1.0 / (width * math.sqrt(path.count))
+        )
+        return abs(slope - path_slope) <= most * slope_sd
+
+    def _newest_path(self) -> _Cell | None:
+        """Return the path with the samples since the last block, if they go on along it."""
+        if self._path is None or self._open is None or not self._is_along(self._path, self._open):
+            return None
+        return self._path.merged(self._open)
 
     def _joins(self, last: _Cell, cell: _Cell) -> bool:
         """Whether a block goes on with the next; takes note where the motion changes."""
@@ -284,10 +337,25 @@ class Record:
     def points(self) -> Points:
         """Return the record so far as arrays."""
         opened = [] if self._open is None else [self._open]
-        rows = self._rows + [cell.row() for cell in opened]
+        path = self._newest_path()
+        rows = self._rows_on_path(path or self._path)
+        rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
         if self._reach:
             rows = [cell.row() for cell in _approach(self._cells + opened, self._reach)] + rows
         return _points(rows, self.noise_sd)
+
+    def block(self, samples: Sequence[Sample]) -> Block:
+        """Return the newest samples as a block by itself, on the path that they follow."""
+        cell = _Cell(samples[0].time, True)
+        for sample in samples:
+            cell.add(sample.time, sample.compression, sample.stress)
+        path = self._newest_path()
+        is_on_path = path is not None and path.start <= cell.start
+        return cell.row().along(path) if path is not None and is_on_path else cell.row()
+
+    def points_after(self, blocks: Sequence[Block], before: float) -> Points:
+        """Return blocks as a record that goes on after the time `before` [s]."""
+        return _points(blocks, self.noise_sd, before)
 
 
 def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
@@ -310,22 +378,11 @@ def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
     return [before]
 
 
-def points_after(
-    blocks: Sequence[Sequence[Sample]], before: float, noise_sd: float = 0.0
-) -> Points:
-    """Return blocks as a record that goes on after the time `before` [s]."""
-    rows = []
-    for samples in blocks:
-        cell = _Cell(samples[0].time, True)
-        for sample in samples:
-            cell.add(sample.time, sample.compression, sample.stress)
-        rows.append(cell.row())
-    return _points(rows, noise_sd, before)
-
-
-def _points(rows: Sequence[_Row], noise_sd: float, before: float | None = None) -> Points:
+def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None) -> Points:
     """Return blocks as arrays; `before`: the time from which they go on."""
-    middle, spread, compression, slope, step, duration, count, stress, seen = np.array(rows).T
+    (
+        middle, spread, compression, slope, slope_sd, step, duration, count, stress, seen,
+    ) = np.array(rows).T  # fmt: skip
     is_line = spread > 0.0
     block = np.repeat(np.arange(len(rows)), 1 + is_line)
     last = np.cumsum(1 + is_line) - 1
@@ -336,10 +393,10 @@ def _points(rows: Sequence[_Row], noise_sd: float, before: float | None = None) 
     motion = compression[block] + slope[block] * offsets
     elapsed = np.diff(times, prepend=times[0] if before is None else before)
     bends = np.zeros_like(times)
-    speeds = _above_noise(slope, noise_sd, spread, count)[block]
+    speeds = _above_noise(slope, _SLOPE_DEVIATIONS * noise_sd * slope_sd)[block]
     if times.size > 2:
         bends[1:-1] = np.abs(np.diff(np.diff(motion) / np.diff(times)))
-        speeds = np.where(is_line[block], speeds, np.gradient(motion, times))
+        speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))
     # A sample alone knows its step from its neighbours.
     beside, own = np.maximum(elapsed, np.append(elapsed[1:], 0.0)), step[block]
     observed = np.flatnonzero(seen)
@@ -359,9 +416,8 @@ def _points(rows: Sequence[_Row], noise_sd: float, before: float | None = None) 
     )
 
 
-def _above_noise(slopes: Array, noise_sd: float, spread: Array, count: Array) -> Array:
+def _above_noise(slopes: Array, noise: Array) -> Array:
     """Return slopes as far as they are above their noise [1/s]."""
-    noise = (_SLOPE_DEVIATIONS * noise_sd / np.where(spread > 0.0, spread, 1.0)) ** 2 / count
     square = slopes**2
-    result: Array = slopes * square / np.where(square > 0.0, square + noise, 1.0)
+    result: Array = slopes * square / np.where(square > 0.0, square + noise**2, 1.0)
     return result
