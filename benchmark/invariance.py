@@ -39,6 +39,8 @@ examples:
 #: All stamps are shifted by this [ns].
 _SHIFT_NS = 12_345_678_901
 _NANOMETRE, _TENTH_MICROMETRE = 1e-9, 1e-7
+#: Recordings end so long before the retreat [s], which would be seen by the summary alone.
+_BEFORE_RETREAT = 0.05
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY = 1e-9
 
@@ -138,7 +140,8 @@ def simulated(number: int) -> Record:
     cases = [case for case in CASES.values() if case.press_count == 1 and case.surface is None]
     case = cases[number % len(cases)]
     recording = simulate(scenario_of(case, number // len(cases)))
-    last = START_NS + round(NANOSECONDS * (presses_of(recording)[0][0] + case.held_s))
+    held = case.held_s - _BEFORE_RETREAT
+    last = START_NS + round(NANOSECONDS * (presses_of(recording)[0][0] + held))
 
     def cut(stream: Stream) -> Stream:
         kept = stream.stamp_ns <= last

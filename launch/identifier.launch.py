@@ -108,6 +108,4 @@ def generate_launch_description() -> LaunchDescription:
             LaunchConfiguration("parameters"),
         ],
     )
-    return LaunchDescription(
-        [*arguments, OpaqueFunction(function=_check_parameters), identifier]
-    )
+    return LaunchDescription([*arguments, OpaqueFunction(function=_check_parameters), identifier])

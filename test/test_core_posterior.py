@@ -259,7 +259,7 @@ def test_the_filter_is_where_the_next_solution_is(motion_noise: float) -> None:
         before = kalman.covariance.diagonal().copy()
         for sample in block:
             record.add(*sample, is_observed=True)
-        update = kalman.step(record.points_after([record.block(block)], last))
+        update = kalman.step(record.points_after(record.blocks(block), last))
         assert np.all(kalman.covariance.diagonal() <= before)
         last = block[-1].time
         assert abs(update.innovation) < 5.0 * math.sqrt(update.variance)
@@ -269,8 +269,8 @@ def test_the_filter_is_where_the_next_solution_is(motion_noise: float) -> None:
     ratio = kalman.covariance.diagonal()[:3] / anew.covariance.diagonal()[:3]
     assert np.all(np.abs(np.log(ratio)) < 0.3)
     with pytest.raises(FloatingPointError, match="not finite"):
-        lost = record.block([Sample(last + 0.01, 0.2, math.nan)])
-        kalman.step(record.points_after([lost], last))
+        lost = record.blocks([Sample(last + 0.01, 0.2, math.nan)])
+        kalman.step(record.points_after(lost, last))
 
 
 def test_the_walks_gain_variance_by_the_square_of_their_scales() -> None:

@@ -179,12 +179,11 @@ class PressPosterior:
 
         """
         innovation = self._unpredicted(stress)
-        block = self.record.block(self._samples) if self._samples else None
-        if self.filter is not None and block is not None:
-            innovation = self._filtered(self.filter, block, compression)
+        blocks = self.record.blocks(self._samples) if self._samples else []
+        if self.filter is not None and blocks:
+            innovation = self._filtered(self.filter, blocks, compression)
         if self._begun is not None:
-            if block is not None:
-                self._begun.since.append(block)
+            self._begun.since.extend(blocks)
             if self._now - self._start - self._begun.search.elapsed > SOLUTION_TIME:
                 self.go_on()
         self._samples = []
@@ -215,9 +214,11 @@ class PressPosterior:
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
 
-    def _filtered(self, own_filter: PressFilter, block: Block, compression: float) -> Innovation:
-        """Let the filter take a block."""
-        points = self.record.points_after([block], self._last)
+    def _filtered(
+        self, own_filter: PressFilter, blocks: list[Block], compression: float
+    ) -> Innovation:
+        """Let the filter take the newest blocks."""
+        points = self.record.points_after(blocks, self._last)
         self._last = float(points.times[-1])
         try:
             found = own_filter.step(points)

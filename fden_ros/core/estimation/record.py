@@ -344,14 +344,16 @@ class Record:
             rows = [cell.row() for cell in _approach(self._cells + opened, self._reach)] + rows
         return _points(rows, self.noise_sd)
 
-    def block(self, samples: Sequence[Sample]) -> Block:
-        """Return the newest samples as a block by itself, on the path that they follow."""
-        cell = _Cell(samples[0].time, True)
-        for sample in samples:
-            cell.add(sample.time, sample.compression, sample.stress)
-        path = self._newest_path()
-        is_on_path = path is not None and path.start <= cell.start
-        return cell.row().along(path) if path is not None and is_on_path else cell.row()
+    def blocks(self, samples: Sequence[Sample]) -> list[Block]:
+        """Return the newest samples as a block by itself, or as two where the motion changes."""
+        path, begun = self._newest_path(), self._open
+        if path is not None or begun is None:
+            return [_block_of(samples, path)]
+        before = [sample for sample in samples if sample.time < begun.start]
+        after = samples[len(before) :]
+        return [
+            _block_of(part, own) for part, own in ((before, self._path), (after, None)) if part
+        ]
 
     def points_after(self, blocks: Sequence[Block], before: float) -> Points:
         """Return blocks as a record that goes on after the time `before` [s]."""
@@ -376,6 +378,14 @@ def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
     before = _Cell(float(lines[0, 0]) - missing / speed, False)
     before.add(before.start, first - missing, 0.0)
     return [before]
+
+
+def _block_of(samples: Sequence[Sample], path: _Cell | None) -> Block:
+    """Return samples as a block, on a path if that goes back to its first."""
+    cell = _Cell(samples[0].time, True)
+    for sample in samples:
+        cell.add(sample.time, sample.compression, sample.stress)
+    return cell.row() if path is None or cell.start < path.start else cell.row().along(path)
 
 
 def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None) -> Points:
