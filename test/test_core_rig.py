@@ -258,6 +258,13 @@ def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(rate, nu
         assert np.all(np.abs(contact.error) < 2.5 * contact.deviation)
 
 
+@pytest.mark.parametrize(("name", "number"), [("breathing_0.3mm", 60)])
+def test_a_touch_held_at_a_sample_leaves_equations_that_have_a_solution(name, number):
+    """Beside the stiffest of all unknowns, a law that is next to exact, rounding left none."""
+    contacts = trial_of(case_of(name), number, {}).contacts
+    assert [contact.claims for contact in contacts] == [True]
+
+
 @pytest.mark.parametrize(
     ("breathes", "is_learned"),
     [(False, True), pytest.param(True, False, marks=pytest.mark.statistics)],

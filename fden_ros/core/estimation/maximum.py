@@ -39,7 +39,8 @@ _NEARLY_CONVERGED = 1e-3
 #: the distance [1], so that both cannot take turns; after so many steps [1] by less and less:
 #: where a kink lies between two states each is the better one by its own variances.
 _QUICK_STEPS, _FOLLOWING, _PATIENCE = 5, 0.5, 15
-#: Stiffness by which a touch is held at a sample, over the stiffest of the normal equations [1].
+#: Stiffness by which a touch is held at a sample, over the stiffest of what moves it [1]: beside
+#: that of all unknowns rounding would leave no positive definite normal equations.
 _HELD = 1e4
 #: Times that a touch held at a sample is moved on [1], and how far at most, in standard deviations
 #: [1].
@@ -144,7 +145,8 @@ class MaximumSearch:
             normal = free.normal
             if is_at_kink:
                 touch = model.touch_gradient(self._points, state)
-                normal = normal + _HELD * free.damped.max() * np.outer(touch, touch)
+                stiffest = free.damped.max(where=touch != 0.0, initial=0.0)
+                normal = normal + _HELD * stiffest * np.outer(touch, touch)
             behind = state - at
             gain = float(free.towards @ solved(normal, free.towards))
             left = gain + float(behind @ free.normal @ behind)
