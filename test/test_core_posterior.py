@@ -347,6 +347,23 @@ def test_blocks_that_follow_one_line_have_it_without_the_noise_of_each() -> None
     assert np.max(np.abs(off)) < 4.0 * 2.5e-4
 
 
+@pytest.mark.parametrize("rate", [50.0, 500.0])
+def test_a_motion_turns_where_a_hold_ends_and_not_within_its_last_block(rate: float) -> None:
+    """The block's two points are up to a tenth of a second from its end: tissue that obeys the law
+    was told as changed when the probe left.
+    """
+    times = np.arange(0.0, 10.5, 1.0 / rate)
+    strains = np.interp(times, [0.0, 1.0, 10.0, 10.5], [0.0, 0.25, 0.25, 0.0])
+    for count in (times.size, int(10.03 * rate)):
+        seen = strains[:count]
+        points = points_of(Press(times[:count], seen, seen, np.zeros(3), 1.0))
+        off = points.compressions - np.interp(points.times, times, strains)
+        assert np.max(np.abs(off)) < 1e-3
+        between = np.interp(times[:count], points.times, points.compressions)
+        assert np.max(np.abs(between - seen)) < 1e-3
+        assert np.all(np.diff(points.times) > 0.0)
+
+
 @pytest.mark.parametrize("seed", [5, 7, 10])
 def test_where_the_blocks_begin_does_not_move_the_estimate(seed: int) -> None:
     """It moved that of the last by 1.2 standard deviations: noise of the motion as motion."""

@@ -273,19 +273,38 @@ class Record:
     def _close(self) -> None:
         cell, self._open = self._open, None
         assert cell is not None
-        longer = None
-        if self._path is not None and self._is_along(self._path, cell):
-            longer = self._path.merged(cell)
+        path = self._path
+        is_along = path is not None and self._is_along(path, cell)
+        longer = path.merged(cell) if path is not None and is_along else None
         if self._cells and self._joins(self._cells[-1], cell):
             cell = self._cells.pop().merged(cell)
             self._rows.pop()
+        elif path is not None and longer is None:
+            end = self._end_of(path)
+            if end is not None:
+                self._cells.append(end)
+                self._rows.append(end.row())
         if longer is None:
-            self._rows = self._rows_on_path(self._path)
-            self._path, self._path_begin = cell, len(self._cells)
-        else:
-            self._path = longer
+            self._rows = self._rows_on_path(path)
+            self._path_begin = len(self._cells)
+        self._path = longer or cell
         self._cells.append(cell)
         self._rows.append(cell.row())
+
+    def _end_of(self, path: _Cell) -> _Cell | None:
+        """Return the last step of the motion along a path; None: the last block has it nearly.
+
+        The two points of a long block are far from its end, and the motion would turn there.
+        """
+        last = self._cells[-1]
+        middle, spread, _, _ = last.line()
+        step = (last.end - last.start) / max(last.count - 1, 1)
+        if last.end - middle - spread <= max(step, BLOCK_TIME) + _SAME_TIME:
+            return None
+        end = _Cell(last.end - step, False)
+        for time in (last.end - step, last.end):
+            end.add(time, path.at(time), 0.0)
+        return end
 
     def _rows_on_path(self, path: _Cell | None) -> list[Block]:
         if path is None:
@@ -339,6 +358,8 @@ class Record:
         opened = [] if self._open is None else [self._open]
         path = self._newest_path()
         rows = self._rows_on_path(path or self._path)
+        if path is None and self._path is not None and opened:
+            opened = [cell for cell in (self._end_of(self._path), *opened) if cell is not None]
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
         if self._reach:
             rows = [cell.row() for cell in _approach(self._cells + opened, self._reach)] + rows
