@@ -142,6 +142,8 @@ def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and "nothing was identified" in printed.err
     assert all("implausible" in c["flags"] for c in json.loads(printed.out)["contacts"])
+    assert main([*command, "time_s,force_N*-1,depth_mm*-1e-3"]) == 3
+    assert "do both have the wrong sign" in capsys.readouterr().err
     assert main([*command, RIGHT]) == 0
     assert capsys.readouterr().err == ""
 
