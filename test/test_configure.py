@@ -240,6 +240,7 @@ def test_presses_of_one_place_are_one_site_without_positions(tmp_path, capsys):
     output = tmp_path / "probe.yaml"
     for more, sites in ([], [1, 2]), (["--one-place"], [1, 1]):
         assert run("configure", PRESS, "-o", output, *more) == 0
+        assert ("place: CANNOT TELL" in output.read_text(encoding="utf-8")) == (not more)
         capsys.readouterr()
         run("replay", PRESS, "--config", output, "--json")
         contacts = json.loads(capsys.readouterr().out)["contacts"]

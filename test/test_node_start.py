@@ -13,10 +13,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import GetState
 from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -25,6 +26,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fden_ros.nodes.doctor import Examination, examine
+from fden_ros.ros.plain_node import plain_node
 from simulation.simulate import START_NS
 
 
@@ -217,6 +219,27 @@ def test_the_doctor_says_what_a_node_hears_and_lacks_and_the_next_step():
     assert not ill.is_well and "no pair of force and displacement" in ill.next_step
     assert "last refusal: tare: no force has been measured in the air yet" in ill.page()
     assert other.next_step == "name the one that runs: fden doctor /identifier"
+
+
+def test_the_doctor_waits_for_diagnostics_that_it_hears_late():
+    with plain_node("identifier") as (node, executor):
+        sender = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        status = DiagnosticStatus(name="identifier: inputs", message="well")
+
+        def state(_request: Any, response: GetState.Response) -> GetState.Response:
+            response.current_state.label = "active"
+            node.create_timer(1.0, lambda: sender.publish(DiagnosticArray(status=[status])))
+            return response
+
+        node.create_service(GetState, "/identifier/get_state", state)
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        try:
+            found = examined("/identifier", lambda e: e.state == "active")
+        finally:
+            executor.shutdown()
+            thread.join()
+    assert found.words == "well"
 
 
 @pytest.mark.parametrize(("period", "deadline"), [(0.01, 0.05), (0.2, 1.0)])

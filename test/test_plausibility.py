@@ -22,7 +22,9 @@ from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
-from simulation.simulate import EXACT
+from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site, Tissue
+from simulation.simulate import EXACT, simulate
+from simulation.trajectory import RampHold
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
@@ -104,6 +106,23 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, dis
     assert bool(said) == (words is not None)
 
 
+def test_no_sign_is_doubted_because_a_creeping_touch_was_taken_for_the_air():
+    scenario = Scenario(
+        geometry=Geometry(area_m2=PROBE["geometry.area"], thickness_m=0.02),
+        sites=(Site(Tissue(545.0, 8.5, 0.131), (RampHold(0.01, 0.35, 2.0, 0.4),)),),
+        force=ForceSensor(100.0, noise_n=0.01),
+        displacement=DisplacementSensor(100.0),
+    )
+    recording = simulate(scenario, 0)
+    pipeline = Pipeline(pipeline_config(check(PROBE)), lambda _output: None)
+    force, place = recording.force, recording.displacement
+    for stamp, newtons, metres in zip(force.stamp_ns, force.value, place.value, strict=True):
+        pipeline.add_displacement(int(stamp), float(metres))
+        pipeline.add_force(int(stamp), float(newtons))
+    (said,) = (one for one in pipeline.warnings if "fell below its value in the air" in one)
+    assert "sign" not in said and "touch faster" in said
+
+
 def test_slow_recording_is_identified():
     # 2 samples a second; G goes with time^alpha.
     factor = 100
@@ -123,6 +142,8 @@ def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and "nothing was identified" in printed.err
     assert all("implausible" in c["flags"] for c in json.loads(printed.out)["contacts"])
+    assert main([*command, "time_s,force_N*-1,depth_mm*-1e-3"]) == 3
+    assert "do both have the wrong sign" in capsys.readouterr().err
     assert main([*command, RIGHT]) == 0
     assert capsys.readouterr().err == ""
 

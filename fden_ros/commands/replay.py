@@ -101,6 +101,9 @@ def _shown(result: Replay, parameters: Parameters, as_json: bool) -> int:
     why = "no contact is converged"
     if parameters.contact.mode == "continuous":
         why = "no stiffness along the path, which takes a probe that palpates as it slides"
+    elif result.warnings and not (result.summaries and result.summaries[-1].estimate):
+        # What is wrong with the input comes first.
+        why += f"; {result.warnings[0]}"
     elif lacking:
         # What a place lacks is least after its last contact.
         why += f"; {lacking[-1]}"

@@ -72,7 +72,7 @@ SUBJECTS: Mapping[str, Subject] = {
         "press a rigid plate twice, slowly, to the largest force of your presses, and in the same "
         "recording press tissue (or say that the recording is of a rigid plate: --rigid)",
     ),
-    "place": Subject("", "site"),
+    "place": Subject("", "site", "state --one-place where all presses are of one"),
     "indenter": Subject(
         "", "geometry", "state the indenter: --flat-punch AREA --thickness H, or --sphere R"
     ),

@@ -97,7 +97,7 @@ def survey(
         delay_finding(weight, presses),
         compliance_finding(presses),
         _indenter(indenter),
-        *([_one_place(sessions)] if one_place else []),
+        *_place(sessions, is_one=one_place),
     )
     findings = tuple(_in_known_units(finding, units) for finding in found)
     return Survey(findings, sessions, axes, weight, presses)
@@ -117,18 +117,23 @@ def _indenter(stated: dict[str, float | str] | None) -> Finding:
     return Finding("indenter", words, None, "as stated", parameters=values)
 
 
-def _one_place(sessions: Sequence[Session]) -> Finding:
-    """Return how long the probe is away from the place that it presses."""
+def _place(sessions: Sequence[Session], *, is_one: bool) -> list[Finding]:
+    """Return whether touches are of one place, and how long the probe is away from it."""
     away = [
         later.start - earlier.end
         for session in sessions
         for earlier, later in itertools.pairwise(session.contacts)
     ]
-    if sessions[0].position.shape[1] == 3:
-        return Finding("place", "one", None, "as stated; by its positions touches are told apart")
+    has_positions = sessions[0].position.shape[1] == 3
+    if not is_one:
+        by = "there are no positions: a press is followed as of the last place and as of another"
+        return [unknown("place", by)] if away and not has_positions else []
+    if has_positions:
+        by = "as stated; by its positions touches are told apart"
+        return [Finding("place", "one", None, by)]
     longest = math.ceil(2.0 * max(away, default=2.0))
     values = {"site.timeout": float(longest)}
-    return Finding("place", "one", None, "as stated", parameters=values)
+    return [Finding("place", "one", None, "as stated", parameters=values)]
 
 
 def _in_known_units(finding: Finding, units: Units) -> Finding:

@@ -60,7 +60,9 @@ class Direction:
                 "sign (displacement.axis, displacement.inverted)?"
             )
         begins = "or did the data begin in contact?"
-        if self._force < 0.0 < self._together:
+        if self._force > 0.0:
+            return f"was a slow or faint touch taken for the air (touch faster), {begins}"
+        if self._together > 0.0:
             return (
                 "the displacement falls with it: do both have the wrong sign (force.axis and "
                 f"displacement.axis, or their .inverted), {begins}"

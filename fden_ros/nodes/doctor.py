@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import GetState
 from rclpy.client import Client
 from rclpy.executors import Executor
@@ -109,15 +109,22 @@ def examine(identifier: str) -> Examination:
         client = node.create_client(GetState, f"{identifier}/get_state")
         spin_for(executor, _LISTEN)
         state = _state(client, executor)
+        if state == "active" and not _statuses(heard, identifier):
+            # A busy machine finds the topic late.
+            spin_for(executor, _ASKED * _ANSWER)
         others = tuple(
             name.removesuffix("/estimate")
             for name, kinds in sorted(node.get_topic_names_and_types())
             if _ESTIMATE in kinds and name.endswith("/estimate") and node.count_publishers(name)
         )
-    own = [s for message in heard for s in message.status if is_of(s, identifier)]
+    own = _statuses(heard, identifier)
     words = own[-1].message if own else ""
     values = {value.key: value.value for value in own[-1].values} if own else {}
     return Examination(identifier, state, words, values, others)
+
+
+def _statuses(heard: Sequence[DiagnosticArray], identifier: str) -> list[DiagnosticStatus]:
+    return [s for message in heard for s in message.status if is_of(s, identifier)]
 
 
 def _state(client: Client, executor: Executor) -> str:

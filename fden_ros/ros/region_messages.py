@@ -15,7 +15,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.planning.region import Region, RegionMap
 from fden_ros.ros.stiffness_map import cloud_of_points
 
-_FIELDS = ("x", "y", "z", "log_stiffness", "log_stiffness_sd", "probability")
+FIELDS = ("x", "y", "z", "log_stiffness", "log_stiffness_sd", "probability")
 _LINE = 5e-4  #: width of the boundary [m]
 
 
@@ -23,7 +23,7 @@ def cloud_of(region: Region, found: RegionMap, height: float, header: Header) ->
     """Return the cells as points: x, y, z [m], ln of N/m, its deviation, P(stiffer); float32."""
     z = np.full(len(region.cells), height)
     rows = np.column_stack([region.cells, z, found.mean, found.sd, found.probability])
-    points = np.array(list(map(tuple, rows.tolist())), [(name, "<f4") for name in _FIELDS])
+    points = np.array(list(map(tuple, rows.tolist())), [(name, "<f4") for name in FIELDS])
     return cloud_of_points(points, header)
 
 
