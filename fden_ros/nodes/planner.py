@@ -91,7 +91,7 @@ class Planner(Node):
                 self._fill_places(request, response)
             else:
                 _fill_motion(response, self._planned(request))
-        except (InputError, FloatingPointError, np.linalg.LinAlgError) as error:
+        except (InputError, np.linalg.LinAlgError) as error:
             response.message = str(error)
         if self._contacts:
             newest = next(reversed(self._contacts.values()))
@@ -154,9 +154,8 @@ def _height(contacts: Iterable[ContactSummary], otherwise: float) -> float:
 def _fill_motion(response: NextPresses.Response, found: Plan) -> None:
     motion = found.motion
     response.success, response.message = found.is_worth_it, found.line()
-    for name in ("depth", "speed", "hold", "cycles", "release", "seconds"):
+    for name in ("depth", "speed", "hold", "amplitude", "cycles", "release", "seconds"):
         setattr(response, name, getattr(motion, name))
-    response.amplitude = motion.amplitude * motion.depth
     response.frequency = FREQUENCY if motion.cycles else 0.0
     response.force, response.deviations = found.force, found.deviations
     response.presses, response.probability = found.presses, found.probability

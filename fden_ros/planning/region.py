@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -157,6 +157,16 @@ class Proposal:
     known: RegionMap | None
     is_done: bool
     probability: float = 0.0
+
+    def numbers(self) -> dict[str, Any]:
+        """Return what ``fden plan --json`` prints of it."""
+        known = self.known
+        return {
+            "places": self.places.tolist(),
+            "done": self.is_done,
+            "expected_overlap": None if known is None else known.overlap,
+            "expected_overlap_sd": None if known is None else known.overlap_sd,
+        }
 
     def line(self) -> str:
         """Return the proposal in one line."""
