@@ -93,7 +93,7 @@ def _motion(args: argparse.Namespace) -> int:
     """Say how to press next."""
     from fden_ros.offline.sensors import sensors_of
     from fden_ros.parameters import pipeline_config
-    from fden_ros.planning.plan import Limits, Search, Target
+    from fden_ros.planning.plan import LIMITS, Limits, Search, Target
 
     parameters = parameters_of(args)
     config = pipeline_config(parameters)
@@ -103,7 +103,7 @@ def _motion(args: argparse.Namespace) -> int:
     sensors = sensors_of(
         args.config or [], parameters, args.noise, args.rate, args.displacement_noise
     )
-    most = {name: getattr(args, f"max_{name}") for name in ("depth", "force", "speed", "time")}
+    most = {name: getattr(args, f"max_{name}") for name in LIMITS}
     limits = Limits.usual(config).stated(**most)
     target = Target(args.target) if args.target else None
     search = Search(config, sensors, target, limits, tissue)

@@ -47,6 +47,7 @@ _AMPLITUDE, _CYCLES = 0.05, 2
 #: time [s].
 _USUAL_STRAIN, _USUAL_SPEED, _USUAL_TIME = 0.3, 0.02, 10.0
 NAMES = ("G", "Gn", "alpha")
+LIMITS = ("depth", "force", "speed", "time")
 
 
 @dataclass(frozen=True)
