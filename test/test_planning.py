@@ -384,6 +384,24 @@ def test_where_there_is_nothing_it_says_so_and_what_it_would_have_missed():
     assert found.known is not None and found.known.missed <= 6e-3
 
 
+def test_presses_that_are_known_closely_show_no_inclusion_where_there_is_none():
+    region, centre = Region((0.0, 0.0), (0.06, 0.06)), np.array([0.018, 0.04])
+    rng, rows = np.random.default_rng(4), []
+    places = region.propose(Presses.of([]), 16).places
+    for _ in range(15):
+        for x, y in places:
+            factor = 2.5 if math.dist((x, y), centre) < 9e-3 else 1.0
+            rows.append((x, y, 35.0 * factor * math.exp(0.01 * rng.standard_normal()), 0.35))
+        found = region.propose(Presses.of(rows))
+        places = found.places
+    assert found.known is not None
+    away = np.linalg.norm(region.cells - centre, axis=1)
+    mask = found.known.probability > found.known.level
+    assert not np.any(mask & (away > 13e-3))
+    truth = away < 9e-3
+    assert np.sum(mask & truth) / np.sum(mask | truth) > 0.75
+
+
 def test_three_small_discs_in_place_of_a_large_one_do_not_last():
     region = Region((0.0, 0.0), (0.06, 0.06))
     axis = np.linspace(4e-3, 56e-3, 8)
