@@ -11,7 +11,7 @@ is chosen.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -251,18 +251,15 @@ class Search:
         limits = self.limits
         hold = min(1.0, limits.time - 2.0 * self.depth / limits.speed)
         best = Motion(self.depth, limits.speed, hold, limits.speed)
-        best = self._best(replace(best, depth=part * self.depth) for part in _DEPTHS)
-        best = self._best(replace(best, speed=part * limits.speed) for part in _SPEEDS)
-        best = self._best([best, *(replace(best, hold=hold) for hold in _HOLDS)])
+        best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
+        best = min((replace(best, speed=part * limits.speed) for part in _SPEEDS), key=self.score)
+        best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
         depth = min(best.depth, self.depth / (1.0 + _AMPLITUDE))
         swing = replace(best, depth=depth, amplitude=_AMPLITUDE * depth, cycles=_CYCLES)
-        best = self._best([best, swing, replace(swing, hold=0.5 * swing.hold)])
+        best = min([best, swing, replace(swing, hold=0.5 * swing.hold)], key=self.score)
         least = _AS_GOOD * self.scores[best]
         good = [motion for motion, score in self.scores.items() if score <= least]
         return min(good, key=lambda motion: motion.seconds)
-
-    def _best(self, motions: Iterable[Motion]) -> Motion:
-        return min(motions, key=self.score)
 
     def score(self, motion: Motion) -> float:
         """Return how far a motion is from the target [1]; infinite: it is not allowed."""

@@ -46,8 +46,8 @@ _RISK, _NEGLIGIBLE = 0.05, 6e-3
 STIFFER = 1.5
 #: Time of a press [s] and speed from place to place [m/s] where none are stated.
 _SECONDS, _SPEED = 4.0, 0.02
-#: Deviations of ln k are not below this [1]: no inclusion is just an ellipse with such an edge. With
-#: 0.02 presses known to 1 % showed inclusions of up to 15 mm where there were none.
+#: Deviations of ln k are not below this [1]: no inclusion is just an ellipse with such an edge.
+#: With 0.02 presses known to 1 % showed inclusions of up to 15 mm where there were none.
 _LEAST_SD = 0.05
 
 
