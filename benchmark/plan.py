@@ -187,7 +187,7 @@ def _press(motion: Motion) -> Press:
     strain = motion.depth / THICKNESS_M
     if not motion.cycles:
         return RampHold(speed, strain, motion.hold, release)
-    size = motion.amplitude * strain
+    size = motion.amplitude / THICKNESS_M
     return Sinusoid(speed, strain, size, FREQUENCY, motion.cycles, motion.hold, release)
 
 

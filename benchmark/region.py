@@ -145,6 +145,8 @@ def _row(planned: Array, raster: Array, at_stop: Array, costs: Array) -> dict[st
         "raster, median": float(np.median(raster)),
         "stopped": len(stopped),
         "overlap then, median": float(np.median(stopped)) if len(stopped) else math.nan,
+        "enough then": int(np.sum(stopped >= ENOUGH)),
+        "nothing found": int(np.sum(stopped == 0.0)),
         "ms": float(np.median(costs)),
     }
 

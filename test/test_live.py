@@ -44,8 +44,8 @@ from fden_ros.planning.region import Presses, Region
 from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.ros.topics import latched
+from fden_ros.simulation import phantom
 from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.phantom import Phantom
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column
 from fden_ros.tissue_feed import TissueFeed
@@ -244,8 +244,8 @@ def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path):
 
 
 def test_the_planner_s_presses_are_made_and_drawn(tmp_path):
-    picture, phantom = tmp_path / "map.png", Phantom()
-    region = Region((0.0, 0.0), (phantom.side, phantom.side))
+    picture = tmp_path / "map.png"
+    region = Region((0.0, 0.0), (phantom.SIDE, phantom.SIDE))
     first = region.propose(Presses.of([])).places[0]
     with Ears() as ears:
         summaries = ears.hear(PalpationSummary, "/fden_live/identifier/palpation", latched(100))
@@ -259,7 +259,7 @@ def test_the_planner_s_presses_are_made_and_drawn(tmp_path):
     np.testing.assert_allclose(places, [first, second], atol=2e-4)
     assert summaries[0].max_force < 3.0
     stiffer = phantom.is_stiffer(np.array(places))
-    truth = phantom.linear_stiffness * np.where(stiffer > 0.0, phantom.discs[0][3], 1.0)
+    truth = phantom.LINEAR_STIFFNESS * phantom.FACTOR**stiffer
     found, deviation = np.transpose(
         [(one.linear_stiffness, one.linear_stiffness_sd) for one in summaries[:2]]
     )

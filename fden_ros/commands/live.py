@@ -20,7 +20,7 @@ import yaml
 
 from fden_ros.commands.command import positive, write
 from fden_ros.errors import InputError
-from fden_ros.simulation.phantom import Phantom
+from fden_ros.simulation import phantom
 
 if TYPE_CHECKING:
     from fden_ros.core.outputs import ContactSummary
@@ -107,7 +107,6 @@ def _planning(folder: Path, usual: Path, prior: Path) -> Path:
     from fden_ros.nodes import tissue_simulator
     from fden_ros.parameters.files import read_sections
 
-    phantom = Phantom()
     simulated = {name: default for name, default, _ in tissue_simulator.PARAMETERS}
     for section in read_sections(usual):
         if section.is_for(f"{NAMESPACE}/tissue_simulator"):
@@ -122,7 +121,7 @@ def _planning(folder: Path, usual: Path, prior: Path) -> Path:
         },
         "force_controller": {
             "planner": "planner",
-            "region": [0.0, 0.0, phantom.side, phantom.side],
+            "region": [0.0, 0.0, phantom.SIDE, phantom.SIDE],
             "force_limit": 3.0,
             "lift": 0.002,
         },
@@ -139,17 +138,17 @@ def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
     from fden_ros.report.region_picture import draw_region
     from fden_ros.report.style import save
 
-    phantom, presses = Phantom(), Presses.found(summaries)
+    presses = Presses.found(summaries)
     if not presses.is_told.any():
         raise InputError("no press has told a stiffness: there is nothing to draw")
-    region = Region((0.0, 0.0), (phantom.side, phantom.side))
+    region = Region((0.0, 0.0), (phantom.SIDE, phantom.SIDE))
     found = region.propose(presses)
     print(f"{len(presses.logs)} presses; {found.line()}")
-
-    def draw(figure: Any) -> None:
-        draw_region(figure, region, presses, found, phantom.is_stiffer)
-
-    write(path, lambda path: save(draw, path))
+    truth = phantom.is_stiffer(region.cells)
+    write(
+        path,
+        lambda path: save(lambda figure: draw_region(figure, region, presses, found, truth), path),
+    )
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,8 @@ from fden_ros.commands.inputs import add_config_options, as_argument, parameters
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from fden_ros.planning.plan import Limits, Plan
+    from matplotlib.figure import Figure
+
     from fden_ros.planning.tissue import TissueBelief
 
 _NOT_POSSIBLE = 3
@@ -57,55 +59,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("speed", "m/s", "0.02"),
         ("time", "s", "10"),
     ):
-        limits.add_argument(
-            f"--max-{name}", type=positive, metavar=unit, help=f"at most (default: {usual})"
-        )
+        words = f"at most (default: {usual})"
+        limits.add_argument(f"--max-{name}", type=positive, metavar=unit, help=words)
     sensors = parser.add_argument_group("sensors (default: as fden configure has measured them)")
-    sensors.add_argument(
-        "--noise", type=positive, default=0.0, metavar="N", help="of the force, per sample"
-    )
-    sensors.add_argument("--rate", type=positive, default=0.0, metavar="Hz", help="of the force")
-    sensors.add_argument(
-        "--displacement-noise",
-        type=positive,
-        default=0.0,
-        metavar="m",
-        help="of the displacement, per sample",
-    )
-    parser.add_argument(
-        "--after",
-        type=Path,
-        metavar="RESULTS",
-        help="go on from the last contact of what fden replay --json has printed",
-    )
-    parser.add_argument(
-        "--map",
-        type=Path,
-        metavar="RESULTS",
-        help="where to press next, from the places of what fden replay --json has printed",
-    )
+    for name, unit, words in (
+        ("noise", "N", "of the force, per sample"),
+        ("rate", "Hz", "of the force"),
+        ("displacement-noise", "m", "of the displacement, per sample"),
+    ):
+        sensors.add_argument(f"--{name}", type=positive, default=0.0, metavar=unit, help=words)
+    for name, words in (
+        ("after", "go on from the last contact of what fden replay --json has printed"),
+        ("map", "where to press next, from the places of what fden replay --json has printed"),
+    ):
+        parser.add_argument(f"--{name}", type=Path, metavar="RESULTS", help=words)
     parser.add_argument(
         "--region",
         type=as_argument(_region),
         metavar="X0,Y0,X1,Y1",
         help="corners of the region of --map [m] (default: around its places)",
     )
-    parser.add_argument(
-        "--plot",
-        type=Path,
-        metavar="FILE",
-        help="draw deviations against depth and time, or the map",
-    )
+    words = "draw deviations against depth and time, or the map"
+    parser.add_argument("--plot", type=Path, metavar="FILE", help=words)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan and print; return the exit code."""
-    if args.map is not None:
-        return _run_map(args)
+    return _motion(args) if args.map is None else _place(args)
+
+
+def _motion(args: argparse.Namespace) -> int:
+    """Say how to press next."""
     from fden_ros.offline.sensors import sensors_of
     from fden_ros.parameters import pipeline_config
-    from fden_ros.planning.plan import Search, Target
+    from fden_ros.planning.plan import LIMITS, Limits, Search, Target
 
     parameters = parameters_of(args)
     config = pipeline_config(parameters)
@@ -115,23 +103,21 @@ def run(args: argparse.Namespace) -> int:
     sensors = sensors_of(
         args.config or [], parameters, args.noise, args.rate, args.displacement_noise
     )
+    most = {name: getattr(args, f"max_{name}") for name in LIMITS}
+    limits = Limits.usual(config).stated(**most)
     target = Target(args.target) if args.target else None
-    search = Search(config, sensors, target, _limits(args, config), tissue)
+    search = Search(config, sensors, target, limits, tissue)
     plan = search.plan()
     if args.plot is not None:
         from fden_ros.report.plan_picture import draw_plan
-        from fden_ros.report.style import save
 
-        write(args.plot, lambda path: save(lambda figure: draw_plan(figure, search, plan), path))
-    if args.json:
-        print_json(plan_object(plan))
-    else:
-        print(plan.line())
+        _save(args.plot, lambda figure: draw_plan(figure, search, plan))
+    _print(args, plan.line(), plan.numbers())
     return 0 if plan.is_worth_it else _NOT_POSSIBLE
 
 
-def _run_map(args: argparse.Namespace) -> int:
-    """Say where to press next in a region; return the exit code."""
+def _place(args: argparse.Namespace) -> int:
+    """Say where to press next in a region."""
     from fden_ros.planning.region import Presses, Region
 
     presses = Presses.of(_rows(args.map))
@@ -139,69 +125,38 @@ def _run_map(args: argparse.Namespace) -> int:
         raise InputError(f"{args.map} has no contact with a place and a stiffness in N/m")
     region = Region(*args.region) if args.region else Region.around(presses)
     found = region.propose(presses)
-    if args.plot is not None and found.known is not None:
+    if args.plot is not None:
         from fden_ros.report.region_picture import draw_region
-        from fden_ros.report.style import save
 
-        def draw(figure: Any) -> None:
-            draw_region(figure, region, presses, found)
-
-        write(args.plot, lambda path: save(draw, path))
-    if args.json:
-        known = found.known
-        print_json(
-            {
-                "places": found.places.tolist(),
-                "done": found.is_done,
-                "expected_overlap": known.overlap if known is not None else None,
-                "expected_overlap_sd": known.overlap_sd if known is not None else None,
-                "line": found.line(),
-            }
-        )
-    else:
-        print(found.line())
+        _save(args.plot, lambda figure: draw_region(figure, region, presses, found))
+    _print(args, found.line(), found.numbers())
     return 0
 
 
-def plan_object(plan: Plan) -> dict[str, Any]:
-    """Return a plan as ``--json`` prints it; SI units."""
-    motion = plan.motion
-    return {
-        "possible": plan.is_possible,
-        "presses": plan.presses,
-        "probability": plan.probability,
-        "deviations": dict(zip(("g", "g_n", "alpha"), plan.deviations.tolist(), strict=True)),
-        "depth": motion.depth,
-        "speed": motion.speed,
-        "hold": motion.hold,
-        "amplitude": motion.amplitude * motion.depth,
-        "cycles": motion.cycles,
-        "release": motion.release,
-        "seconds": motion.seconds,
-        "force": plan.force,
-        "cause": plan.cause,
-        "line": plan.line(),
-    }
+def _save(path: Path, draw: Callable[[Figure], None]) -> None:
+    from fden_ros.report.style import save
+
+    write(path, lambda draft: save(draw, draft))
 
 
-def _target(text: str) -> tuple[float, float, float]:
+def _print(args: argparse.Namespace, line: str, numbers: Mapping[str, Any]) -> None:
+    if args.json:
+        print_json({**numbers, "line": line})
+    else:
+        print(line)
+
+
+def _target(text: str) -> tuple[float, ...]:
     found = dict.fromkeys(_TARGETS, math.inf)
     for part in text.split(","):
         name, _, value = part.partition("=")
+        if name not in _TARGETS:
+            raise InputError(f"{part!r}: a target is one of {', '.join(_TARGETS)}")
         try:
             found[name] = positive(value)
         except argparse.ArgumentTypeError as error:
             raise InputError(f"{part!r}: {error}") from None
-        if name not in _TARGETS:
-            raise InputError(f"{part!r}: a target is one of {', '.join(_TARGETS)}")
-    return found["G"], found["Gn"], found["alpha"]
-
-
-def _limits(args: argparse.Namespace, config: Any) -> Limits:
-    from fden_ros.planning.plan import Limits
-
-    stated = {name: getattr(args, f"max_{name}") for name in ("depth", "force", "speed", "time")}
-    return Limits.usual(config).stated(**stated)
+    return tuple(found.values())
 
 
 def _region(text: str) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -224,21 +179,17 @@ def _contacts(path: Path) -> list[dict[str, Any]]:
         ) from None
 
 
-def _rows(path: Path) -> list[tuple[float, float, float, float]]:
-    """Return x, y, N/m and its deviation of each contact of results; 0 where none is told."""
-    return [
-        (*one["position"][:2], one["apparent_stiffness"], one["apparent_stiffness_sd"])
-        if one.get("apparent_stiffness") and not _is_withheld(one)
-        else (*one["position"][:2], 0.0, 0.0)
-        for one in _contacts(path)
-        if one.get("position")
-    ]
-
-
-def _is_withheld(contact: dict[str, Any]) -> bool:
+def _rows(path: Path) -> Iterator[tuple[float, float, float, float]]:
+    """Yield x, y, N/m and its deviation of each contact of results; 0 where none is told."""
     from fden_ros.core.outputs import WITHHELD, Flag
 
-    return any(Flag[name.upper()] & WITHHELD for name in contact.get("flags", ()))
+    for one in _contacts(path):
+        if not one.get("position"):
+            continue
+        is_withheld = any(Flag[name.upper()] & WITHHELD for name in one.get("flags", ()))
+        told = one.get("apparent_stiffness"), one.get("apparent_stiffness_sd")
+        value, sd = (0.0, 0.0) if is_withheld else (number or 0.0 for number in told)
+        yield (*one["position"][:2], value, sd)
 
 
 def _tissue(path: Path) -> TissueBelief:

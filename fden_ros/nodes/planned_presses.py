@@ -70,8 +70,6 @@ class PlannedPresses:
         self._log = node.get_logger()
         self._client = node.create_client(NextPresses, f"{planner}/next_presses")
         self._force_limit, self._lift, self._move_to = force_limit, lift, move_to
-        self._now = self._force = self._depth = 0.0
-        self._place = (math.nan, math.nan)
         self._known: Any = None  # stamp of the newest press that an answer knew of
         self._course = self._presses()
 
@@ -113,7 +111,9 @@ class PlannedPresses:
             if found.header.stamp != self._known or self._now > end:
                 self._known = found.header.stamp
                 return found
-            yield from self._wait(_ASK_AGAIN)
+            again = self._now + _ASK_AGAIN
+            while self._now < again:
+                yield 0.0
 
     def _answer(self, request: Any) -> Generator[float, None, Any]:
         while not self._client.service_is_ready():
@@ -134,11 +134,6 @@ class PlannedPresses:
             yield self._towards(motion.depth, motion.speed)
         while self._depth > -self._lift + _AT_DEPTH:
             yield self._towards(-self._lift, motion.release)
-
-    def _wait(self, seconds: float) -> Course:
-        end = self._now + seconds
-        while self._now < end:
-            yield 0.0
 
     def _towards(self, depth: float, speed: float) -> float:
         return min(max(_DEPTH_GAIN * (depth - self._depth), -speed), speed)

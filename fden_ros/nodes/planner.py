@@ -31,7 +31,7 @@ from fden_ros.nodes.running import declared, run_node
 from fden_ros.offline.sensors import sensors_of
 from fden_ros.parameters import pipeline_config, read_parameter_files
 from fden_ros.planning.motion import FREQUENCY
-from fden_ros.planning.plan import Limits, Plan, Target, plan
+from fden_ros.planning.plan import LIMITS, Limits, Plan, Target, plan
 from fden_ros.planning.region import ENOUGH, Presses, Region
 from fden_ros.planning.tissue import TissueBelief
 from fden_ros.ros.messages import summary_of, to_stamp
@@ -91,46 +91,45 @@ class Planner(Node):
                 self._fill_places(request, response)
             else:
                 _fill_motion(response, self._planned(request))
-        except (InputError, FloatingPointError, np.linalg.LinAlgError) as error:
+        except (InputError, np.linalg.LinAlgError) as error:
             response.message = str(error)
-        if self._contacts:
-            newest = next(reversed(self._contacts.values()))
-            response.header = _header(newest)
+        response.header = self._header
         self.get_logger().info(response.message)
         return response
 
     def _planned(self, request: NextPresses.Request) -> Plan:
-        wanted = [float(sd) if sd > 0.0 else math.inf for sd in request.target]
-        target = Target((wanted[0], wanted[1], wanted[2])) if min(wanted) < math.inf else None
-        limits = Limits.usual(self._config).stated(
-            depth=request.max_depth,
-            force=request.max_force,
-            speed=request.max_speed,
-            time=request.max_time,
-        )
+        wanted = [sd if sd > 0.0 else math.inf for sd in request.target]
+        target = Target(wanted) if min(wanted) < math.inf else None
+        most = {name: getattr(request, f"max_{name}") for name in LIMITS}
+        limits = Limits.usual(self._config).stated(**most)
         known = [one.estimate for one in self._contacts.values() if one.estimate is not None]
         tissue = TissueBelief.found(known[-1]) if known else None
         return plan(self._config, self._sensors, target, limits, tissue)
 
     def _fill_places(self, request: NextPresses.Request, response: NextPresses.Response) -> None:
         region = self._region_of(request)
-        newest = next(reversed(self._contacts.values()), None)
-        frame = newest.position_frame if newest is not None else ""
-        alike = [one for one in self._contacts.values() if one.position_frame == frame]
-        found = region.propose(
-            Presses.found(alike), int(request.number), request.overlap or ENOUGH
-        )
+        header = self._header
+        alike = [c for c in self._contacts.values() if c.position_frame == header.frame_id]
+        presses = Presses.found(alike)
+        found = region.propose(presses, request.number, request.overlap or ENOUGH)
         height = _height(alike, request.low.z)
         response.success, response.message = not found.is_done, found.line()
         response.probability = found.probability
         response.places = [Point(x=float(x), y=float(y), z=height) for x, y in found.places]
-        if found.known is not None and newest is not None:
+        if found.known is not None:
             response.expected_overlap = found.known.overlap
             response.expected_overlap_sd = found.known.overlap_sd
-            header = _header(newest)
             self._map.publish(cloud_of(region, found.known, height, header))
             sides = region.boundary(found.known)
             self._boundary.publish(boundary_of(sides, height, header))
+
+    @property
+    def _header(self) -> Header:
+        """Of the newest contact."""
+        if not self._contacts:
+            return Header()
+        newest = next(reversed(self._contacts.values()))
+        return Header(stamp=to_stamp(newest.stamp_ns), frame_id=newest.position_frame)
 
     def _region_of(self, request: NextPresses.Request) -> Region:
         low, high = ((corner.x, corner.y) for corner in (request.low, request.high))
@@ -139,10 +138,6 @@ class Planner(Node):
         if self._region is None or (*self._region.low, *self._region.high) != (*low, *high):
             self._region = Region(low, high)
         return self._region
-
-
-def _header(summary: ContactSummary) -> Header:
-    return Header(stamp=to_stamp(summary.stamp_ns), frame_id=summary.position_frame)
 
 
 def _height(contacts: Iterable[ContactSummary], otherwise: float) -> float:
@@ -154,9 +149,8 @@ def _height(contacts: Iterable[ContactSummary], otherwise: float) -> float:
 def _fill_motion(response: NextPresses.Response, found: Plan) -> None:
     motion = found.motion
     response.success, response.message = found.is_worth_it, found.line()
-    for name in ("depth", "speed", "hold", "cycles", "release", "seconds"):
+    for name in ("depth", "speed", "hold", "amplitude", "cycles", "release", "seconds"):
         setattr(response, name, getattr(motion, name))
-    response.amplitude = motion.amplitude * motion.depth
     response.frequency = FREQUENCY if motion.cycles else 0.0
     response.force, response.deviations = found.force, found.deviations
     response.presses, response.probability = found.presses, found.probability

@@ -16,6 +16,7 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
 from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.errors import InputError
 from fden_ros.planning.motion import Sensors
 from fden_ros.planning.plan import Plan, plan
 from fden_ros.planning.remedies import (
@@ -97,7 +98,7 @@ def next_press(summary: ContactSummary, config: PipelineConfig) -> Plan | None:
     sensors = Sensors(max(summary.sample_count / seconds, 1.0), noise)
     try:
         return plan(config, sensors, tissue=TissueBelief.found(estimate))
-    except (FloatingPointError, np.linalg.LinAlgError):
+    except (InputError, np.linalg.LinAlgError):
         return None
 
 

@@ -45,7 +45,7 @@ from fden_ros.planning.touch import Touch, touch_of, zero_sd
 
 #: Scales of the law's errors at which motions are compared, over the stated one [1]: of tissue
 #: that is all but the law's.
-_COMPARED = (0.1, 0.1, 0.05)
+_COMPARED = np.array([0.1, 0.1, 0.05])
 #: Places of the scales that stand for all [1]: of kernel and characteristic, and of the roughness.
 _SMOOTH, _ROUGH = ((0, 0), (2, 0), (2, 2)), (0, 1, 3)
 #: Standard deviation of the origin before a touch was simulated [1].
@@ -130,18 +130,14 @@ class Forecast:
         found = [touch.origin_sd for touch in self._touches.values()]
         return float(np.median(found)) if found else _FIRST_ORIGIN_SD
 
-    @property
-    def _scales(self) -> Scales:
-        unit = self.config.estimator.uncertainty.characteristic_sd
-        kernel, characteristic, roughness = (part * unit for part in _COMPARED)
-        return Scales(kernel, characteristic, roughness, 1.0)
-
     def compared(self, motion: Motion, tissues: Array, presses: int = 1) -> list[Expected]:
         """Return what up to so many presses tell of tissues (k, 3), at one place of the scales.
 
         Tissues that no number can hold are left out.
         """
-        setting, scales = self._setting(self._origin_sd), self._scales
+        setting = self._setting(self._origin_sd)
+        kernel, characteristic, roughness = _COMPARED * setting.stated.characteristic_sd
+        scales = Scales(kernel, characteristic, roughness, 1.0)
         posterior = self._posterior(setting, motion.deepest)
         points = record(motion, self.config.geometry, self.sensors, _REACH * setting.origin_sd)
         lasting = [u.lifetime is not Lifetime.CONTACT for u in posterior.model.unknowns]
@@ -193,8 +189,10 @@ class Forecast:
     def stated(self, motion: Motion, tissues: Array) -> list[Stated]:
         """Return what the estimator will state of tissues (k, 3) after a motion."""
         found: list[Stated] = []
+        geometry, length = self.config.geometry, self.config.geometry.length
         common = self._posterior(self._setting(self._origin_sd), motion.deepest)
-        points = record(motion, self.config.geometry, self.sensors, _REACH * self._origin_sd)
+        points = record(motion, geometry, self.sensors, _REACH * self._origin_sd)
+        strain = geometry.strain(motion.deepest / length)
         before: Solution | None = None
         for seed, tissue in enumerate(tissues):
             try:
@@ -206,13 +204,12 @@ class Forecast:
                 state = self._state(posterior, tissue)
                 posterior.grid, middle = _thinned(posterior.grid)
                 before = before or _linearised(posterior, own, state, middle)
-                modes = follow_modes(posterior, own, [(state, before)], self._strain(motion))
+                modes = follow_modes(posterior, own, [(state, before)], strain)
             except UNSOLVABLE:
                 continue
             _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)
             budget = None
             if not found:
-                length = self.config.geometry.length
                 press = PressPosterior(setting, 0.0, 0.0, self.sensors.displacement_sd / length)
                 press.solved = Solved(posterior, modes, None, False)
                 budget = budget_of(press)
@@ -225,10 +222,6 @@ class Forecast:
         noise = np.random.default_rng(seed).standard_normal(found.stress.size)
         noise *= self._scale * self.sensors.force_sd / np.sqrt(points.counts)
         return until(replace(points, stresses=found.stress + noise), kept)
-
-    def _strain(self, motion: Motion) -> float:
-        geometry = self.config.geometry
-        return geometry.strain(motion.deepest / geometry.length)
 
     def depth_of_force(self, motion: Motion, force: float, tissues: Array) -> Array:
         """Return at which depth of a ramp tissues (k, 3) meet a force [N], (k,) [m]."""

@@ -30,8 +30,9 @@ _STRETCH_SD = 0.1
 #: Height of a disc, its mean and standard deviation [1], and slots of discs, each empty before.
 _HEIGHT, _HEIGHT_SD = 0.7, 0.35
 _SLOTS, _EMPTY = 4, 0.5
-#: Draws, and rounds of moves after a press and at the first ones, each of one jump and shifts.
-DRAWS, _ROUNDS, _FIRST_ROUNDS, _SHIFTS = 160, 2, 6, 10
+#: Draws, rounds of moves after a press, each of one jump and shifts, and those where no more than
+#: a few of the draws [1] have led to the press: others that are alike would stay so.
+DRAWS, _ROUNDS, _MANY_ROUNDS, _FEW, _SHIFTS = 160, 2, 6, 0.5, 10
 #: Presses of a first call that are followed at once [1].
 _AT_ONCE = 8
 #: Dictionary: places along the longer side, and radii [1].
@@ -99,11 +100,10 @@ class Inclusions:
         self._left = target - np.einsum("ds,dsn->dn", self.heights, self._white)
         self._known = _seen(self._dictionary, places) @ root.T
         self._square = np.sum(self._known**2, axis=1)
-        rounds = _FIRST_ROUNDS
+        kept = 0.0
         if self._fit is not None:
-            rounds = _ROUNDS
-            self._choose(-0.5 * np.sum(self._left**2, axis=1) - self._fit)
-        for _ in range(rounds):
+            kept = self._choose(-0.5 * np.sum(self._left**2, axis=1) - self._fit)
+        for _ in range(_ROUNDS if kept > _FEW else _MANY_ROUNDS):
             self._jump()
             for _ in range(_SHIFTS):
                 self._shift()
@@ -134,14 +134,15 @@ class Inclusions:
         ends = np.exp(self._low[2] + self._step[2] * np.arange(1, _RADII + 1))
         return float(ends[chances > risk].max(initial=LEAST_RADIUS))
 
-    def _choose(self, gains: Array) -> None:
-        """Take draws as often as new presses make them likelier."""
+    def _choose(self, gains: Array) -> float:
+        """Take draws as often as new presses make them likelier; return which share is kept."""
         weights = np.exp(gains - gains.max())
         ends = np.cumsum(weights) / weights.sum()
         places = (np.arange(DRAWS) + self._rng.uniform()) / DRAWS
         taken = np.minimum(np.searchsorted(ends, places), DRAWS - 1)
         self.discs, self.heights = self.discs[taken], self.heights[taken]
         self._white, self._left = self._white[taken], self._left[taken]
+        return np.unique(taken).size / DRAWS
 
     def _jump(self) -> None:
         """Draw a slot's disc from the whole dictionary, smeared over its steps, or none."""

@@ -16,9 +16,9 @@ from fden_ros.core.law.geometry import Geometry
 
 #: Frequency of an oscillation [Hz]: slow enough for any arm.
 FREQUENCY = 1.5
-#: Steps of the samples that stand for those of the sensors [s]: in motion, two in a block, and at
-#: rest, from when it has lasted so long [s]. Half of them change no deviation by 2 %.
-_MOVING, _RESTING, _AT_REST = 5e-3, 2e-2, 0.2
+#: Step of the samples that stand for those of the sensors [s], two in a block in motion. Half of
+#: it changes no deviation by 2 %.
+_STEP = 5e-3
 #: Samples in a second that are simulated at most [Hz].
 _MOST_RATE = 1000.0
 
@@ -62,7 +62,7 @@ class Motion:
     hold : float
         Time at rest [s].
     amplitude : float
-        Of the oscillation behind the hold, over the depth [1].
+        Of the oscillation behind the hold [m].
     cycles : int
         Of the oscillation, whole ones.
     """
@@ -88,7 +88,7 @@ class Motion:
     @property
     def deepest(self) -> float:
         """Largest depth [m]."""
-        return self.depth * (1.0 + self.amplitude * (self.cycles > 0))
+        return self.depth + self.amplitude * (self.cycles > 0)
 
     def depths(self, times: Array) -> Array:
         """Return the depths [m] at times from the touch [s], negative in the air."""
@@ -98,7 +98,7 @@ class Motion:
         if self.cycles:
             phase = 2.0 * math.pi * FREQUENCY * (times - ramp - self.hold)
             is_on = (phase > 0.0) & (times < held)
-            depths += self.amplitude * self.depth * np.sin(phase) * is_on
+            depths += self.amplitude * np.sin(phase) * is_on
         return depths
 
     def times(self, sensors: Sensors) -> Array:
@@ -107,18 +107,9 @@ class Motion:
         Fewer than the sensors give, for a record of the same blocks in less time.
         """
         own = 1.0 / sensors.rate
-        moving, resting = max(_MOVING, own), max(_RESTING, own)
-        ramp, held = self.held
-        rest = ramp + self.hold if self.cycles else held
-        pieces = [(-2.0 * own, min(TOUCH_TIME, ramp), own), (TOUCH_TIME, ramp + _AT_REST, moving)]
-        pieces += [(ramp + _AT_REST, rest, resting), (rest, self.seconds, moving)]
-        found: list[Array] = []
-        last = -math.inf
-        for start, stop, step in pieces:
-            first = max(start, last + step)
-            found.append(np.arange(first, stop, step))
-            last = max(last, float(found[-1][-1])) if found[-1].size else last
-        return np.concatenate(found)
+        step = max(_STEP, own)
+        touch = np.arange(-2.0 * own, min(TOUCH_TIME, self.held[0]), own)
+        return np.concatenate([touch, np.arange(touch[-1] + step, self.seconds, step)])
 
 
 def record(motion: Motion, geometry: Geometry, sensors: Sensors, reach: float) -> Points:
@@ -139,13 +130,5 @@ def record(motion: Motion, geometry: Geometry, sensors: Sensors, reach: float) -
 
 def until(points: Points, count: int) -> Points:
     """Return a record of which only the first blocks are observed."""
-    kept = slice(count)
-    return replace(
-        points,
-        first=points.first[kept],
-        last=points.last[kept],
-        middles=points.middles[kept],
-        durations=points.durations[kept],
-        counts=points.counts[kept],
-        stresses=points.stresses[kept],
-    )
+    names = ("first", "last", "middles", "durations", "counts", "stresses")
+    return replace(points, **{name: getattr(points, name)[:count] for name in names})

@@ -11,13 +11,15 @@ is chosen.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
+from fden_ros.errors import InputError
 from fden_ros.planning.forecast import Expected, Forecast, Stated
 from fden_ros.planning.motion import FREQUENCY, Motion, Sensors
 from fden_ros.planning.remedies import WORDS, Case, quantity, remedy, uncover
@@ -45,6 +47,7 @@ _AMPLITUDE, _CYCLES = 0.05, 2
 #: time [s].
 _USUAL_STRAIN, _USUAL_SPEED, _USUAL_TIME = 0.3, 0.02, 10.0
 NAMES = ("G", "Gn", "alpha")
+LIMITS = ("depth", "force", "speed", "time")
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Limits:
 class Target:
     """Standard deviations of ln G, ln Gn and alpha that are wanted [1]; infinite: any."""
 
-    deviations: tuple[float, float, float]
+    deviations: Sequence[float]
 
     @classmethod
     def converged(cls, config: PipelineConfig) -> Target:
@@ -129,6 +132,19 @@ class Plan:
         """Whether the target may well be met, and a press tells whether it is."""
         return self.is_possible or self.probability >= WORTH_IT
 
+    def numbers(self) -> dict[str, Any]:
+        """Return what ``fden plan --json`` prints of it; SI units."""
+        return {
+            "possible": self.is_possible,
+            "presses": self.presses,
+            "probability": self.probability,
+            "deviations": dict(zip(("g", "g_n", "alpha"), self.deviations.tolist(), strict=True)),
+            **asdict(self.motion),
+            "seconds": self.motion.seconds,
+            "force": self.force,
+            "cause": self.cause,
+        }
+
     def line(self) -> str:
         """Return the plan in one line."""
         found = ", ".join(
@@ -136,7 +152,7 @@ class Plan:
             for name, sd in zip(NAMES, self.deviations.tolist(), strict=True)
             if sd > 0.0
         )
-        words = f"{motion_words(self.motion)}: {found}"
+        words = f"{_words(self.motion)}: {found}"
         chance = f"the target with {100.0 * self.probability:.0f} %"
         if not self.is_worth_it:
             return f"not possible: {self.cause}; at best {words}"
@@ -145,12 +161,12 @@ class Plan:
         return f"{words}; {chance}"
 
 
-def motion_words(motion: Motion) -> str:
+def _words(motion: Motion) -> str:
     """Return a motion in words."""
     parts = [f"press to {quantity(motion.depth, 'm')} at {quantity(motion.speed, 'm')}/s"]
     parts.append(f"hold for {motion.hold:.2g} s")
     if motion.cycles:
-        size = quantity(motion.amplitude * motion.depth, "m")
+        size = quantity(motion.amplitude, "m")
         parts.append(f"swing {motion.cycles} times by {size} at {FREQUENCY:g} Hz")
     parts.append(f"release at {quantity(motion.release, 'm')}/s")
     return f"{', '.join(parts)} ({motion.seconds:.1f} s)"
@@ -179,13 +195,7 @@ def plan(
 
 
 class Search:
-    """The search for a motion.
-
-    Parameters
-    ----------
-    config, sensors, target, limits, tissue
-        As for :func:`plan`.
-    """
+    """The search of :func:`plan`, and what it was given."""
 
     def __init__(
         self,
@@ -201,11 +211,15 @@ class Search:
         known = tissue or TissueBelief.stated(config.estimator.prior)
         self._draws = known.draws(_LIMITED)
         self.forecast = Forecast(config, sensors, known)
-        self._found: dict[Motion, tuple[float, list[Expected]]] = {}
+        #: Of each motion that was tried how far it is from the target [1]; infinite: not allowed.
+        self.scores: dict[Motion, float] = {}
         fastest = Motion(self.limits.depth, self.limits.speed, 0.0, self.limits.speed)
         depths = self.forecast.depth_of_force(fastest, self.limits.force, self._draws)
-        #: Largest depth within the limits of depth and force [m].
-        self.depth = min(self.limits.depth, float(np.quantile(depths, _EXCEEDED)))
+        in_time = 0.5 * self.limits.speed * (self.limits.time - _HOLDS[0])
+        if in_time <= 0.0:
+            raise InputError(f"a press takes longer than {self.limits.time:g} s")
+        #: Largest depth within the limits of depth, force and time [m].
+        self.depth = min(self.limits.depth, float(np.quantile(depths, _EXCEEDED)), in_time)
 
     def plan(self) -> Plan:
         """Return the best motion and what to expect."""
@@ -213,7 +227,7 @@ class Search:
         stated = self.forecast.stated(motion, self._draws[:_STATED])
         known = self.forecast.compared(motion, self._draws[:_COUNTED], MOST_PRESSES)
         if not stated or not known:
-            raise FloatingPointError("no tissue has a finite stress")
+            raise InputError("no tissue that may be there has a finite stress")
         after = np.array([one.deviations for one in known])
         own = np.array([one.deviations for one in stated])
         after = after * np.median(own / after[: len(own), 0], axis=0)
@@ -229,44 +243,40 @@ class Search:
             target=self.target,
         )
 
-    # The search
-
-    def _chosen(self) -> Motion:
-        limits, depth = self.limits, self.depth
-        best = Motion(depth, limits.speed, 1.0, limits.speed)
-        best = self._best(replace(best, depth=part * depth) for part in _DEPTHS)
-        best = self._best(replace(best, speed=part * limits.speed) for part in _SPEEDS)
-        best = self._best([best, *(replace(best, hold=hold) for hold in _HOLDS)])
-        smaller = min(best.depth, depth / (1.0 + _AMPLITUDE))
-        swing = replace(best, depth=smaller, amplitude=_AMPLITUDE, cycles=_CYCLES)
-        best = self._best([best, swing, replace(swing, hold=0.5 * swing.hold)])
-        least = _AS_GOOD * self._found[best][0]
-        good = [motion for motion, (score, _) in self._found.items() if score <= least]
-        return min(good, key=lambda motion: motion.seconds, default=best)
-
-    def _best(self, motions: Iterable[Motion]) -> Motion:
-        return min(motions, key=self.score)
-
-    def score(self, motion: Motion) -> float:
-        """Return how far a motion is from the target [1]; infinite: it is not allowed."""
-        if motion not in self._found:
-            found = self.compared(motion)
-            score = math.inf
-            if found and self._is_allowed(motion, found):
-                ratios = self.target.ratios(np.array([one.deviations[0] for one in found]))
-                score = float(np.median(np.sqrt(np.sum(ratios**2, axis=-1))))
-            self._found[motion] = score, found
-        return self._found[motion][0]
-
     def compared(self, motion: Motion) -> list[Expected]:
         """Return what a motion tells of a few tissues."""
         return self.forecast.compared(motion, self._draws[:_COMPARED])
 
-    def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
-        is_within = motion.seconds <= self.limits.time and motion.deepest <= 1.001 * self.depth
-        return is_within and sum(one.is_left for one in found) <= _EXCEEDED * len(found)
+    def _chosen(self) -> Motion:
+        limits = self.limits
+        hold = min(1.0, limits.time - 2.0 * self.depth / limits.speed)
+        best = Motion(self.depth, limits.speed, hold, limits.speed)
+        best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
+        best = min((replace(best, speed=part * limits.speed) for part in _SPEEDS), key=self.score)
+        best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
+        depth = min(best.depth, self.depth / (1.0 + _AMPLITUDE))
+        swing = replace(best, depth=depth, amplitude=_AMPLITUDE * depth, cycles=_CYCLES)
+        best = min([best, swing, replace(swing, hold=0.5 * swing.hold)], key=self.score)
+        least = _AS_GOOD * self.scores[best]
+        good = [motion for motion, score in self.scores.items() if score <= least]
+        return min(good, key=lambda motion: motion.seconds)
 
-    # Why not
+    def score(self, motion: Motion) -> float:
+        """Return how far a motion is from the target [1]; infinite: it is not allowed."""
+        if motion not in self.scores:
+            found = self.compared(motion)
+            is_allowed = found and self._is_allowed(motion, found)
+            self.scores[motion] = self._distance(found) if is_allowed else math.inf
+        return self.scores[motion]
+
+    def _distance(self, found: list[Expected]) -> float:
+        ratios = self.target.ratios(np.array([one.deviations[0] for one in found]))
+        return float(np.median(np.sqrt(np.sum(ratios**2, axis=-1))))
+
+    def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
+        if motion.seconds > 1.001 * self.limits.time or motion.deepest > 1.001 * self.depth:
+            return False
+        return sum(one.is_left for one in found) <= _EXCEEDED * len(found)
 
     def _cause(self, motion: Motion, typical: Stated, known: list[Expected], after: Array) -> str:
         """Return what keeps the target away, and what would change it."""

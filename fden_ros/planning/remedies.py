@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget
-from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.law.characteristic import elastic_response, strain_of_phi
 from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
 
@@ -29,6 +28,22 @@ WORDS: Mapping[str, str] = {
     "law": "errors of the law",
     "thickness": "thickness",
     "prior": "what the prior leaves open",
+}
+#: What is assumed of each source, or seen of it, and what would make it smaller.
+_REMEDIES: Mapping[str, str] = {
+    "drift": "drift of {drift} in a second is assumed and the press had {force}: state "
+    "force.drift_sd, press faster{harder}",
+    "friction": "friction of {friction} is assumed and the press had {force}: state "
+    "force.friction_sd, use config/bench.yaml on a rigid rig{harder}",
+    "motion": "{motion} of motion of the surface in a second is assumed: state "
+    "surface.motion_sd, or press faster",
+    "compliance": "a compliance of {compliance}/N is assumed: state displacement.compliance_sd",
+    "delay": "a delay of {delay} is assumed: fden configure measures it",
+    "surface": "the surface was found to {place}: touch it slower",
+    "law": "the tissue is not quite the law's (model_error.sd): hold for 2 s, and press here "
+    "again",
+    "thickness": "a thickness known to {thickness:.2g} % is assumed: state geometry.thickness_sd",
+    "prior": "hold for 2 s for alpha, or press deeper for Gn",
 }
 #: What a larger force makes smaller.
 _BY_FORCE = ("noise", "drift", "friction")
@@ -65,30 +80,13 @@ class Case:
     max_strain: float
 
     @property
-    def stated(self) -> Uncertainty:
-        """What is stated of the rig."""
-        return self.config.estimator.uncertainty
-
-    @property
-    def force(self) -> str:
-        """The largest force."""
-        return quantity(self.max_force, "N")
-
-    @property
     def times(self) -> float:
-        """How many times the force would be enough; infinite: no force."""
-        wanted = self.wanted**2
-        whole = self.budget.variances[self.index]
-        by_force = sum(self.budget.parts[name][self.index] for name in _BY_FORCE)
-        rest = max(whole - by_force, 0.0)
-        return math.sqrt(by_force / (wanted - rest)) if rest < wanted else math.inf
-
-    def or_more(self) -> str:
-        """Return how hard to press instead, or nothing where that would not do."""
-        times = self.times
-        if not 1.0 < times < _MOST_TIMES:
-            return ""
-        return f", or press to {quantity(times * self.max_force, 'N', up=True)}"
+        """How many times the force would be enough; 0: no force that anybody presses with."""
+        wanted, parts = self.wanted**2, self.budget.parts
+        by_force = sum(parts[name][self.index] for name in _BY_FORCE)
+        rest = max(self.budget.variances[self.index] - by_force, 0.0)
+        times = math.sqrt(by_force / (wanted - rest)) if rest < wanted else 0.0
+        return times if 1.0 < times < _MOST_TIMES else 0.0
 
 
 def remedy(case: Case) -> str:
@@ -98,104 +96,50 @@ def remedy(case: Case) -> str:
         return ""
     # What is open of Gn and alpha is so because of the others.
     source = next((name for name in largest if name != "prior"), "prior")
-    return _REMEDIES[source](case)
+    if source == "noise":
+        return _of_noise(case)
+    stated, more = case.config.estimator.uncertainty, case.times * case.max_force
+    return _REMEDIES[source].format(
+        drift=quantity(stated.force_drift_sd, "N"),
+        friction=quantity(stated.friction_sd, "N"),
+        motion=quantity(stated.surface_motion_sd, "m"),
+        compliance=quantity(stated.compliance_sd, "m"),
+        delay=quantity(stated.delay_sd, "s"),
+        place=quantity(case.budget.surface_sd * case.config.geometry.length, "m"),
+        thickness=100.0 * stated.thickness_sd,
+        force=quantity(case.max_force, "N"),
+        harder=f", or press to {quantity(more, 'N', up=True)}" if more else "",
+    )
 
 
 def _of_noise(case: Case) -> str:
     geometry, times = case.config.geometry, case.times
     noise = quantity(case.budget.stress_noise / geometry.stress_per_force, "N")
-    if not 1.0 < times < _MOST_TIMES:
+    if not times:
         return f"a sensor with less than {noise} of noise, or a longer press"
-    ways = [face(geometry, times), _strain(case, times)]
+    ways = [_face(geometry, times), _strain(case)]
     listed = " or ".join(way for way in ways if way)
     return f"with {noise} of noise it takes {listed or 'a quieter sensor'}"
 
 
-def _strain(case: Case, times: float) -> str:
-    """Return the strain at which the force is so many times as large; empty: too far."""
-    geometry, reached = case.config.geometry, case.max_strain
-    if reached <= 0.0:
+def _strain(case: Case) -> str:
+    """Return the strain at which the force would be enough; empty: too far."""
+    geometry, gn = case.config.geometry, case.nonlinear_stiffness
+    if case.max_strain <= 0.0:
         return ""
-    gn = case.nonlinear_stiffness
-    wanted = times * elastic_response(reached, 1.0, gn).value
+    wanted = case.times * elastic_response(case.max_strain, 1.0, gn).value
     strain = float(strain_of_phi(np.array([wanted]), 1.0, gn)[0])
     return f"a strain of {strain:.2g}" if strain <= geometry.strain(LARGEST_COMPRESSION) else ""
-
-
-def _of_friction(case: Case) -> str:
-    friction = quantity(case.stated.friction_sd, "N")
-    return (
-        f"friction of {friction} is assumed and the press had {case.force}: state "
-        f"force.friction_sd, use config/bench.yaml on a rigid rig{case.or_more()}"
-    )
-
-
-def _of_drift(case: Case) -> str:
-    drift = quantity(case.stated.force_drift_sd, "N")
-    return (
-        f"drift of {drift} in a second is assumed and the press had {case.force}: state "
-        f"force.drift_sd, press faster{case.or_more()}"
-    )
-
-
-def _of_motion(case: Case) -> str:
-    motion = quantity(case.stated.surface_motion_sd, "m")
-    return (
-        f"{motion} of motion of the surface in a second is assumed: state surface.motion_sd, or "
-        "press faster"
-    )
-
-
-def _of_compliance(case: Case) -> str:
-    compliance = quantity(case.stated.compliance_sd, "m")
-    return f"a compliance of {compliance}/N is assumed: state displacement.compliance_sd"
-
-
-def _of_delay(case: Case) -> str:
-    delay = quantity(case.stated.delay_sd, "s")
-    return f"a delay of {delay} is assumed: fden configure measures it"
-
-
-def _of_surface(case: Case) -> str:
-    place = quantity(case.budget.surface_sd * case.config.geometry.length, "m")
-    return f"the surface was found to {place}: touch it slower"
-
-
-def _of_law(case: Case) -> str:
-    return "the tissue is not quite the law's (model_error.sd): hold for 2 s, and press here again"
-
-
-def _of_thickness(case: Case) -> str:
-    thickness = 100.0 * case.stated.thickness_sd
-    return f"a thickness known to {thickness:.2g} % is assumed: state geometry.thickness_sd"
-
-
-def _of_prior(case: Case) -> str:
-    return "hold for 2 s for alpha, or press deeper for Gn"
-
-
-_REMEDIES: Mapping[str, Callable[[Case], str]] = {
-    "noise": _of_noise,
-    "drift": _of_drift,
-    "friction": _of_friction,
-    "motion": _of_motion,
-    "compliance": _of_compliance,
-    "delay": _of_delay,
-    "surface": _of_surface,
-    "law": _of_law,
-    "thickness": _of_thickness,
-    "prior": _of_prior,
-}
 
 
 def uncover(budget: Budget, geometry: Geometry, boundary_stress: float) -> str:
     """Return what shows the linear part: the stress [Pa] at the boundary above the noise."""
     times = max(budget.stress_noise / boundary_stress, 2.0)
-    larger = face(geometry, times) if times < _MOST_TIMES else ""
+    larger = _face(geometry, times) if times < _MOST_TIMES else ""
     return f"it takes {larger or 'a quieter sensor'}, or a place of the surface that is given"
 
 
-def face(geometry: Geometry, times: float) -> str:
+def _face(geometry: Geometry, times: float) -> str:
     """Return a probe that meets so many times the force at the same strain; empty: not known."""
     root = math.sqrt(times)
     if isinstance(geometry, FlatPunch):

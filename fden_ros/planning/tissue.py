@@ -50,11 +50,9 @@ class TissueBelief:
     @classmethod
     def of(cls, modes: Sequence[Mapping[str, Any]]) -> TissueBelief:
         """Return what results state: weight, mean and covariance of each mode."""
-        members = (
-            Member(float(m["weight"]), np.array(m["mean"]), np.array(m["covariance"]))
-            for m in modes
+        return cls(
+            tuple(Member(m["weight"], *map(np.array, (m["mean"], m["covariance"]))) for m in modes)
         )
-        return cls(tuple(members))
 
     @property
     def mean(self) -> Array:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,23 +31,12 @@ _WINDOWS = FIRST_WINDOW, 1.0
 _CHUNK = CHUNK_NS / NANOSECONDS
 
 
-@dataclass(frozen=True)
-class Touch:
-    """What a touch shows.
+class Touch(NamedTuple):
+    """What a touch shows."""
 
-    Attributes
-    ----------
-    origin_sd : float
-        Standard deviation of the strain origin with which the estimator begins [1].
-    is_told : bool
-        There is a contact.
-    is_hidden : bool
-        Noise hides the linear part, so that the surface is not seen.
-    """
-
-    origin_sd: float
-    is_told: bool
-    is_hidden: bool
+    origin_sd: float  #: of the strain origin with which the estimator begins [1]
+    is_told: bool  #: there is a contact
+    is_hidden: bool  #: noise hides the linear part, so that the surface is not seen
 
 
 def zero_sd(sensors: Sensors) -> float:
@@ -63,7 +52,7 @@ def touch_of(
     nonlinear_stiffness: float,
     seed: int,
 ) -> Touch:
-    """Return what the touch of a motion shows.
+    """Return what the touch of a motion shows, of seeded noise.
 
     Parameters
     ----------
@@ -75,7 +64,6 @@ def touch_of(
     nonlinear_stiffness : float
         Gn [1].
     seed : int
-        Of the noise.
     """
     if config.strain_origin is not None:
         return Touch(0.0, True, False)

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -14,27 +12,23 @@ from fden_ros.core.arrays import Array
 from fden_ros.planning.region import Presses, Proposal, Region
 from fden_ros.report import style
 
-#: Places along a side at which the truth is drawn.
-_FINE = 200
-
 
 def draw_region(
     figure: Figure,
     region: Region,
     presses: Presses,
     found: Proposal,
-    truth: Callable[[Array], Array] | None = None,
+    truth: Array | None = None,
 ) -> None:
     """Draw N/m and the probability of being stiffer, each with the boundary.
 
-    `truth`, where it is known, gives 1 at places (n, 2) [m] that are stiffer; it is dashed.
+    `truth`, where it is known, is 1 at the cells that are stiffer; it is dashed.
     """
     assert found.known is not None
     shape = tuple(axis.size for axis in region.axes)
     x, y = (1e3 * axis for axis in region.axes)
     chance = found.known.probability.reshape(shape).T
     stiffness = np.exp(found.known.mean).reshape(shape).T
-    stiffer = _on_fine_grid(region, truth) if truth is not None else None
     panels = figure.subplots(1, 2, sharey=True)
     shown = (stiffness, "stiffness [N/m]"), (chance, "probability of being stiffer")
     for axes, (values, title) in zip(panels, shown, strict=True):
@@ -42,8 +36,8 @@ def draw_region(
         figure.colorbar(mesh, ax=axes)
         if chance.min() < found.known.level < chance.max():
             axes.contour(x, y, chance, [found.known.level], colors=style.TRUTH)
-        if stiffer is not None:
-            axes.contour(*stiffer, [0.5], colors="white", linestyles="dashed")
+        if truth is not None:
+            axes.contour(x, y, truth.reshape(shape).T, [0.5], colors="white", linestyles="dashed")
         axes.plot(*(1e3 * presses.places.T), "o", color="white", markersize=3)
         if not found.is_done:
             axes.plot(*(1e3 * found.places.T), "x", color=style.TRUTH, markersize=9)
@@ -51,10 +45,3 @@ def draw_region(
         axes.set_title(title)
         axes.set_xlabel("x [mm]")
     panels[0].set_ylabel("y [mm]")
-
-
-def _on_fine_grid(region: Region, truth: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
-    """Return x and y [mm] and the truth there, as contours take them."""
-    x, y = (np.linspace(axis[0], axis[-1], _FINE) for axis in region.axes)
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    return 1e3 * x, 1e3 * y, truth(places).reshape(_FINE, _FINE).T
