@@ -17,7 +17,7 @@ import numpy as np
 
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.motion_scale import SCALES
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
@@ -41,7 +41,7 @@ _MISMATCH = 0.95
 _LEAST_TOLD = 0.01
 
 
-class PosteriorEstimator:
+class PosteriorEstimator(Estimator):
     """The estimator of one site.
 
     Parameters
@@ -112,6 +112,11 @@ class PosteriorEstimator:
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
         return self._earlier_changes + (self._press.change_count if self._press else 0)
+
+    @property
+    def likeliest(self) -> PosteriorEstimator:
+        """Itself."""
+        return self
 
     @property
     def begun_at(self) -> int:
@@ -221,13 +226,7 @@ class PosteriorEstimator:
             self._press.skip()
 
     def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction.
-
-        Raises
-        ------
-        FloatingPointError
-            If the block's response is beyond floating-point numbers.
-        """
+        """Take one block; return how it compared with the prediction."""
         assert self._press is not None
         self._remember(block.stress)
         self._sample_count += block.size
