@@ -19,7 +19,7 @@ from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.motion_scale import SCALES
+from fden_ros.core.estimation.learned_scales import MOTION_SCALES
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
@@ -155,7 +155,7 @@ class PosteriorEstimator(Estimator):
         if press is None or press.solved is None or press.is_lost or not stated:
             return None
         now = self._setting.config.uncertainty.surface_motion_sd
-        grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in SCALES]
+        grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in MOTION_SCALES]
         solved = press.solved
         return solved.posterior.evidence(press.record.points(), solved.best.maximum, grid)
 
