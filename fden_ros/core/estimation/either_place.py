@@ -35,6 +35,7 @@ from fden_ros.core.estimation.estimate import Estimate, Member, mixture
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+from fden_ros.core.estimation.press_posterior import PressPosterior
 
 #: A place less likely than the other by this logarithm is ruled out [1]: by one in ten thousand.
 _RULED_OUT = 9.0
@@ -60,9 +61,15 @@ class Placed(NamedTuple):
     changes: int = 0  #: of the tissue, found before
     last: Tissue | None = None  #: of another place, which this one's may be like; None: it is that
 
+    @property
+    def press(self) -> PressPosterior:
+        """The present press."""
+        assert self.estimator.press is not None
+        return self.estimator.press
+
     def log_evidence(self, config: EstimatorConfig) -> float:
-        """Return the log evidence of the newest press."""
-        found = self.estimator.log_evidence
+        """Return the log evidence of the present press."""
+        found = self.press.log_evidence
         if self.last is None or not math.isfinite(found):
             return found
         estimate = self.estimator.estimate()
@@ -178,10 +185,10 @@ class EitherPlace(Estimator):
             shifted = block._replace(compression=block.compression + place.shift)
             found.append(place.estimator.update(shifted))
         # They are weighed by the same record.
-        newest = max(place.estimator.begun_at for place in self._places)
+        newest = max(place.press.begun_at for place in self._places)
         for place in self._places:
-            if place.estimator.begun_at < newest:
-                place.estimator.begin_solution()
+            if place.press.begun_at < newest:
+                place.press.begin_solution()
         after = self._solved_at()
         if after != before and len(after) == 1:
             self._weigh()
@@ -200,7 +207,7 @@ class EitherPlace(Estimator):
 
     def _solved_at(self) -> set[int]:
         """Return the blocks in the records of the newest solutions."""
-        return {place.estimator.solved_at for place in self._places}
+        return {place.press.solved_at for place in self._places}
 
     def _weigh(self) -> None:
         """Weigh the places by their evidence, and drop what is ruled out."""
