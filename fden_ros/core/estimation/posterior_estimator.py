@@ -77,7 +77,6 @@ class PosteriorEstimator(Estimator):
     ) -> None:
         self._executor = executor
         known = rig or RigKnowledge.stated(config)
-        self._stated = config
         self._setting = PressSetting(
             replace(config, uncertainty=known.learned(config.uncertainty)),
             config.uncertainty,
@@ -141,7 +140,7 @@ class PosteriorEstimator(Estimator):
 
         The law counts as exact, so that all it leaves out counts as motion.
         """
-        stated, press = self._stated.uncertainty.surface_motion_sd, self.press
+        stated, press = self._setting.stated.surface_motion_sd, self.press
         if press is None or press.solved is None or press.is_lost or not stated:
             return None
         now = self._setting.config.uncertainty.surface_motion_sd
@@ -156,11 +155,11 @@ class PosteriorEstimator(Estimator):
         own, found = rig_places(self._solved.model)
         if not own:
             return None
-        mean, covariance = self._setting.rig.scaled(self._stated.uncertainty)
+        mean, covariance = self._setting.rig.scaled(self._setting.stated)
         best = self._solved.best
         mean[own] = best.mean[found]
         covariance[np.ix_(own, own)] = best.covariance[np.ix_(found, found)]
-        return self._setting.rig.taught(mean, covariance, self._stated)
+        return self._setting.rig.taught(mean, covariance, self._setting.config)
 
     @property
     def _solved(self) -> Solved | None:
