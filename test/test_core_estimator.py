@@ -14,12 +14,16 @@ from filterpy.kalman import ExtendedKalmanFilter
 from pipeline_helpers import LIVER
 from scipy.special import gamma
 
+from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.fractional_stress_estimator import FractionalBlock, GaussianSum
+from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.law.geometry import PassThrough, Sphere
+from fden_ros.core.law.relaxation import memory_weights
 
 PRIOR = replace(LIVER, fractional_order_sd=0.0)
 ORDER = PRIOR.fractional_order
+#: Of a memory whose fractional stress is 1.
+UNIT_MEMORY = memory_weights(ORDER) / (memory_weights(ORDER) @ memory_weights(ORDER))
 
 
 def phi(x, G, Gn):
@@ -43,7 +47,7 @@ def ramp_blocks(
         u = max_strain * n / count
         value = float(phi(u - origin, G, Gn)) + bias * time**ORDER / gamma(1 + ORDER)
         value += noise_sd(time, sigma, size) * rng.standard_normal()
-        blocks.append(FractionalBlock(u, value, 0.0, time, size))
+        blocks.append(Block(u, value, time, size, 0.01, value * UNIT_MEMORY))
     return blocks
 
 
@@ -54,8 +58,9 @@ def fed(estimator, blocks):
 
 
 def estimator_of(prior=PRIOR, geometry=None, sigma=3.0, bias_sd=0.0, origin_sd=0.0):
-    estimator = GaussianSum(EstimatorConfig(prior), geometry or PassThrough(), sigma, origin_sd)
-    estimator.begin_contact(bias_sd)
+    config, geometry = EstimatorConfig(prior), geometry or PassThrough()
+    estimator = FractionalStressEstimator(config, geometry, sigma, origin_sd)
+    estimator.begin_contact(bias_sd, 0.0)
     return estimator
 
 
@@ -89,7 +94,7 @@ def test_one_member_is_the_plain_extended_kalman_filter(geometry):
             return np.array([columns])
 
         plain.update(
-            np.array([block.fractional_stress]),
+            np.array([block.stress]),
             jacobian,
             lambda x, h=h: np.array([h(x)]),
             R=noise_sd(block.memory_time, sigma, block.size) ** 2,

@@ -139,7 +139,7 @@ def solved(press: Press, uncertainty: Uncertainty = EXACT, start: float = 0.0) -
         state[0] += math.log(points.stresses.max() / highest)
         starts.append(state)
     scales = max((g.scales for g in posterior.grid), key=lambda s: (s.roughness, s.kernel))
-    return posterior.solution(points, starts, scales)
+    return posterior.solutions(points, starts, scales)[0]
 
 
 def moved(other: Solution, solution: Solution) -> float:
@@ -296,7 +296,7 @@ def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -
     state = whole.belief.mean.copy()
     state[:3] = press.truth
     scales = max((g.scales for g in whole.grid), key=lambda s: s.roughness)
-    solution = whole.solution(points_of(before), [state], scales)
+    solution = whole.solutions(points_of(before), [state], scales)[0]
     strain = float(press.strains.max())
     made = partial(posterior_with, press)
     return change_of(points_of(after), solution, whole, made, strain).event

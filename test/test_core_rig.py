@@ -18,17 +18,15 @@ from property_helpers import counts
 
 from benchmark import presses
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
-from fden_ros.core.estimation.drift_scale import (
-    drift_evidence,
-)
 from fden_ros.core.estimation.either_place import Tissue as Belief
 from fden_ros.core.estimation.either_place import log_ratio
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
-from fden_ros.core.estimation.motion_scale import (
+from fden_ros.core.estimation.learned_scales import (
     LEAST_SHARE,
-    NO_EVIDENCE,
+    NO_MOTION_EVIDENCE,
+    drift_evidence,
+    motion_share,
     pooled,
-    share_of,
 )
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
@@ -200,19 +198,19 @@ def case_of(name):
 
 
 def test_contacts_at_rest_leave_a_quarter_of_the_stated_motion_and_no_less():
-    known = NO_EVIDENCE
+    known = NO_MOTION_EVIDENCE
     for _ in range(100):
         known = pooled(known, AT_REST)
-    assert share_of(known) == LEAST_SHARE
+    assert motion_share(known) == LEAST_SHARE
 
 
 def test_two_contacts_that_breathe_outweigh_a_hundred_at_rest():
-    known = NO_EVIDENCE
+    known = NO_MOTION_EVIDENCE
     for _ in range(100):
         known = pooled(known, AT_REST)
     for _ in range(2):
         known = pooled(known, BREATHES)
-    assert share_of(known) == 1.0
+    assert motion_share(known) == 1.0
 
 
 def test_a_contact_that_moves_more_than_was_learned_is_widened():

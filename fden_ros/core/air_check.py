@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.drift_scale import drift_evidence
-from fden_ros.core.estimation.motion_scale import Evidence
+from fden_ros.core.estimation.learned_scales import Evidence, drift_evidence
 from fden_ros.core.outputs import ContactSummary, Flag, order_source
 from fden_ros.core.site import Site
 from fden_ros.core.streams.samples import NANOSECONDS, Pair

@@ -14,7 +14,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from fden_ros.core.config import PipelineConfig
@@ -91,11 +90,7 @@ class Pipeline:
             self._session = ContinuousSession(config, self.rejected)
         else:
             self._session = ContactSession(
-                config,
-                self.rejected,
-                partial(_path_noise, self),
-                self.standing_flags,
-                executor,
+                config, self.rejected, self._path_noise, self.standing_flags, executor
             )
         self._begin_epoch(0)
 
@@ -109,6 +104,10 @@ class Pipeline:
             self.config.synchronize, self._on_pair, self.rejected, self._statics
         )
         self._epoch = 0
+
+    def _path_noise(self) -> float:
+        """Return the noise of the motion so far, of the streams as they are by then."""
+        return self._synchronizer.path_noise()
 
     @property
     def site_count(self) -> int:
@@ -299,11 +298,6 @@ class Pipeline:
         self.failure_count += 1
         self.failures.append(failure_of(error, stamp_ns, *self._session.place))
         self._put_out(self._session.fail(stamp_ns))
-
-
-def _path_noise(pipeline: Pipeline) -> float:
-    """Return the noise of the motion so far, of the streams as they are by then."""
-    return pipeline._synchronizer.path_noise()
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:

@@ -143,14 +143,14 @@ class _Lessons:
         self._newest: list[float] | None = None
         self._first: list[float] | None = None
 
-    def motion_factor(self, estimator: Estimator) -> float:
+    def motion_factor(self, estimator: PosteriorEstimator) -> float:
         """Return the factor of the variances where a contact tells of more motion than known."""
         teaches = self._config.learns_motion and self.are_used
         is_asked = teaches or self._known.motion_share < 1.0
         self._newest = estimator.motion_evidence() if is_asked else None
         return self._known.motion_factor(self._newest) if self._newest is not None else 1.0
 
-    def rig(self, estimator: Estimator) -> RigKnowledge | None:
+    def rig(self, estimator: PosteriorEstimator) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         if not self.are_used:
             return None
@@ -334,7 +334,7 @@ class Site:
             self.is_usable and isinstance(own, EitherPlace) and isinstance(new, PosteriorEstimator)
         ):
             return new
-        placed, before = own.likeliest, own.estimate()
+        placed, before = own.best, own.estimate()
         last = Tissue(before.mean, before.covariance)
         placed.estimator.go_on_beside(new)
         self._rest_until(first.stamp_ns)
@@ -441,24 +441,27 @@ class Site:
             return
         estimator.finish()
         self._finding.update(_checked(estimator.estimate()))
-        self.doubt(Flag.NONE, self._lessons.motion_factor(estimator))
-        off = estimator.rig_misfit / _CONTRADICTION
+        likeliest = estimator.likeliest
+        if likeliest is None:
+            return
+        self.doubt(Flag.NONE, self._lessons.motion_factor(likeliest))
+        off = likeliest.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate uncertain where it has not converged; None: not known."""
-        estimate = self.usable_estimate
-        if self._estimator is None or estimate is None or estimate.converged:
+        estimate, estimator = self.usable_estimate, self._estimator
+        if estimator is None or estimate is None or estimate.converged:
             return None
-        return self._estimator.budget()
+        return estimator.likeliest.budget() if estimator.likeliest else None
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         estimator = self._estimator
         if estimator is None or not self.is_usable or estimator.is_doubtful:
             return None
-        return self._lessons.rig(estimator)
+        return self._lessons.rig(estimator.likeliest) if estimator.likeliest else None
 
     def teach_nothing(self) -> None:
         """Let no other site use what is learned here."""

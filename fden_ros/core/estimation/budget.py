@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.error_model import ErrorModel, Errors, Noise
+from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.maximum import solved
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.search import Solved
@@ -34,8 +34,9 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
     "thickness": (),
     "prior": LAW,
 }
-#: What is left of the variance of a noise that is known [1]: none would leave nothing to weigh by.
-_KNOWN_NOISE = 1e-8
+#: What is left of the variances of errors that are known [1]: with no noise there would be nothing
+#: to weigh by.
+_LEFT: Mapping[str, float] = {"noise": 1e-8, "drift": 0.0, "motion": 0.0}
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,9 @@ class _Press:
 
     def without(self, source: str) -> Array:
         """Return the variances of ln G and ln Gn, shape (2,), with a source known."""
-        errors, noise = _errors_without(source, self._errors), self._noise
+        errors, noise = self._errors, self._noise
+        if source in _LEFT:
+            errors = replace(errors, **{source: _LEFT[source] * getattr(errors, source)})
         if source == "drift":
             noise = replace(noise, zero=0.0)
         roughness = 0.0 if source == "law" else self._scales.roughness
@@ -132,13 +135,3 @@ class _Press:
             return 0.0
         towards = np.array([float(k == place) for k in free])
         return float(towards @ solved(normal[np.ix_(free, free)], towards))
-
-
-def _errors_without(source: str, errors: Errors) -> Errors:
-    if source == "noise":
-        return replace(errors, noise=_KNOWN_NOISE * errors.noise)
-    if source == "drift":
-        return replace(errors, drift=0.0 * errors.drift)
-    if source == "motion":
-        return replace(errors, motion=0.0 * errors.motion)
-    return errors

@@ -3,21 +3,20 @@
 
 """What is claimed of an estimate: pure functions from what is known to what is said.
 
-Reasons are asked in order; each takes some parameters away. Nothing else does. The first table has
-those of the estimate's own data, the second those of the touch, the rig and the units.
+Reasons are asked in order; each takes some parameters away. Nothing else does. `claims_of` has
+those of the estimate's own data, `reserved` those of the touch, the rig and the units.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 
 
 class Evidence(NamedTuple):
@@ -68,37 +67,29 @@ def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
     at_edge = _at_edge(config, evidence)
     valid = determined(config, evidence.deviations, evidence.probability_beyond_boundary)
     known = converged(config, evidence.deviations, valid)
-    for applies, taken in _REASONS:
-        if applies(evidence, at_edge):
-            known &= ~taken
+    if at_edge or not evidence.is_solved:
+        known = ParameterSet.NONE
+    if evidence.origin_ambiguity > _AMBIGUOUS_ORIGIN:
+        known &= ~ParameterSet.LINEAR_STIFFNESS
+    if evidence.is_order_contradicted:
+        known &= ~ParameterSet.FRACTIONAL_ORDER
     return Claims(valid, known, at_edge)
-
-
-#: What takes claims away, and which.
-_REASONS: tuple[tuple[Callable[[Evidence, ParameterSet], bool], ParameterSet], ...] = (
-    (lambda evidence, at_edge: not evidence.is_solved, ParameterSet.ALL),
-    (lambda evidence, at_edge: bool(at_edge), ParameterSet.ALL),
-    (
-        lambda evidence, at_edge: evidence.origin_ambiguity > _AMBIGUOUS_ORIGIN,
-        ParameterSet.LINEAR_STIFFNESS,
-    ),
-    (lambda evidence, at_edge: evidence.is_order_contradicted, ParameterSet.FRACTIONAL_ORDER),
-)
 
 
 def reserved(config: EstimatorConfig, estimate: Estimate, reservations: Reservations) -> Estimate:
     """Return an estimate of which no more is claimed than some reservations leave."""
-    for applies, change in _RESERVATIONS:
-        if applies(reservations):
-            estimate = change(config, estimate, reservations)
+    if reservations.is_surface_hidden:
+        estimate = _without_surface(config.prior, estimate)
+    if reservations.variance_factor != 1.0:
+        estimate = _widened(config, estimate, reservations.variance_factor)
+    if reservations.is_withheld or reservations.is_doubtful:
+        estimate = estimate._replace(known=ParameterSet.NONE)
     return estimate
 
 
-def _without_surface(
-    config: EstimatorConfig, estimate: Estimate, reservations: Reservations
-) -> Estimate:
+def _without_surface(prior: Prior, estimate: Estimate) -> Estimate:
     """Leave G open, and claim no Gn: the origin goes with both."""
-    prior, covariance = config.prior, estimate.covariance.copy()
+    covariance = estimate.covariance.copy()
     hidden = (
         prior.linear_stiffness_log_sd**2,
         (_HIDDEN * prior.nonlinear_stiffness_log_sd) ** 2,
@@ -112,33 +103,13 @@ def _without_surface(
     )
 
 
-def _widened(config: EstimatorConfig, estimate: Estimate, reservations: Reservations) -> Estimate:
+def _widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Estimate:
     """Widen the covariance: what is still sharp enough stays known."""
-    factor, (log_g, log_gn) = reservations.variance_factor, estimate.hidden
+    log_g, log_gn = estimate.hidden
     wide = estimate._replace(
         covariance=factor * estimate.covariance, hidden=(factor * log_g, factor * log_gn)
     )
     return wide._replace(known=wide.known & converged(config, wide.deviations, wide.valid))
-
-
-def _nothing_known(
-    config: EstimatorConfig, estimate: Estimate, reservations: Reservations
-) -> Estimate:
-    return estimate._replace(known=ParameterSet.NONE)
-
-
-#: What stands against an estimate, and what that makes of it.
-_RESERVATIONS: tuple[
-    tuple[
-        Callable[[Reservations], bool],
-        Callable[[EstimatorConfig, Estimate, Reservations], Estimate],
-    ],
-    ...,
-] = (
-    (lambda found: found.is_surface_hidden, _without_surface),
-    (lambda found: found.variance_factor != 1.0, _widened),
-    (lambda found: found.is_withheld or found.is_doubtful, _nothing_known),
-)
 
 
 def determined(

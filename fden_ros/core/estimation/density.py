@@ -60,26 +60,25 @@ class Priors(NamedTuple):
 
     model: PressModel
     base: Array
-    kernel: FieldPrior | None
-    characteristic: FieldPrior | None
+    #: Of the errors of kernel and characteristic; None: in `base`.
+    fields: tuple[FieldPrior, FieldPrior] | None
 
     def precision(self, scales: Scales) -> Array:
         """Return its precision, (n, n)."""
-        if self.kernel is None or self.characteristic is None:
+        if self.fields is None:
             return self.base
         result = self.base.copy()
-        kernel, characteristic = self.model.kernel, self.model.characteristic
-        result[kernel, kernel] = self.kernel.precision / scales.kernel**2
-        result[characteristic, characteristic] = (
-            self.characteristic.precision / scales.characteristic**2
-        )
+        places = self.model.kernel, self.model.characteristic
+        for place, field, scale in zip(places, self.fields, scales[:2], strict=True):
+            result[place, place] = field.precision / scale**2
         return result
 
     def log_determinant(self, scales: Scales) -> float:
         """Return the logarithm of the precision's determinant, but for what is the same to all."""
-        if self.kernel is None or self.characteristic is None:
+        if self.fields is None:
             return 0.0
-        found = self.kernel.log_determinant + self.characteristic.log_determinant
+        kernel, characteristic = self.fields
+        found = kernel.log_determinant + characteristic.log_determinant
         found -= 2.0 * KERNEL_KNOTS.size * math.log(scales.kernel)
         return found - 2.0 * CHARACTERISTIC_KNOTS * math.log(scales.characteristic)
 
@@ -116,11 +115,9 @@ class Density:
             root[: self._of_rig.size][self._of_rig] = np.sqrt(_weights(self._off(state)))
             base = base * np.outer(root, root)
         if not self._has_field_prior:
-            return Priors(self.model, base, None, None)
-        kernel = kernel_prior()
-        gn = math.exp(state[LOG_GN])
-        characteristic = characteristic_prior(gn, self.model.last_knot)
-        return Priors(self.model, base, kernel, characteristic)
+            return Priors(self.model, base, None)
+        characteristic = characteristic_prior(math.exp(state[LOG_GN]), self.model.last_knot)
+        return Priors(self.model, base, (kernel_prior(), characteristic))
 
     def tails(self, state: Array) -> float:
         """Return by how much Student's tails are above the quadratic of `priors` [1].

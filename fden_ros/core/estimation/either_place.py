@@ -30,13 +30,12 @@ import numpy as np
 from scipy.special import softmax
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import converged
 from fden_ros.core.estimation.estimate import Estimate, Member, mixture
-from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.press_posterior import PressPosterior
 
 #: A place less likely than the other by this logarithm is ruled out [1]: by one in ten thousand.
 _RULED_OUT = 9.0
@@ -62,9 +61,15 @@ class Placed(NamedTuple):
     changes: int = 0  #: of the tissue, found before
     last: Tissue | None = None  #: of another place, which this one's may be like; None: it is that
 
+    @property
+    def press(self) -> PressPosterior:
+        """The present press."""
+        assert self.estimator.press is not None
+        return self.estimator.press
+
     def log_evidence(self, config: EstimatorConfig) -> float:
-        """Return the log evidence of the newest press."""
-        found = self.estimator.log_evidence
+        """Return the log evidence of the present press."""
+        found = self.press.log_evidence
         if self.last is None or not math.isfinite(found):
             return found
         estimate = self.estimator.estimate()
@@ -113,7 +118,7 @@ def log_ratio(prior: Tissue, other: Tissue, told: Tissue, *, learns_order: bool)
     return log_evidence(other) - log_evidence(prior)
 
 
-class EitherPlace:
+class EitherPlace(Estimator):
     """Follows a touch of the same place or of another.
 
     Parameters
@@ -128,14 +133,19 @@ class EitherPlace:
         self._weights: Array = np.full(len(places), 1.0 / len(places))
 
     @property
-    def likeliest(self) -> Placed:
+    def best(self) -> Placed:
         """The likeliest place."""
         return self._places[int(np.argmax(self._weights))]
 
     @property
+    def likeliest(self) -> PosteriorEstimator:
+        """The estimator of the likeliest place."""
+        return self.best.estimator
+
+    @property
     def is_mismatch(self) -> bool:
         """Whether the data contradict the law."""
-        return self.likeliest.estimator.is_mismatch
+        return self.likeliest.is_mismatch
 
     @property
     def is_doubtful(self) -> bool:
@@ -145,24 +155,7 @@ class EitherPlace:
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
-        return self.likeliest.estimator.change_count - self.likeliest.changes
-
-    @property
-    def rig_misfit(self) -> float:
-        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
-        return self.likeliest.estimator.rig_misfit
-
-    def motion_evidence(self) -> list[float] | None:
-        """Return the log evidence of the press for scales of the surface's stated motion."""
-        return self.likeliest.estimator.motion_evidence()
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after a contact; None where it tells nothing."""
-        return self.likeliest.estimator.rig()
-
-    def budget(self) -> Budget | None:
-        """Return what makes the estimate uncertain; None: not known."""
-        return self.likeliest.estimator.budget()
+        return self.likeliest.change_count - self.best.changes
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
@@ -185,23 +178,17 @@ class EitherPlace:
             place.estimator.skip()
 
     def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the likeliest prediction.
-
-        Raises
-        ------
-        FloatingPointError
-            If the block's response is beyond floating-point numbers.
-        """
+        """Take one block; return how it compared with the likeliest prediction."""
         likeliest, found = int(np.argmax(self._weights)), []
         before = self._solved_at()
         for place in self._places:
             shifted = block._replace(compression=block.compression + place.shift)
             found.append(place.estimator.update(shifted))
         # They are weighed by the same record.
-        newest = max(place.estimator.begun_at for place in self._places)
+        newest = max(place.press.begun_at for place in self._places)
         for place in self._places:
-            if place.estimator.begun_at < newest:
-                place.estimator.begin_solution()
+            if place.press.begun_at < newest:
+                place.press.begin_solution()
         after = self._solved_at()
         if after != before and len(after) == 1:
             self._weigh()
@@ -220,7 +207,7 @@ class EitherPlace:
 
     def _solved_at(self) -> set[int]:
         """Return the blocks in the records of the newest solutions."""
-        return {place.estimator.solved_at for place in self._places}
+        return {place.press.solved_at for place in self._places}
 
     def _weigh(self) -> None:
         """Weigh the places by their evidence, and drop what is ruled out."""

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 if TYPE_CHECKING:
-    from fden_ros.core.estimation.budget import Budget
+    from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 
 
 class Block(NamedTuple):
@@ -41,24 +40,31 @@ class Innovation(NamedTuple):
         return self.innovation**2 / self.variance
 
 
-class Estimator(Protocol):
-    """An observation model with its filter; the pipeline asks for nothing else."""
+class Estimator:
+    """An observation model with its filter; the pipeline asks for nothing else.
+
+    One that has no use for something leaves it as it is here.
+    """
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the innovations are larger or slower than model and noise explain."""
+        """Whether the data contradict the law."""
+        return False
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether a surprise or a mismatch of late is not explained yet."""
+        """Whether the newest data are not explained yet."""
+        return False
 
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
+        return 0
 
     @property
-    def rig_misfit(self) -> float:
-        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
+    def likeliest(self) -> PosteriorEstimator | None:
+        """Who knows the rig, the surface's motion and the budget; None: nobody."""
+        return None
 
     def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
         """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
@@ -76,19 +82,18 @@ class Estimator(Protocol):
         """Let the samples since the last block go by."""
 
     def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction."""
+        """Take one block; return how it compared with the prediction.
+
+        Raises
+        ------
+        FloatingPointError
+            If the block's response is beyond floating-point numbers.
+        """
+        raise NotImplementedError
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-
-    def motion_evidence(self) -> list[float] | None:
-        """Return the evidence of a contact for shares of the surface's stated motion, or None."""
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after a contact; None where it tells nothing."""
-
-    def budget(self) -> Budget | None:
-        """Return what makes the estimate uncertain; None: not known."""
+        raise NotImplementedError
 
     def begin_finish(self) -> None:
         """Begin to bring the estimate to its best at the end of a contact."""

@@ -89,10 +89,8 @@ class PressFilter:
         """Mean time since the present elastic response was built up [s]."""
         return self._loading.age
 
-    def step(self, points: Points, *, learns: bool = True) -> Update:
+    def step(self, points: Points) -> Update:
         """Take blocks, one at least; return how the last of them compared with its prediction.
-
-        `learns`: update the state by them, not only the prediction.
 
         Raises
         ------
@@ -116,8 +114,7 @@ class PressFilter:
             S = H @ PHt + errors.noise[k]
             if not (np.isfinite(y) and S > 0.0):
                 raise FloatingPointError("the prediction of the stress is not finite")
-            if learns:
-                K = PHt / S
-                self.x = self.x + K * y
-                self.P = self.P - np.outer(K, PHt)
+            K = PHt / S
+            self.x = self.x + K * y
+            self.P = self.P - np.outer(K, PHt)
         return Update(float(h), float(y), float(S))

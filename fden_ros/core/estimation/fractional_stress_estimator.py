@@ -41,7 +41,7 @@ from scipy.special import ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import converged, determined
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import Geometry
@@ -76,96 +76,12 @@ _NOISE_SHARE = 0.9
 _ORDER_STEP, _LEAST_ORDER = 0.005, 1e-6
 
 
-class FractionalBlock(NamedTuple):
-    """Means over a block of samples."""
+class _Observed(NamedTuple):
+    """What the members take of a block."""
 
     compression: float  #: u, from the nominal strain origin [1]
     fractional_stress: float  #: f' [Pa s^alpha]
-    fractional_stress_by_order: float  #: df'/dalpha [Pa s^alpha]
-    memory_time: float  #: t since the memory began [s]
-    size: int  #: samples in the block
-
-
-class FractionalStressEstimator:
-    """The Gaussian sum as an :class:`~fden_ros.core.estimation.estimator.Estimator`.
-
-    The blocks' memory holds all of the past, so that motion, rest and relinearisation are nothing
-    to this estimator.
-
-    Parameters
-    ----------
-    config : EstimatorConfig
-    geometry : Geometry
-        For the strain at a compression.
-    noise_sd : float
-        Standard deviation of the stress per sample [Pa].
-    origin_sd : float
-        Standard deviation of the strain origin [1]; 0: known.
-    """
-
-    #: The noise of the fractional stress is coloured: its innovations prove neither a mismatch nor
-    #: a change.
-    is_mismatch = False
-    is_doubtful = False
-    change_count = 0
-    rig_misfit = 0.0
-
-    def __init__(
-        self,
-        config: EstimatorConfig,
-        geometry: Geometry,
-        noise_sd: float,
-        origin_sd: float = 0.0,
-    ) -> None:
-        self._filter = GaussianSum(config, geometry, noise_sd, origin_sd)
-        order = config.prior.fractional_order
-        above, below = order + _ORDER_STEP, max(order - _ORDER_STEP, _LEAST_ORDER)
-        self._at_order = memory_weights(order)
-        self._by_order = (memory_weights(above) - memory_weights(below)) / (above - below)
-
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
-        """Start a contact; the drift is left out."""
-        self._filter.begin_contact(bias_sd)
-
-    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
-        """Take a sample: the memory of its block holds it."""
-
-    def rest(self, duration: float) -> None:
-        """Let time pass: the memory holds it."""
-
-    def skip(self) -> None:
-        """Let the samples since the last block go by."""
-
-    def budget(self) -> None:
-        """Return nothing: these filters know no error of the rig."""
-
-    def begin_finish(self) -> None:
-        """Return at once: an update of these filters leaves nothing to solve."""
-
-    def finish(self) -> None:
-        """Return at once."""
-
-    def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the mixture's prediction."""
-        return self._filter.update(
-            FractionalBlock(
-                compression=block.compression,
-                fractional_stress=float(self._at_order @ block.memory),
-                fractional_stress_by_order=float(self._by_order @ block.memory),
-                memory_time=block.memory_time,
-                size=block.size,
-            )
-        )
-
-    def motion_evidence(self) -> None:
-        """Return None: these filters do not know the surface's motion."""
-
-    def rig(self) -> None:
-        """Return None: these filters do not know the rig."""
-
-    def estimate(self) -> Estimate:
-        """Return the present estimate."""
-        return self._filter.estimate()
+    by_order: float  #: df'/dalpha [Pa s^alpha]
 
 
 class _Member:
@@ -183,8 +99,23 @@ class _Member:
         self.log_weight_sensitivity = 0.0
 
 
-class GaussianSum:
-    """The Gaussian sum on the fractional stress; parameters as the estimator's."""
+class FractionalStressEstimator(Estimator):
+    """The Gaussian sum.
+
+    The blocks' memory holds all of the past, so that motion, rest and relinearisation are nothing
+    to this estimator. The noise of the fractional stress is coloured: its innovations prove
+    neither a mismatch nor a change.
+
+    Parameters
+    ----------
+    config : EstimatorConfig
+    geometry : Geometry
+        For the strain at a compression.
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    origin_sd : float
+        Standard deviation of the strain origin [1]; 0: known.
+    """
 
     def __init__(
         self,
@@ -196,7 +127,10 @@ class GaussianSum:
         self._config = config
         self._geometry = geometry
         prior = config.prior
-        self._order = prior.fractional_order
+        self._order = order = prior.fractional_order
+        above, below = order + _ORDER_STEP, max(order - _ORDER_STEP, _LEAST_ORDER)
+        self._at_order = memory_weights(order)
+        self._by_order = (memory_weights(above) - memory_weights(below)) / (above - below)
         self._gamma = math.gamma(1.0 + self._order)
         self._noise_variance = (
             _NOISE_SHARE * noise_sd**2 / ((1.0 + 2.0 * self._order) * self._gamma**2)
@@ -217,19 +151,24 @@ class GaussianSum:
         self._max_compression = 0.0
         self._sample_count = 0
 
-    def begin_contact(self, bias_sd: float) -> None:
-        """Let the bias [Pa] be as uncertain as that of the first contact."""
+    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+        """Let the bias [Pa] be as uncertain as that of the first contact; there is no drift."""
         if self._sample_count == 0:
             for member in self._members:
                 member.filter.P[_BIAS, _BIAS] = bias_sd**2
 
-    def update(self, block: FractionalBlock) -> Innovation:
+    def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the mixture's prediction."""
+        observed = _Observed(
+            compression=block.compression,
+            fractional_stress=float(self._at_order @ block.memory),
+            by_order=float(self._by_order @ block.memory),
+        )
         growth = block.memory_time**self._order
         noise = self._noise_variance * growth**2 / block.size
         bias_gain = growth / self._gamma
         weights = self._weights()
-        members = [self._update_member(m, block, bias_gain, noise) for m in self._members]
+        members = [self._update_member(m, observed, bias_gain, noise) for m in self._members]
         self._max_compression = max(self._max_compression, block.compression)
         self._sample_count += block.size
         predicted = float(
@@ -242,17 +181,17 @@ class GaussianSum:
             )
         )
         self._drop_hopeless_members()
-        return Innovation(predicted, None, block.fractional_stress - predicted, variance)
+        return Innovation(predicted, None, observed.fractional_stress - predicted, variance)
 
     def _drop_hopeless_members(self) -> None:
         least = max(member.log_weight for member in self._members) - _HOPELESS
         self._members = [member for member in self._members if member.log_weight >= least]
 
     def _update_member(
-        self, member: _Member, block: FractionalBlock, bias_gain: float, noise: float
+        self, member: _Member, observed: _Observed, bias_gain: float, noise: float
     ) -> Innovation:
         log_g, log_gn, origin, bias = member.filter.x
-        compression = block.compression - origin
+        compression = observed.compression - origin
         response = elastic_response(
             self._geometry.strain(compression), math.exp(log_g), math.exp(log_gn)
         )
@@ -269,7 +208,7 @@ class GaussianSum:
         )
         _keep_positive(member.filter, jacobian[0])
         member.filter.update(
-            np.array([block.fractional_stress]),
+            np.array([observed.fractional_stress]),
             lambda _: jacobian,
             lambda _: np.array([predicted]),
             R=noise,
@@ -278,7 +217,7 @@ class GaussianSum:
         innovation = float(member.filter.y[0])
         variance = max(float(member.filter.S[0, 0]), noise)
         member.log_weight -= 0.5 * (innovation**2 / variance + math.log(variance))
-        by_order = block.fractional_stress_by_order - float(jacobian[0] @ member.sensitivity)
+        by_order = observed.by_order - float(jacobian[0] @ member.sensitivity)
         member.sensitivity = member.sensitivity + member.filter.K[:, 0] * by_order
         member.log_weight_sensitivity -= innovation / variance * by_order
         return Innovation(predicted, None, innovation, variance)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import copy
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -72,7 +72,6 @@ class Posterior(Density):
     ) -> None:
         super().__init__(model, error_model, belief, has_field_prior=has_field_prior)
         self.grid, self._order_sd = grid, order_sd
-        self._held: int | None = None
 
     def maximum(
         self,
@@ -89,46 +88,32 @@ class Posterior(Density):
         FloatingPointError
             If the start's stress is beyond floating-point numbers.
         """
-        search = MaximumSearch(self, points, scales, converged, self._held, most)
-        return search.from_start(start)
-
-    def solution(
-        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
-    ) -> Solution:
-        """Return the posterior about the best of the maxima that the starts lead to.
-
-        Raises
-        ------
-        FloatingPointError
-            If no start has a finite stress.
-        """
-        # A step too far overflows; it is not taken.
-        with np.errstate(over="ignore", invalid="ignore"):
-            best = self._maxima(points, starts, scales, converged)[0]
-            return self._refined(points, best, converged)
+        return MaximumSearch(self, points, scales, converged, most=most).from_start(start)
 
     def solutions(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
     ) -> list[Solution]:
-        """Return the posterior about each of the maxima that the starts lead to.
+        """Return the posterior about each of the maxima that the starts lead to, the best first.
 
         Raises
         ------
         FloatingPointError
             If no start has a finite stress.
         """
+        found: list[Solution] = []
         with np.errstate(over="ignore", invalid="ignore"):
             # Roughly: most starts lead to the same maximum, which is then refined once.
-            found = self._maxima(points, starts, scales, NEARLY_FOUND)
-            errors = found[0].errors
-            evidence = [log_evidence(self, points, m, errors) for m in found]
-            apart = [
-                m
-                for k, m in enumerate(found)
-                if evidence[k] > evidence[0] - _NEGLIGIBLE
-                and all(np.max(np.abs(m.state - o.state)[: len(LAW)]) > _SAME for o in found[:k])
-            ]
-            return self._all_refined(points, apart, converged)
+            maxima = self._maxima(points, starts, scales, NEARLY_FOUND)
+            evidence = [log_evidence(self, points, m, maxima[0].errors) for m in maxima]
+            for k, maximum in enumerate(maxima):
+                is_likely = evidence[k] > evidence[0] - _NEGLIGIBLE
+                if not is_likely or any(_are_one(maximum, other) for other in maxima[:k]):
+                    continue
+                with contextlib.suppress(*UNSOLVABLE):
+                    found.append(self._refined(points, maximum, converged))
+        if not found:
+            raise FloatingPointError("no maximum has a finite evidence")
+        return found
 
     def is_known(self, place: int) -> bool:
         """Whether the unknown at a place is none."""
@@ -146,33 +131,9 @@ class Posterior(Density):
         of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
         return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
 
-    def _all_refined(
-        self, points: Points, maxima: Sequence[Maximum], converged: float
-    ) -> list[Solution]:
-        found: list[Solution] = []
-        for maximum in maxima:
-            try:
-                is_rough = converged < NEARLY_FOUND
-                found.append(self._refined(points, maximum, converged, is_rough=is_rough))
-            except UNSOLVABLE:
-                continue
-        if not found:
-            raise FloatingPointError("no maximum has a finite evidence")
-        return found
-
-    def _refined(
-        self,
-        points: Points,
-        best: Maximum,
-        converged: float,
-        *,
-        is_rough: bool = False,
-    ) -> Solution:
-        """Return the solution about a maximum once the scales are the best there.
-
-        `is_rough`: the maximum itself is not found well enough yet.
-        """
-        seen = [] if is_rough else [best.scales]
+    def _refined(self, points: Points, best: Maximum, converged: float) -> Solution:
+        """Return the solution about a maximum that is nearly found, at the scales best there."""
+        seen = [] if converged < NEARLY_FOUND else [best.scales]
         for _ in range(_MOST_ROUNDS):
             found = averaged(self, points, best, self.grid)
             chosen = found.best_scales
@@ -180,9 +141,7 @@ class Posterior(Density):
                 break
             seen.append(chosen)
             best = self.maximum(points, best.state, chosen, converged)
-        if not self._order_sd:
-            return found
-        return replace(found, considered=self._considered(points, found.maximum))
+        return self._considered(points, found)
 
     def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
         """Return the posterior from the state of one of a shorter record, in less time.
@@ -205,9 +164,7 @@ class Posterior(Density):
                 # Under scales that no longer fit, steps are many and short.
                 best = self.maximum(points, best.state, found.best_scales, NEARLY_FOUND)
                 found = averaged(self, points, best, self.grid)
-        if not self._order_sd:
-            return found
-        return replace(found, considered=self._considered(points, found.maximum))
+        return self._considered(points, found)
 
     def given(
         self, place: int, points: Points, state: Array, scales: Scales, most: int = MOST_STEPS
@@ -221,15 +178,16 @@ class Posterior(Density):
         FloatingPointError
             If the stress is not finite at the state.
         """
-        other = copy.copy(self)
-        other._held = place
+        search = MaximumSearch(self, points, scales, NEARLY_FOUND, place, most)
         with np.errstate(over="ignore", invalid="ignore"):
-            best = other.maximum(points, state, scales, NEARLY_FOUND, most)
-            return averaged(other, points, best, (WeighedScales(scales, 0.0),), place)
+            best = search.from_start(state)
+            return averaged(self, points, best, (WeighedScales(scales, 0.0),), place)
 
-    def _considered(self, points: Points, maximum: Maximum) -> Array:
-        """Return the covariance that the order's own adds (Schmidt and Kalman)."""
-        scales = maximum.scales
+    def _considered(self, points: Points, found: Solution) -> Solution:
+        """Return a solution with the covariance that the order's own adds (Schmidt and Kalman)."""
+        if not self._order_sd:
+            return found
+        maximum, scales = found.maximum, found.maximum.scales
         by_order = self.model.evaluate(points, maximum.state).jacobian[:, ORDER]
         rows = np.column_stack([by_order, maximum.evaluation.jacobian])
         white, _, _ = self.error_model.whitened(
@@ -238,22 +196,16 @@ class Posterior(Density):
         normal = white[:, 1:].T @ white[:, 1:] + self.precision(maximum.state, scales)
         shift = -solved(normal, white[:, 1:].T @ white[:, 0])
         shift[ORDER] = 1.0
-        return self._order_sd**2 * np.outer(shift, shift)
+        return replace(found, considered=self._order_sd**2 * np.outer(shift, shift))
 
     def _maxima(
-        self,
-        points: Points,
-        starts: Sequence[Array],
-        scales: Scales,
-        converged: float,
+        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float
     ) -> list[Maximum]:
         """Return the maxima, best first; while they are compared the errors are the same."""
         maxima = []
         for start in starts:
-            try:
+            with contextlib.suppress(*UNSOLVABLE):
                 maxima.append(self.maximum(points, start, scales, converged))
-            except UNSOLVABLE:
-                continue
         if not maxima:
             raise FloatingPointError("the stress is not finite at any start")
         if len(maxima) == 1:
@@ -271,6 +223,11 @@ class Posterior(Density):
         """Return the log evidence of single scales, from the linearisation at a maximum."""
         places = [(WeighedScales(_floored(scales), 0.0),) for scales in grid]
         return [averaged(self, points, maximum, place).log_evidence for place in places]
+
+
+def _are_one(maximum: Maximum, other: Maximum) -> bool:
+    """Whether two maxima are at the same ln G, ln Gn and alpha."""
+    return bool(np.max(np.abs(maximum.state - other.state)[: len(LAW)]) <= _SAME)
 
 
 def _floored(scales: Scales) -> Scales:

@@ -17,9 +17,9 @@ import numpy as np
 
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator import Block, Innovation
+from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.motion_scale import SCALES
+from fden_ros.core.estimation.learned_scales import MOTION_SCALES
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
@@ -41,7 +41,7 @@ _MISMATCH = 0.95
 _LEAST_TOLD = 0.01
 
 
-class PosteriorEstimator:
+class PosteriorEstimator(Estimator):
     """The estimator of one site.
 
     Parameters
@@ -58,6 +58,11 @@ class PosteriorEstimator:
         What earlier contacts have told; without it what the configuration states.
     executor : Executor, optional
         Where solutions are computed; without it here.
+
+    Attributes
+    ----------
+    press : PressPosterior or None
+        The newest press; None: there was none.
     """
 
     def __init__(
@@ -72,7 +77,6 @@ class PosteriorEstimator:
     ) -> None:
         self._executor = executor
         known = rig or RigKnowledge.stated(config)
-        self._stated = config
         self._setting = PressSetting(
             replace(config, uncertainty=known.learned(config.uncertainty)),
             config.uncertainty,
@@ -85,7 +89,7 @@ class PosteriorEstimator:
         )
         self._path_variance = path_variance
         self._time = self._deepest = self._compression_sd = 0.0
-        self._press: PressPosterior | None = None
+        self.press: PressPosterior | None = None
         self._moments, self._moments_at = StressMoments(), 0.0
         self._stress_before = 0.0
         self._sample_count = self._earlier_changes = 0
@@ -106,27 +110,17 @@ class PosteriorEstimator:
     @property
     def is_doubtful(self) -> bool:
         """Whether the newest solution was not found, or the newest block is not explained."""
-        return self._press is not None and self._press.is_doubtful
+        return self.press is not None and self.press.is_doubtful
 
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
-        return self._earlier_changes + (self._press.change_count if self._press else 0)
+        return self._earlier_changes + (self.press.change_count if self.press else 0)
 
     @property
-    def begun_at(self) -> int:
-        """Blocks in the record of the newest solution of this press that was begun."""
-        return self._press.begun_at if self._press is not None else 0
-
-    @property
-    def solved_at(self) -> int:
-        """Blocks in the record of the newest solution of this press that has ended."""
-        return self._press.solved_at if self._press is not None else 0
-
-    @property
-    def log_evidence(self) -> float:
-        """Log evidence of the newest press, for what was known of the tissue before it."""
-        return self._press.log_evidence if self._press is not None else -math.inf
+    def likeliest(self) -> PosteriorEstimator:
+        """Itself."""
+        return self
 
     @property
     def rig_misfit(self) -> float:
@@ -146,11 +140,11 @@ class PosteriorEstimator:
 
         The law counts as exact, so that all it leaves out counts as motion.
         """
-        stated, press = self._stated.uncertainty.surface_motion_sd, self._press
+        stated, press = self._setting.stated.surface_motion_sd, self.press
         if press is None or press.solved is None or press.is_lost or not stated:
             return None
         now = self._setting.config.uncertainty.surface_motion_sd
-        grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in SCALES]
+        grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in MOTION_SCALES]
         solved = press.solved
         return solved.posterior.evidence(press.record.points(), solved.best.maximum, grid)
 
@@ -161,15 +155,15 @@ class PosteriorEstimator:
         own, found = rig_places(self._solved.model)
         if not own:
             return None
-        mean, covariance = self._setting.rig.scaled(self._stated.uncertainty)
+        mean, covariance = self._setting.rig.scaled(self._setting.stated)
         best = self._solved.best
         mean[own] = best.mean[found]
         covariance[np.ix_(own, own)] = best.covariance[np.ix_(found, found)]
-        return self._setting.rig.taught(mean, covariance, self._stated)
+        return self._setting.rig.taught(mean, covariance, self._setting.config)
 
     @property
     def _solved(self) -> Solved | None:
-        return self._press.solved if self._press is not None else None
+        return self.press.solved if self.press is not None else None
 
     # Samples
 
@@ -196,7 +190,7 @@ class PosteriorEstimator:
             frozen.values = self._moments.values.copy()
             setting = replace(setting, free=FreeSurface(frozen, self._time))
         self._setting = setting
-        self._press = PressPosterior(
+        self.press = PressPosterior(
             setting, self._time, self._deepest, self._compression_sd, self._executor
         )
 
@@ -205,10 +199,10 @@ class PosteriorEstimator:
 
         `is_free`: the tissue is not on the probe, as far as is known.
         """
-        assert self._press is not None
+        assert self.press is not None
         self._time += step
         sd = math.sqrt(self._path_variance / step) if step > 0.0 else 0.0
-        self._press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
+        self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
 
     def rest(self, duration: float) -> None:
         """Let time [s] pass between two contacts."""
@@ -217,39 +211,28 @@ class PosteriorEstimator:
     def skip(self) -> None:
         """Let the samples since the last block go by."""
         self._remember(0.0)
-        if self._press is not None:
-            self._press.skip()
+        if self.press is not None:
+            self.press.skip()
 
     def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction.
-
-        Raises
-        ------
-        FloatingPointError
-            If the block's response is beyond floating-point numbers.
-        """
-        assert self._press is not None
+        """Take one block; return how it compared with the prediction."""
+        assert self.press is not None
         self._remember(block.stress)
         self._sample_count += block.size
-        return self._press.update(block.stress, block.compression, is_past=block.is_past)
+        return self.press.update(block.stress, block.compression, is_past=block.is_past)
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate of the newest press uncertain; None: not known."""
-        return budget_of(self._press) if self._press is not None else None
-
-    def begin_solution(self) -> None:
-        """Begin to solve anew."""
-        if self._press is not None:
-            self._press.begin_solution()
+        return budget_of(self.press) if self.press is not None else None
 
     def begin_finish(self) -> None:
         """Begin to solve anew at the end of a contact, from all starts."""
-        if self._press is not None:
-            self._press.begin_last()
+        if self.press is not None:
+            self.press.begin_last()
 
     def finish(self) -> None:
         """Go on from what `begin_finish` has begun."""
-        press = self._press
+        press = self.press
         if press is None:
             return
         press.go_on()
@@ -265,7 +248,7 @@ class PosteriorEstimator:
 
     def _carry(self) -> None:
         """Make the posterior of the press the prior of the next."""
-        press, self._press = self._press, None
+        press, self.press = self.press, None
         if press is None:
             return
         self._earlier_changes += press.change_count
@@ -281,8 +264,8 @@ class PosteriorEstimator:
     def estimate(self) -> Estimate:
         """Return the present estimate."""
         estimate = None
-        if self._press is not None:
-            estimate = estimate_of(self._press, self._mismatch_probability)
+        if self.press is not None:
+            estimate = estimate_of(self.press, self._mismatch_probability)
         if estimate is None:
             estimate = prior_estimate(self._setting)
         return estimate._replace(sample_count=self._sample_count)

@@ -16,7 +16,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.unknowns import (
     ORIGIN,
@@ -27,8 +27,6 @@ from fden_ros.core.estimation.unknowns import (
 )
 from fden_ros.core.law.geometry import Geometry
 
-#: What is learned of a rig, by the names of its unknowns, in the order of its knowledge.
-RIG = ("delay", "friction")
 #: Added to the variances of scaled unknowns [1], so that rounding leaves them positive.
 _ROUNDING = 1e-9
 

@@ -18,10 +18,18 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.drift_scale import NO_DRIFT_EVIDENCE, drift_share
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
-from fden_ros.core.estimation.motion_scale import NO_EVIDENCE, Evidence, pooled, share_of
+from fden_ros.core.estimation.learned_scales import (
+    NO_DRIFT_EVIDENCE,
+    NO_MOTION_EVIDENCE,
+    Evidence,
+    drift_share,
+    motion_share,
+    pooled,
+)
 
+#: What is learned of a rig, by the names of its unknowns.
+RIG = ("delay", "friction")
 #: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
 #: a running linearisation, and what they tell is off the same way in each contact.
 _LEAST_SHARE = 0.5
@@ -60,7 +68,7 @@ class RigKnowledge:
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
     contacts: int = 0
-    motion: Evidence = NO_EVIDENCE
+    motion: Evidence = NO_MOTION_EVIDENCE
     drift: Evidence = NO_DRIFT_EVIDENCE
 
     @property
@@ -79,7 +87,7 @@ class RigKnowledge:
     @property
     def motion_share(self) -> float:
         """The share of the stated motion of the surface that counts [1]."""
-        return share_of(self.motion)
+        return motion_share(self.motion)
 
     def learned(self, stated: Uncertainty) -> Uncertainty:
         """Return what is not known once the scales of motion and drift are learned."""
@@ -94,7 +102,7 @@ class RigKnowledge:
 
         The deviations of G, Gn and alpha grow with about the root of the motion's.
         """
-        return max(share_of(pooled(self.motion, evidence)) / self.motion_share, 1.0)
+        return max(motion_share(pooled(self.motion, evidence)) / self.motion_share, 1.0)
 
     @classmethod
     def stated(cls, config: EstimatorConfig) -> RigKnowledge:
@@ -106,15 +114,12 @@ class RigKnowledge:
     def values(self) -> dict[str, RigValue]:
         """Delay [s] and friction [N], each with its standard deviation."""
         deviations = np.sqrt(np.diag(np.array(self.covariance))).tolist()
-        names = ("delay", "friction")
-        return {
-            name: RigValue(mean, sd)
-            for name, mean, sd in zip(names, self.mean, deviations, strict=True)
-        }
+        return dict(zip(RIG, map(RigValue, self.mean, deviations), strict=True))
 
     def scaled(self, uncertainty: Uncertainty) -> tuple[Array, Array]:
         """Return mean (2,) and covariance (2, 2) in the stated deviations; 0 where that is 0."""
-        per = _inverse(uncertainty)
+        scale = np.array(uncertainty.rig_sd)
+        per = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
         return np.array(self.mean) * per, np.array(self.covariance) * np.outer(per, per)
 
     def moved(self, evidence: Sequence[float] | None) -> RigKnowledge:
@@ -153,12 +158,6 @@ class RigKnowledge:
             self.motion,
             self.drift,
         )
-
-
-def _inverse(uncertainty: Uncertainty) -> Array:
-    scale = np.array(uncertainty.rig_sd)
-    result: Array = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0.0)
-    return result
 
 
 def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:

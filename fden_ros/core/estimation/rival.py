@@ -125,6 +125,6 @@ def _solution(
     """Return the posterior about the maximum near a start; None: there is none."""
     try:
         scales = scales or posterior.grid[len(posterior.grid) // 2].scales
-        return posterior.solution(points, [start], scales, NEARLY_FOUND)
+        return posterior.solutions(points, [start], scales, NEARLY_FOUND)[0]
     except UNSOLVABLE:
         return None

@@ -44,18 +44,11 @@ MOTION_FACTORS = (1.0, 2.5)
 _MOST_APART = 2
 
 
-def exact_scales(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
-    """Return the scales of a law without errors."""
-    return tuple(
-        WeighedScales(Scales(0.0, 0.0, 0.0, motion), 0.0) for motion in _motions(uncertainty)
-    )
-
-
 def scales_of(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
     """Return the grid of scales for what is stated of law and rig."""
     unit = uncertainty.characteristic_sd
     if not unit:
-        return exact_scales(uncertainty)
+        return carried_scales(uncertainty)
     found = []
     for (i, kernel), (j, characteristic), (r, roughness), motion in itertools.product(
         enumerate(KERNEL_FACTORS),
@@ -81,7 +74,7 @@ def beside(grid: Sequence[WeighedScales], best: Scales) -> tuple[WeighedScales, 
 
 
 def carried_scales(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
-    """Return the grid where earlier presses have told the smooth errors."""
+    """Return the grid where there are no smooth errors, or earlier presses have told them."""
     unit = uncertainty.characteristic_sd
     roughness = ROUGHNESS_FACTORS if unit else (0.0,)
     return tuple(

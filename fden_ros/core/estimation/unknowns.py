@@ -77,14 +77,9 @@ class Unknown:
     since: float | None = None
 
     @property
-    def is_of_law(self) -> bool:
-        """Whether it counts in its own unit."""
-        return self.name in LAW
-
-    @property
     def unit(self) -> float:
         """The prior's standard deviation in the unknown's unit."""
-        return self.sd if self.is_of_law else 1.0
+        return self.sd if self.name in LAW else 1.0
 
 
 #: The law's parameters, in the order of a state.
