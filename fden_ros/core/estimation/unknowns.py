@@ -35,7 +35,7 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
 #: Speed at which friction has half its full square [m/s]: slower is a hold.
 FRICTION_SPEED = 5e-4
-#: Compression at which half of it acts [1]: with 0.01 friction of six times its deviation was taken
+#: Compression at which half of it acts [1]: with 0.01 friction six times its deviation was taken
 #: for motion of the surface in 3 of 15 presses, unflagged; with 0.001 it is no better.
 FRICTION_STRAIN = 0.003
 
