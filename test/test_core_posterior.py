@@ -347,6 +347,14 @@ def test_blocks_that_follow_one_line_have_it_without_the_noise_of_each() -> None
     assert np.max(np.abs(off)) < 4.0 * 2.5e-4
 
 
+def test_a_record_that_is_asked_for_its_points_stays_as_it_is() -> None:
+    record = Record()
+    for k in range(20):
+        record.add(0.002 * k, 0.0004 * k, 100.0, is_observed=True)
+        assert record.points().times.tolist() == record.points().times.tolist()
+        assert record.points().counts.sum() == k + 1
+
+
 @pytest.mark.parametrize("rate", [50.0, 500.0])
 def test_a_motion_turns_where_a_hold_ends_and_not_within_its_last_block(rate: float) -> None:
     """The block's two points are up to a tenth of a second from its end: tissue that obeys the law

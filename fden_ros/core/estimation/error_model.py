@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
@@ -139,9 +138,7 @@ class ErrorModel:
             noise = noise + (fast * self._noise.compression) ** 2 / points.counts
         step = np.maximum(points.steps, _SHORTEST)
         corner = (_CORNER * points.bends * points.steps * slope * factor * step**-order) ** 2
-        # A block meets what bends since the one before.
-        since: NDArray[np.intp] = np.append(points.first[:1], points.last[:-1] + 1)
-        by_block = np.maximum.reduceat(corner, since)
+        by_block = np.maximum.reduceat(corner, points.met)
         by_block[1:] += by_block[:-1].copy()
         for value, unknown in zip(state, self._model.unknowns, strict=False):
             if unknown.since is not None:

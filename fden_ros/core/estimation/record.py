@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
@@ -81,11 +82,11 @@ class Block(NamedTuple):
 
     def along(self, path: _Cell) -> Block:
         """Return the same block on the line of a longer one."""
-        _, spread, _, slope = path.line()
-        if spread == 0.0:
+        if path.slope_sd == 0.0:
             return self
-        slope_sd = 1.0 / (spread * math.sqrt(path.count))
-        return self._replace(compression=path.at(self.middle), slope=slope, slope_sd=slope_sd)
+        return self._replace(
+            compression=path.at(self.middle), slope=path.line()[3], slope_sd=path.slope_sd
+        )
 
 
 @dataclass
@@ -140,14 +141,22 @@ class _Cell:
         slope = (self.product / self.count - mean * compression) / variance
         return self.start + mean, math.sqrt(variance), compression, slope
 
+    @property
+    def slope_sd(self) -> float:
+        """Standard deviation of the slope over that of a sample [1/s]; 0: one sample has none."""
+        spread = self.line()[1]
+        return 1.0 / (spread * math.sqrt(self.count)) if spread > 0.0 else 0.0
+
+    @property
+    def step(self) -> float:
+        """Time between its samples [s]; 0: it is one sample."""
+        return (self.end - self.start) / max(self.count - 1, 1)
+
     def row(self) -> Block:
         """Return what becomes of it in arrays."""
-        middle, spread, compression, slope = self.line()
-        duration = self.end - self.start
-        slope_sd = 1.0 / (spread * math.sqrt(self.count)) if spread > 0.0 else 0.0
         return Block(
-            middle, spread, compression, slope, slope_sd, duration / max(self.count - 1, 1),
-            duration, self.count, self.stress / self.count, self.is_observed,
+            *self.line(), self.slope_sd, self.step, self.end - self.start, self.count,
+            self.stress / self.count, self.is_observed,
         )  # fmt: skip
 
     def at(self, time: float) -> float:
@@ -185,6 +194,11 @@ class Points:
     durations: Array
     counts: Array
     stresses: Array
+
+    @functools.cached_property
+    def met(self) -> NDArray[np.intp]:
+        """The first point that each block meets, the one after those of the block before, (m,)."""
+        return np.append(self.first[:1], self.last[:-1] + 1)
 
     @functools.cached_property
     def moments(self) -> Array:
@@ -271,11 +285,9 @@ class Record:
         return _LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
 
     def _close(self) -> None:
+        path, longer = self._path, self._newest_path()
         cell, self._open = self._open, None
         assert cell is not None
-        path = self._path
-        is_along = path is not None and self._is_along(path, cell)
-        longer = path.merged(cell) if path is not None and is_along else None
         if self._cells and self._joins(self._cells[-1], cell):
             cell = self._cells.pop().merged(cell)
             self._rows.pop()
@@ -298,17 +310,17 @@ class Record:
         """
         last = self._cells[-1]
         middle, spread, _, _ = last.line()
-        step = (last.end - last.start) / max(last.count - 1, 1)
-        if last.end - middle - spread <= max(step, BLOCK_TIME) + _SAME_TIME:
+        if last.end - middle - spread <= max(last.step, BLOCK_TIME) + _SAME_TIME:
             return None
-        end = _Cell(last.end - step, False)
-        for time in (last.end - step, last.end):
+        end = _Cell(last.end - last.step, False)
+        for time in (end.start, last.end):
             end.add(time, path.at(time), 0.0)
         return end
 
     def _rows_on_path(self, path: _Cell | None) -> list[Block]:
+        """Return all rows, those of the newest blocks on a path; None: there is no block."""
         if path is None:
-            return self._rows
+            return []
         newest = [row.along(path) for row in self._rows[self._path_begin :]]
         return self._rows[: self._path_begin] + newest
 
@@ -325,10 +337,7 @@ class Record:
             return False
         if spread == 0.0:
             return True
-        slope_sd = math.hypot(
-            1.0 / (spread * math.sqrt(cell.count)), 1.0 / (width * math.sqrt(path.count))
-        )
-        return abs(slope - path_slope) <= most * slope_sd
+        return abs(slope - path_slope) <= most * math.hypot(cell.slope_sd, path.slope_sd)
 
     def _newest_path(self) -> _Cell | None:
         """Return the path with the samples since the last block, if they go on along it."""
