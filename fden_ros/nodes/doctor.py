@@ -109,9 +109,11 @@ def examine(identifier: str) -> Examination:
         client = node.create_client(GetState, f"{identifier}/get_state")
         spin_for(executor, _LISTEN)
         state = _state(client, executor)
-        if state == "active" and not _statuses(heard, identifier):
+        for _ in range(_ASKED):
             # A busy machine finds the topic late.
-            spin_for(executor, _ASKED * _ANSWER)
+            if state != "active" or _statuses(heard, identifier):
+                break
+            spin_for(executor, _ANSWER)
         others = tuple(
             name.removesuffix("/estimate")
             for name, kinds in sorted(node.get_topic_names_and_types())
