@@ -48,6 +48,8 @@ _AMPLITUDE, _CYCLES = 0.05, 2
 _USUAL_STRAIN, _USUAL_SPEED, _USUAL_TIME = 0.3, 0.02, 10.0
 NAMES = ("G", "Gn", "alpha")
 LIMITS = ("depth", "force", "speed", "time")
+#: Times closer than this are the same [s]: a depth that takes just the time allowed is rounded.
+_SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -274,7 +276,7 @@ class Search:
         return float(np.median(np.sqrt(np.sum(ratios**2, axis=-1))))
 
     def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
-        if motion.seconds > 1.001 * self.limits.time or motion.deepest > 1.001 * self.depth:
+        if motion.seconds > self.limits.time + _SAME_TIME or motion.deepest > 1.001 * self.depth:
             return False
         return sum(one.is_left for one in found) <= _EXCEEDED * len(found)
 
