@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from fden_ros.commands.command import positive, write
+from fden_ros.commands.command import positive, write_picture
 from fden_ros.errors import InputError
 from fden_ros.simulation import phantom
 
@@ -136,7 +136,6 @@ def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
     """Draw the presses, the map that they tell and the truth; say what is known."""
     from fden_ros.planning.region import Presses, Region
     from fden_ros.report.region_picture import draw_region
-    from fden_ros.report.style import save
 
     presses = Presses.found(summaries)
     if not presses.is_told.any():
@@ -145,10 +144,7 @@ def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
     found = region.propose(presses)
     print(f"{len(presses.logs)} presses; {found.line()}")
     truth = phantom.is_stiffer(region.cells)
-    write(
-        path,
-        lambda path: save(lambda figure: draw_region(figure, region, presses, found, truth), path),
-    )
+    write_picture(path, lambda figure: draw_region(figure, region, presses, found, truth))
 
 
 @contextlib.contextmanager

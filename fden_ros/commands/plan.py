@@ -8,17 +8,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import add_json, positive, print_json, write
+from fden_ros.commands.command import add_json, positive, print_json, write_picture
 from fden_ros.commands.inputs import add_config_options, as_argument, parameters_of
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from fden_ros.planning.tissue import TissueBelief
 
 _NOT_POSSIBLE = 3
@@ -111,7 +109,7 @@ def _motion(args: argparse.Namespace) -> int:
     if args.plot is not None:
         from fden_ros.report.plan_picture import draw_plan
 
-        _save(args.plot, lambda figure: draw_plan(figure, search, plan))
+        write_picture(args.plot, lambda figure: draw_plan(figure, search, plan))
     _print(args, plan.line(), plan.numbers())
     return 0 if plan.is_worth_it else _NOT_POSSIBLE
 
@@ -128,15 +126,9 @@ def _place(args: argparse.Namespace) -> int:
     if args.plot is not None:
         from fden_ros.report.region_picture import draw_region
 
-        _save(args.plot, lambda figure: draw_region(figure, region, presses, found))
+        write_picture(args.plot, lambda figure: draw_region(figure, region, presses, found))
     _print(args, found.line(), found.numbers())
     return 0
-
-
-def _save(path: Path, draw: Callable[[Figure], None]) -> None:
-    from fden_ros.report.style import save
-
-    write(path, lambda draft: save(draw, draft))
 
 
 def _print(args: argparse.Namespace, line: str, numbers: Mapping[str, Any]) -> None:
