@@ -127,6 +127,8 @@ def test_a_motion_that_takes_longer_than_allowed_is_excluded():
     for seconds in (0.5, 1.0):
         limits = replace(Limits.usual(CONFIG), time=seconds)
         assert plan(CONFIG, SENSORS, TARGET, limits).motion.seconds <= seconds + 1e-9
+    short = plan(CONFIG, SENSORS, TARGET, replace(limits, time=0.3))
+    assert "are reached in 0.3 s (--max-time)" in short.line()
     with pytest.raises(InputError, match="takes longer than"):
         plan(CONFIG, SENSORS, TARGET, replace(limits, time=0.1))
 

@@ -217,11 +217,13 @@ class Search:
         self.scores: dict[Motion, float] = {}
         fastest = Motion(self.limits.depth, self.limits.speed, 0.0, self.limits.speed)
         depths = self.forecast.depth_of_force(fastest, self.limits.force, self._draws)
-        in_time = 0.5 * self.limits.speed * (self.limits.time - _HOLDS[0])
-        if in_time <= 0.0:
+        self._depth_in_time = 0.5 * self.limits.speed * (self.limits.time - _HOLDS[0])
+        if self._depth_in_time <= 0.0:
             raise InputError(f"a press takes longer than {self.limits.time:g} s")
         #: Largest depth within the limits of depth, force and time [m].
-        self.depth = min(self.limits.depth, float(np.quantile(depths, _EXCEEDED)), in_time)
+        self.depth = min(
+            self.limits.depth, float(np.quantile(depths, _EXCEEDED)), self._depth_in_time
+        )
 
     def plan(self) -> Plan:
         """Return the best motion and what to expect."""
@@ -287,6 +289,8 @@ class Search:
         gn = float(np.exp(self.forecast.tissue.mean[1]))
         if strain * gn < 1.2 and self.depth < 0.95 * self.limits.depth:
             most, depth = quantity(self.limits.force, "N"), quantity(self.depth, "m")
+            if self.depth == self._depth_in_time:
+                return f"no more than {depth} are reached in {self.limits.time:g} s (--max-time)"
             return (
                 f"with {most} no more than {depth} are safe while so little is known of the "
                 "tissue: press, and plan again with --after"
