@@ -18,6 +18,7 @@ from property_helpers import counts, first
 from benchmark import (
     changes,
     classification,
+    exact,
     harness,
     invariance,
     laws,
@@ -209,6 +210,12 @@ def test_exact_counts_its_contacts_by_what_they_are(tmp_path, capsys):
     assert bound["ln G"]["contacts"] == 1
     assert rows["all"]["no estimate"][1] == rows["ramp"]["no estimate"][1] == 2
     assert rows["rig known"]["silent"] == [0, 2] and "palpation" not in rows
+
+
+@pytest.mark.parametrize("number", [70, 135])
+def test_tissue_of_the_law_is_not_told_as_changed_since_softer_tissue_has_smaller_errors(number):
+    outcome = exact.run_trial(number, exact.LARGEST_SAMPLES).outcome
+    assert [bool(c.flags & Flag.TISSUE_CHANGED) for c in outcome.contacts] == [False]
 
 
 # Other laws

@@ -11,15 +11,18 @@ block explains as well, with a stress of its own, is a jerk of the drive and no 
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
@@ -57,7 +60,7 @@ class Look(NamedTuple):
 
 def change_of(
     points: Points,
-    solution: Solution,
+    solutions: Sequence[Solution],
     without: Posterior,
     with_event: Callable[[Unknown], Posterior],
     strain: float,
@@ -68,34 +71,45 @@ def change_of(
     ----------
     points : Points
         The record up to now.
-    solution : Solution
-        The last one.
+    solutions : sequence of Solution
+        The last ones, about the maxima, the likeliest first.
     without : Posterior
-        Of which that is a solution.
+        Of which they are solutions.
     with_event : callable
         Returns the posterior with one more unknown, behind those that are not of the law's errors.
     strain : float
         Largest of the record [1].
     """
+    solution = solutions[0]
     state = solution.maximum.state
     if state.size != without.model.size or not solution.is_solved:
         return Look(None, -math.inf)
     count, now = len(without.model.unknowns), float(points.times[-1])
-    try:
-        alone = follow_modes(without, points, [(state, solution)], strain).best.log_evidence
-    except UNSOLVABLE:
-        alone = -_BEYOND
     start = np.insert(state, count, 0.0)
+    best, alone = None, -_BEYOND
+    with contextlib.suppress(*UNSOLVABLE):
+        tracked = [(s.maximum.state, s) for s in solutions]
+        best = follow_modes(without, points, tracked, strain).best
+        alone = best.log_evidence
 
     def look(unknown: Unknown) -> tuple[float, float]:
-        """Return the log evidence with an event, and its size."""
+        """Return the log evidence with an event, and its size.
+
+        That its tissue is softer, and so has smaller errors, does not count for an event.
+        """
         if unknown.since is not None and not points.times[0] < unknown.since < now:
             return -math.inf, 0.0
+        posterior = with_event(unknown)
         try:
-            found = with_event(unknown).tracked(points, start, solution)
+            found = posterior.tracked(points, start, solution)
         except UNSOLVABLE:
             return -math.inf, 0.0
-        return found.log_evidence, abs(float(found.mean[count]))
+        evidence = found.log_evidence
+        if best is not None:
+            errors = [s.maximum.errors for s in (best, found)]
+            alone_det, its_det = (_log_det(without, e, best.best_scales) for e in errors)
+            evidence -= 0.5 * max(alone_det - its_det, 0.0)
+        return evidence, abs(float(found.mean[count]))
 
     between = 0.5 * (points.times[points.last[:-1]] + points.times[points.first[1:]])
     times = [*between[-_RECENT:].tolist(), *(now - ago for ago in _AGO)]
@@ -104,11 +118,11 @@ def change_of(
     gain = float(evidence.max()) - alone
     evidence[sizes < _LEAST_STEP] = -math.inf
     evidence[np.array(times) > between[-2]] = -math.inf
-    best = looked[int(np.argmax(evidence))]
-    if evidence.max() - alone < THRESHOLD or best.since is None:
+    likeliest = looked[int(np.argmax(evidence))]
+    if evidence.max() - alone < THRESHOLD or likeliest.since is None:
         return Look(None, gain)
-    width, highest = now - best.since, float(evidence.max())
-    change, highest = placed(best, highest, width, lambda unknown: look(unknown)[0])
+    width, highest = now - likeliest.since, float(evidence.max())
+    change, highest = placed(likeliest, highest, width, lambda unknown: look(unknown)[0])
     largest = float(np.abs(points.stresses).max())
     for time in points.middles[-1 - _JERKS : -1].tolist():
         jerk = jerk_at(time, largest)
@@ -132,3 +146,9 @@ def placed(
             if found > highest:
                 change, highest = other, found
     return change, highest
+
+
+def _log_det(posterior: Posterior, errors: Errors, scales: Scales) -> float:
+    """Return log det of the covariance of errors at some scales."""
+    none = np.empty((errors.noise.size, 0))
+    return posterior.error_model.whitened(none, errors, scales.roughness, scales.motion)[1]

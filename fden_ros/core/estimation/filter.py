@@ -112,7 +112,7 @@ class PressFilter:
             y = points.stresses[k] - h
             PHt = self.P @ H
             S = H @ PHt + errors.noise[k]
-            if not (np.isfinite(y) and S > 0.0):
+            if not (np.isfinite(y) and 0.0 < S < np.inf):
                 raise FloatingPointError("the prediction of the stress is not finite")
             K = PHt / S
             self.x = self.x + K * y

@@ -331,7 +331,7 @@ class PressPosterior:
         try:
             look = change_of(
                 self.record.points(),
-                self.solved.best,
+                self.solved.modes.solutions,
                 self._posterior(self.events),
                 lambda unknown: self._posterior((*self.events, unknown)),
                 self.setting.largest_strain(self.deepest, origin),
