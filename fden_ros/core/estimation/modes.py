@@ -13,6 +13,7 @@ r"""A posterior of several modes.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -117,11 +118,7 @@ def find_modes(
         If the stress is not finite at any start.
     """
     found = posterior.solutions(points, starts, scales, converged)
-    for one in before:
-        try:
-            found += _followed(posterior, points, [one], strain)
-        except UNSOLVABLE:
-            continue
+    found += _followed(posterior, points, before, strain)
     return _weighed(posterior, points, found, strain)
 
 
@@ -131,8 +128,17 @@ def follow_modes(
     before: Sequence[tuple[Array, Solution]],
     strain: float,
 ) -> Modes:
-    """Return the modes that those of a shorter record, with their states by now, lead to."""
-    return _weighed(posterior, points, _followed(posterior, points, before, strain), strain)
+    """Return the modes that those of a shorter record, with their states by now, lead to.
+
+    Raises
+    ------
+    FloatingPointError
+        If the stress is not finite at any of them.
+    """
+    found = _followed(posterior, points, before, strain)
+    if not found:
+        raise FloatingPointError("the stress is not finite at any mode")
+    return _weighed(posterior, points, found, strain)
 
 
 def _followed(
@@ -144,12 +150,15 @@ def _followed(
     boundary = _boundary(strain)
     found = []
     for state, solution in before:
-        found.append(posterior.tracked(points, state, solution))
+        begun = [state]
         if state[LOG_GN] < boundary + _NEAR and not posterior.is_known(LOG_GN):
             # Of a linear law no derivative leads to a bend.
             bent = state.copy()
             bent[LOG_GN] = boundary + _BENT
-            found.append(posterior.tracked(points, bent, solution))
+            begun.append(bent)
+        for one in begun:
+            with contextlib.suppress(*UNSOLVABLE):
+                found.append(posterior.tracked(points, one, solution))
     return found
 
 
