@@ -67,12 +67,15 @@ def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
     at_edge = _at_edge(config, evidence)
     valid = determined(config, evidence.deviations, evidence.probability_beyond_boundary)
     known = converged(config, evidence.deviations, valid)
-    if at_edge or not evidence.is_solved:
-        known = ParameterSet.NONE
-    if evidence.origin_ambiguity > _AMBIGUOUS_ORIGIN:
-        known &= ~ParameterSet.LINEAR_STIFFNESS
-    if evidence.is_order_contradicted:
-        known &= ~ParameterSet.FRACTIONAL_ORDER
+    reasons = (
+        (bool(at_edge), ParameterSet.ALL),
+        (not evidence.is_solved, ParameterSet.ALL),
+        (evidence.origin_ambiguity > _AMBIGUOUS_ORIGIN, ParameterSet.LINEAR_STIFFNESS),
+        (evidence.is_order_contradicted, ParameterSet.FRACTIONAL_ORDER),
+    )
+    for holds, unknown in reasons:
+        if holds:
+            known &= ~unknown
     return Claims(valid, known, at_edge)
 
 
