@@ -212,8 +212,8 @@ def test_exact_counts_its_contacts_by_what_they_are(tmp_path, capsys):
     assert rows["rig known"]["silent"] == [0, 2] and "palpation" not in rows
 
 
-@pytest.mark.parametrize("number", [70, 135])
-def test_tissue_of_the_law_is_not_told_as_changed_since_softer_tissue_has_smaller_errors(number):
+@pytest.mark.parametrize("number", [135, 179, 281])
+def test_tissue_of_the_law_is_not_told_as_changed(number):
     outcome = exact.run_trial(number, exact.LARGEST_SAMPLES).outcome
     assert [bool(c.flags & Flag.TISSUE_CHANGED) for c in outcome.contacts] == [False]
 

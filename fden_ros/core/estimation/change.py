@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.estimation.error_model import Errors
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
@@ -58,14 +57,8 @@ class Look(NamedTuple):
     gain: float  #: in log evidence by one of any size [1]
 
 
-def change_of(
-    points: Points,
-    solutions: Sequence[Solution],
-    without: Posterior,
-    with_event: Callable[[Unknown], Posterior],
-    strain: float,
-) -> Look:
-    """Look for a change that the record shows.
+class _Comparison:
+    """One tissue against one with an event.
 
     Parameters
     ----------
@@ -80,55 +73,115 @@ def change_of(
     strain : float
         Largest of the record [1].
     """
-    solution = solutions[0]
-    state = solution.maximum.state
-    if state.size != without.model.size or not solution.is_solved:
-        return Look(None, -math.inf)
-    count, now = len(without.model.unknowns), float(points.times[-1])
-    start = np.insert(state, count, 0.0)
-    best, alone = None, -_BEYOND
-    with contextlib.suppress(*UNSOLVABLE):
-        tracked = [(s.maximum.state, s) for s in solutions]
-        best = follow_modes(without, points, tracked, strain).best
-        alone = best.log_evidence
 
-    def look(unknown: Unknown) -> tuple[float, float]:
-        """Return the log evidence with an event, and its size.
+    def __init__(
+        self,
+        points: Points,
+        solutions: Sequence[Solution],
+        without: Posterior,
+        with_event: Callable[[Unknown], Posterior],
+        strain: float,
+    ) -> None:
+        self._points, self._last, self._strain = points, solutions[0], strain
+        self._without, self._with_event = without, with_event
+        self._place = len(without.model.unknowns)
+        self._alone: Solution | None = None
+        self._seek_alone([(s.maximum.state, s) for s in solutions])
 
-        That its tissue is softer, and so has smaller errors, does not count for an event.
+    @property
+    def would_pull(self) -> bool:
+        """Whether one tissue would have to pull at the probe: it has let go of it."""
+        if self._alone is None or not self._without.model.geometry.is_one_sided:
+            return False
+        return bool(self._alone.maximum.evaluation.stress[-1] < 0.0)
+
+    def with_event(self, unknown: Unknown) -> Solution | None:
+        """Return the solution with an event; None: there is none."""
+        times, since = self._points.times, unknown.since
+        if since is not None and not times[0] < since < times[-1]:
+            return None
+        start = np.insert(self._last.maximum.state, self._place, 0.0)
+        with contextlib.suppress(*UNSOLVABLE):
+            return self._with_event(unknown).tracked(self._points, start, self._last)
+        return None
+
+    def size(self, found: Solution) -> float:
+        """Return the size of a solution's event."""
+        return abs(float(found.mean[self._place]))
+
+    def gain(self, found: Solution | None) -> float:
+        """Return what a solution with an event gains in log evidence.
+
+        That its tissue is softer, and so has smaller errors, does not count.
         """
-        if unknown.since is not None and not points.times[0] < unknown.since < now:
-            return -math.inf, 0.0
-        posterior = with_event(unknown)
-        try:
-            found = posterior.tracked(points, start, solution)
-        except UNSOLVABLE:
-            return -math.inf, 0.0
-        evidence = found.log_evidence
-        if best is not None:
-            errors = [s.maximum.errors for s in (best, found)]
-            alone_det, its_det = (_log_det(without, e, best.best_scales) for e in errors)
-            evidence -= 0.5 * max(alone_det - its_det, 0.0)
-        return evidence, abs(float(found.mean[count]))
+        alone = self._alone
+        if found is None:
+            return -math.inf
+        if alone is None:
+            return found.log_evidence + _BEYOND
+        smaller = self._log_det(alone, alone) - self._log_det(found, alone)
+        return found.log_evidence - alone.log_evidence - 0.5 * max(smaller, 0.0)
 
+    def gain_by(self, unknown: Unknown) -> float:
+        """Return what an event gains in log evidence."""
+        return self.gain(self.with_event(unknown))
+
+    def seek_back(self, found: Solution) -> None:
+        """Seek one tissue from where two have led, too."""
+        self._seek_alone([(np.delete(found.maximum.state, self._place), found)])
+
+    def _seek_alone(self, states: Sequence[tuple[Array, Solution]]) -> None:
+        with contextlib.suppress(*UNSOLVABLE):
+            found = follow_modes(self._without, self._points, states, self._strain).best
+            if self._alone is None or found.log_evidence > self._alone.log_evidence:
+                self._alone = found
+
+    def _log_det(self, solution: Solution, scaled_as: Solution) -> float:
+        """Return log det of the covariance of a solution's errors, at another's scales."""
+        errors, scales = solution.maximum.errors, scaled_as.best_scales
+        whitened, none = self._without.error_model.whitened, np.empty((errors.noise.size, 0))
+        return whitened(none, errors, scales.roughness, scales.motion)[1]
+
+
+def change_of(
+    points: Points,
+    solutions: Sequence[Solution],
+    without: Posterior,
+    with_event: Callable[[Unknown], Posterior],
+    strain: float,
+) -> Look:
+    """Look for a change that the record shows; the arguments are those of `_Comparison`."""
+    last = solutions[0]
+    if last.maximum.state.size != without.model.size or not last.is_solved:
+        return Look(None, -math.inf)
+    compared = _Comparison(points, solutions, without, with_event, strain)
+    if compared.would_pull:
+        return Look(None, -math.inf)
+    now = float(points.times[-1])
     between = 0.5 * (points.times[points.last[:-1]] + points.times[points.first[1:]])
     times = [*between[-_RECENT:].tolist(), *(now - ago for ago in _AGO)]
-    looked = [change_since(time) for time in times]
-    evidence, sizes = np.array([look(unknown) for unknown in looked]).T
-    gain = float(evidence.max()) - alone
-    evidence[sizes < _LEAST_STEP] = -math.inf
-    evidence[np.array(times) > between[-2]] = -math.inf
-    likeliest = looked[int(np.argmax(evidence))]
-    if evidence.max() - alone < THRESHOLD or likeliest.since is None:
-        return Look(None, gain)
-    width, highest = now - likeliest.since, float(evidence.max())
-    change, highest = placed(likeliest, highest, width, lambda unknown: look(unknown)[0])
+    found = [compared.with_event(change_since(time)) for time in times]
+    gains = [compared.gain(one) for one in found]
+    told = [
+        (gain, time, one)
+        for gain, time, one in zip(gains, times, found, strict=True)
+        if one is not None and time <= between[-2] and compared.size(one) >= _LEAST_STEP
+    ]
+    if not told:
+        return Look(None, max(gains))
+    highest, since, likeliest = max(told, key=lambda one: one[0])
+    if highest >= THRESHOLD:
+        compared.seek_back(likeliest)
+        highest = compared.gain(likeliest)
+    if highest < THRESHOLD:
+        return Look(None, max(gains))
+    change, highest = placed(change_since(since), highest, now - since, compared.gain_by)
     largest = float(np.abs(points.stresses).max())
     for time in points.middles[-1 - _JERKS : -1].tolist():
         jerk = jerk_at(time, largest)
-        if look(jerk)[0] > highest:
-            return Look(jerk, gain)
-    return Look(change, gain)
+        if compared.gain_by(jerk) > highest:
+            return Look(jerk, highest)
+    return Look(change, highest)
 
 
 def placed(
@@ -136,7 +189,7 @@ def placed(
 ) -> tuple[Unknown, float]:
     """Return a change at the likeliest time within about `width` [s], and its log evidence.
 
-    `highest`: the log evidence where it is.
+    `highest`: the log evidence where it is, over any other's as `evidence_of` has it.
     """
     for closer in _CLOSER:
         assert change.since is not None
@@ -146,9 +199,3 @@ def placed(
             if found > highest:
                 change, highest = other, found
     return change, highest
-
-
-def _log_det(posterior: Posterior, errors: Errors, scales: Scales) -> float:
-    """Return log det of the covariance of errors at some scales."""
-    none = np.empty((errors.noise.size, 0))
-    return posterior.error_model.whitened(none, errors, scales.roughness, scales.motion)[1]

@@ -157,7 +157,9 @@ class Posterior(Density):
         with np.errstate(over="ignore", invalid="ignore"):
             scales = before.best_scales
             best = self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
-            found = averaged(self, points, best, beside(self.grid, scales))
+            near = beside(self.grid, scales)
+            near += tuple(w for w in self.grid if w.scales in before.scales and w not in near)
+            found = averaged(self, points, best, near)
             if found.best_scales != scales:
                 found = averaged(self, points, best, self.grid)
             if not best.is_solved:
