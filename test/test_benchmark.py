@@ -321,7 +321,7 @@ def test_shifted_stamps_move_nothing(tmp_path, capsys, monkeypatch):
     shifted = {"stamps shifted": invariance.CHANGES["stamps shifted"]}
     monkeypatch.setattr(invariance, "CHANGES", shifted)
     figures = benchmark(capsys, tmp_path, "invariance", "--contacts", 1, "--jobs", 1)
-    row = figures["changes"]["stamps shifted"]
+    row = figures["rigs"]["stamps shifted"]
     assert row["records"] == 1 and max(row["largest"]) < 1e-3
 
 
