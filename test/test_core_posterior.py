@@ -299,7 +299,7 @@ def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -
     solution = whole.solutions(points_of(before), [state], scales)[0]
     strain = float(press.strains.max())
     made = partial(posterior_with, press)
-    return change_of(points_of(after), solution, whole, made, strain).event
+    return change_of(points_of(after), [solution], whole, made, strain).event
 
 
 def posterior_with(press: Press, event: Unknown) -> Posterior:

@@ -155,8 +155,6 @@ def change_of(
     if last.maximum.state.size != without.model.size or not last.is_solved:
         return Look(None, -math.inf)
     compared = _Comparison(points, solutions, without, with_event, strain)
-    if compared.would_pull:
-        return Look(None, -math.inf)
     now = float(points.times[-1])
     between = 0.5 * (points.times[points.last[:-1]] + points.times[points.first[1:]])
     times = [*between[-_RECENT:].tolist(), *(now - ago for ago in _AGO)]
@@ -181,7 +179,7 @@ def change_of(
         jerk = jerk_at(time, largest)
         if compared.gain_by(jerk) > highest:
             return Look(jerk, highest)
-    return Look(change, highest)
+    return Look(None if compared.would_pull else change, highest)
 
 
 def placed(

@@ -160,11 +160,10 @@ class Posterior(Density):
             near = beside(self.grid, scales)
             near += tuple(w for w in self.grid if w.scales in before.scales and w not in near)
             found = averaged(self, points, best, near)
-            if found.best_scales != scales:
-                found = averaged(self, points, best, self.grid)
-            if not best.is_solved:
+            if found.best_scales != scales or not best.is_solved:
                 # Under scales that no longer fit, steps are many and short.
-                best = self.maximum(points, best.state, found.best_scales, NEARLY_FOUND)
+                chosen = averaged(self, points, best, self.grid).best_scales
+                best = self.maximum(points, best.state, chosen, NEARLY_FOUND)
                 found = averaged(self, points, best, self.grid)
         return self._considered(points, found)
 

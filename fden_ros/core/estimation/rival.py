@@ -10,7 +10,6 @@ averaged over those that the record can show.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable
 
@@ -20,6 +19,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
@@ -72,16 +72,13 @@ def mismatch_log_odds(
     elapsed = float(points.times[-1] - points.times[0])
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
-    straight = _straight(made(PressModel), start)
-    middle = straight.grid[len(straight.grid) // 2].scales
-    try:
-        law = straight.solutions(points, [start], middle, NEARLY_FOUND)[0]
-    except UNSOLVABLE:
+    law = _solution(_straight(made(PressModel), start), points, start)
+    if law is None:
         return -math.inf
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
     # The stress after the time seen is about the same.
     now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
-    at, before = start.copy(), law
+    at, scales = start.copy(), law.best_scales
     at[ORDER] = _PART
     at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
     rivals = []
@@ -91,10 +88,10 @@ def mismatch_log_odds(
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
         rival.belief.mean[ORDER] = _PART
         rival.belief.precision[ORDER, ORDER] = 1.0 / _PART_SD**2
-        with contextlib.suppress(*UNSOLVABLE):
-            before = rival.tracked(points, at, before)
-            rivals.append(evidence_under(rival, points, before, law.maximum.errors))
-            at = before.maximum.state
+        found = _solution(rival, points, at, scales)
+        if found is not None:
+            rivals.append(evidence_under(rival, points, found, law.maximum.errors))
+            at, scales = found.maximum.state, found.best_scales
     if not rivals:
         return -math.inf
     best = max(rivals)
@@ -120,3 +117,14 @@ def _straight(posterior: Posterior, state: Array) -> Posterior:
     least = min(weighed.scales.kernel for weighed in posterior.grid)
     posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
     return posterior
+
+
+def _solution(
+    posterior: Posterior, points: Points, start: Array, scales: Scales | None = None
+) -> Solution | None:
+    """Return the posterior about the maximum near a start; None: there is none."""
+    try:
+        scales = scales or posterior.grid[len(posterior.grid) // 2].scales
+        return posterior.solutions(points, [start], scales, NEARLY_FOUND)[0]
+    except UNSOLVABLE:
+        return None
