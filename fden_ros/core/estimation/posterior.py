@@ -18,6 +18,7 @@ from fden_ros.core.estimation.error_model import ErrorModel
 from fden_ros.core.estimation.maximum import (
     CONVERGED,
     MOST_STEPS,
+    NEARLY_FOUND,
     Maximum,
     MaximumSearch,
     solved,
@@ -25,24 +26,15 @@ from fden_ros.core.estimation.maximum import (
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
-from fden_ros.core.estimation.solution import Solution, averaged, log_evidence
+from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, averaged, log_evidence
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
-#: A maximum is found to a twentieth of a standard deviation, while the record grows [1]: with a
-#: fourteenth the last live state was up to 0.2 off the summary.
-NEARLY_FOUND = 2.5e-3
 #: Steps after which other scales are tried [1]; a growing record takes one to five.
 _FEW_STEPS = 12
-#: A smooth error of this scale [1] is none.
-_LEAST_SCALE = 1e-4
 #: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
 _SAME = 0.03
-#: Rounds of maximum and choice of the scales [1].
-_MOST_ROUNDS = 8
-#: Maxima less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE = 9.0
 
 
 class Posterior(Density):
@@ -106,7 +98,7 @@ class Posterior(Density):
             maxima = self._maxima(points, starts, scales, NEARLY_FOUND)
             evidence = [log_evidence(self, points, m, maxima[0].errors) for m in maxima]
             for k, maximum in enumerate(maxima):
-                is_likely = evidence[k] > evidence[0] - _NEGLIGIBLE
+                is_likely = evidence[k] > evidence[0] - NEGLIGIBLE
                 if not is_likely or any(_are_one(maximum, other) for other in maxima[:k]):
                     continue
                 with contextlib.suppress(*UNSOLVABLE):
@@ -134,13 +126,11 @@ class Posterior(Density):
     def _refined(self, points: Points, best: Maximum, converged: float) -> Solution:
         """Return the solution about a maximum that is nearly found, at the scales best there."""
         seen = [] if converged < NEARLY_FOUND else [best.scales]
-        for _ in range(_MOST_ROUNDS):
+        found = averaged(self, points, best, self.grid)
+        while found.best_scales not in seen:
+            seen.append(found.best_scales)
+            best = self.maximum(points, best.state, found.best_scales, converged)
             found = averaged(self, points, best, self.grid)
-            chosen = found.best_scales
-            if chosen in seen:
-                break
-            seen.append(chosen)
-            best = self.maximum(points, best.state, chosen, converged)
         return self._considered(points, found)
 
     def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
@@ -221,18 +211,10 @@ class Posterior(Density):
 
     def evidence(self, points: Points, maximum: Maximum, grid: Sequence[Scales]) -> list[float]:
         """Return the log evidence of single scales, from the linearisation at a maximum."""
-        places = [(WeighedScales(_floored(scales), 0.0),) for scales in grid]
+        places = [(WeighedScales(scales, 0.0),) for scales in grid]
         return [averaged(self, points, maximum, place).log_evidence for place in places]
 
 
 def _are_one(maximum: Maximum, other: Maximum) -> bool:
     """Whether two maxima are at the same ln G, ln Gn and alpha."""
     return bool(np.max(np.abs(maximum.state - other.state)[: len(LAW)]) <= _SAME)
-
-
-def _floored(scales: Scales) -> Scales:
-    """Return scales of which the smooth errors have a prior of their own."""
-    return scales._replace(
-        kernel=max(scales.kernel, _LEAST_SCALE),
-        characteristic=max(scales.characteristic, _LEAST_SCALE),
-    )

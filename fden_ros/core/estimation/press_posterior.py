@@ -34,6 +34,7 @@ from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Block, Record, Sample
 from fden_ros.core.estimation.search import Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.characteristic import elastic_response
 
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
@@ -51,12 +52,8 @@ SOLUTION_TIME = 0.095
 _FIRST_SOLUTION = 4
 #: A change is placed anew once it was seen for this time [s], within this time [s].
 _PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
-#: An innovation beyond this many standard deviations is not explained [1].
-_SURPRISE = 5.0
 #: The touch may be this many standard deviations of the origin before its nominal place [1].
 _REACH = 6.0
-#: Least variance of an innovation [Pa^2].
-_LEAST_VARIANCE = 1e-300
 
 
 class _Begun(NamedTuple):
@@ -188,7 +185,7 @@ class PressPosterior:
                 self.go_on()
         self._samples = []
         self._blocks += 1
-        self._is_surprised = innovation.normalized_squared > _SURPRISE**2
+        self._is_surprised = innovation.normalized_squared > NO_CHANCE**2
         if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
             self._suspected_at = self._now
         if self._suspected_at is not None:
@@ -212,7 +209,7 @@ class PressPosterior:
                 self.begin_solution()
 
     def _unpredicted(self, stress: float) -> Innovation:
-        return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
+        return Innovation(0.0, stress, 0.0, self.setting.stress_sd**2)
 
     def _filtered(
         self, own_filter: PressFilter, blocks: list[Block], compression: float

@@ -14,9 +14,9 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
-from fden_ros.core.estimation.maximum import CONVERGED
+from fden_ros.core.estimation.maximum import CONVERGED, NEARLY_FOUND
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
-from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points

@@ -27,8 +27,8 @@ from fden_ros.core.estimation.maximum import Maximum, inverted
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 
-#: Scales less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE = 9.0
+#: What is less likely than the best by this logarithm does not count [1]: one in ten thousand.
+NEGLIGIBLE = 9.0
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _mixture(
     residuals: Array,
     walk: WalkState,
 ) -> Solution:
-    members = [m for m in members if m.log_evidence > best - _NEGLIGIBLE]
+    members = [m for m in members if m.log_evidence > best - NEGLIGIBLE]
     weights = np.exp([m.log_evidence - best for m in members])
     total = float(weights.sum())
     weights /= total
