@@ -91,6 +91,16 @@ def mixture(members: Sequence[Member]) -> tuple[Array, Array]:
     return middle, spread
 
 
+def positive(covariance: Array) -> Array:
+    """Return the nearest positive semidefinite matrix: rounding may have made it indefinite."""
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] >= 0.0:
+        return covariance
+    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    result: Array = 0.5 * (nearest + nearest.T)
+    return result
+
+
 class Estimate(NamedTuple):
     """The parameters and how well they are known."""
 
@@ -200,11 +210,12 @@ class Estimate(NamedTuple):
     @property
     def numbers(self) -> dict[str, float]:
         """What outputs state, by the names of :data:`PUBLISHED`; without those not known."""
-        found = {name: getattr(self, name) for name in _ITS_OWN}
+        of_law = LawError.names()
+        found = {name: getattr(self, name) for name in PUBLISHED if name not in of_law}
         if math.isnan(self.mismatch_probability):
             del found["mismatch_probability"]
         if self.law_error is not None:
-            found |= zip(LawError.names(), self.law_error, strict=True)
+            found |= zip(of_law, self.law_error, strict=True)
         return found
 
     def _deviation(self, index: StateIndex) -> float:
@@ -232,4 +243,3 @@ PUBLISHED = {
 }
 #: Those that have a key, by their keys.
 KEYS = {key: name for name, key in PUBLISHED.items() if key}
-_ITS_OWN = tuple(name for name in PUBLISHED if name not in LawError.names())

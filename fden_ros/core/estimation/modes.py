@@ -25,11 +25,9 @@ from fden_ros.core.estimation.estimate import Member, mixture
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Solution, evidence_under
+from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
-#: Maxima less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE = 7.0
 #: Modes that are followed [1].
 _MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
@@ -40,8 +38,6 @@ _NEAR, _BENT = 0.05, 0.3
 #: A linear law that is less likely than the bend by this logarithm after as many steps is not
 #: sought on [1].
 _HOPELESS, _FIRST_STEPS = 40.0, 2
-#: ln Gn of a linear law is below the boundary by this [1].
-_BELOW = 1e-3
 
 
 @dataclass(frozen=True)
@@ -168,7 +164,7 @@ def _weighed(
     for k in np.argsort(-evidence):
         likely = float(evidence[k] - evidence.max())
         is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
-        if likely < -_NEGLIGIBLE or len(kept) == _MOST or (is_linear and has_linear):
+        if likely < -NEGLIGIBLE or len(kept) == _MOST or (is_linear and has_linear):
             continue
         if all(_are_apart(found[k], s) for _, s in kept):
             kept.append((math.exp(likely), found[k]))
@@ -200,7 +196,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     boundary = _boundary(strain)
     beyond = (float(best.mean[LOG_GN]) - boundary) / sd
     state = best.maximum.state.copy()
-    state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
+    state[LOG_GN] = min(float(state[LOG_GN]), boundary)
     scales = best.best_scales
     linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS)
     if not linear.is_solved:

@@ -91,6 +91,11 @@ def memory_weights(order: float) -> Array:
     return np.append(creep_weights(order), fast)
 
 
+def memory_slopes(order: float) -> Array:
+    """Return the derivatives of :func:`memory_weights` by alpha."""
+    return _slopes(memory_weights, order)
+
+
 def passed(
     step: float | Array, before: float | Array, after: float | Array
 ) -> tuple[Array, Array]:
