@@ -108,12 +108,14 @@ class Estimate(NamedTuple):
     log_nonlinear_stiffness: float  #: ln Gn
     fractional_order: float  #: alpha [1]
     covariance: Array  #: of (ln G, ln Gn, alpha) [1], shape (3, 3)
-    strain_origin: float  #: o [1]
-    strain_origin_sd: float  #: [1]
-    probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
-    valid: ParameterSet  #: what the data determine, or a setting: the others are prior knowledge
-    known: ParameterSet  #: those of them that have converged, each by itself
-    sample_count: int
+    strain_origin: float = 0.0  #: o [1]
+    strain_origin_sd: float = 0.0  #: [1]
+    probability_beyond_boundary: float = 0.0  #: P(largest strain > 1/Gn) [1]
+    #: What the data determine, or a setting: the others are prior knowledge.
+    valid: ParameterSet = ParameterSet.NONE
+    #: Those of them that have converged, each by itself.
+    known: ParameterSet = ParameterSet.NONE
+    sample_count: int = 0
     #: Relative standard deviation of the stress-strain curve from the law over a factor e of
     #: stress, averaged by the evidence [1]; 0: the data are those of the law.
     model_error: float = 0.0

@@ -57,25 +57,13 @@ _KINK_DAMPING = 0.1
 
 @dataclass(frozen=True)
 class Maximum:
-    """A maximum of the posterior at given scales.
+    """A maximum of the posterior at given scales."""
 
-    Attributes
-    ----------
-    state : ndarray, shape (n,)
-    evaluation : Evaluation
-        Of the model there.
-    errors : Errors
-        The error processes there.
-    scales : Scales
-    is_solved : bool
-        It wants no further step.
-    """
-
-    state: Array
-    evaluation: Evaluation
-    errors: Errors
+    state: Array  #: shape (n,)
+    evaluation: Evaluation  #: of the model there
+    errors: Errors  #: the error processes there
     scales: Scales
-    is_solved: bool
+    is_solved: bool  #: it wants no further step
 
 
 @dataclass(frozen=True)
@@ -193,26 +181,21 @@ class MaximumSearch:
         return _Metric(errors, density.precision(at, self._scales))
 
     def _equations(self, state: Array, found: Evaluation, metric: _Metric) -> _Equations:
-        rows = np.column_stack([self._points.stresses - found.stress, found.jacobian])
-        white = self._whitened(rows, metric)
+        about = self._density.linear(self._points, found, metric.errors, *self._scales[2:])
         off = self._density.belief.mean - state
-        normal = white[:, 1:].T @ white[:, 1:] + metric.precision
-        towards = white[:, 1:].T @ white[:, 0] + metric.precision @ off
+        normal = about.normal + metric.precision
+        towards = about.towards + metric.precision @ off
         for held in (self._held, ORDER if _leaves(state[ORDER], towards[ORDER]) else None):
             if held is not None:
                 normal[held], normal[:, held] = 0.0, 0.0
                 normal[held, held], towards[held] = 1.0, 0.0
-        misfit = float(white[:, 0] @ white[:, 0] + off @ metric.precision @ off)
+        misfit = float(about.residuals @ about.residuals + off @ metric.precision @ off)
         return _Equations(normal, normal.diagonal(), towards, misfit)
 
-    def _whitened(self, rows: Array, metric: _Metric) -> Array:
-        scales = self._scales
-        return self._density.error_model.whitened(
-            rows, metric.errors, scales.roughness, scales.motion
-        )[0]
-
     def _misfit(self, state: Array, stress: Array, metric: _Metric) -> float:
-        white = self._whitened((self._points.stresses - stress)[:, None], metric)[:, 0]
+        left = (self._points.stresses - stress)[:, None]
+        model = self._density.error_model
+        white = model.whitened(left, metric.errors, *self._scales[2:])[0][:, 0]
         off = state - self._density.belief.mean
         return float(white @ white + off @ metric.precision @ off)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit, log_ndtr
@@ -42,24 +42,12 @@ _HOPELESS, _FIRST_STEPS = 40.0, 2
 
 @dataclass(frozen=True)
 class Modes:
-    """The modes of a posterior.
+    """The modes of a posterior."""
 
-    Attributes
-    ----------
-    solutions : tuple of Solution
-        About its maxima, the likeliest first.
-    weight : float
-        Of the first.
-    others : tuple of Member
-        All modes but the first.
-    log_gain : float
-        Logarithm of the evidence of all over that of the first.
-    """
-
-    solutions: tuple[Solution, ...]
-    weight: float = 1.0
-    others: tuple[Member, ...] = ()
-    log_gain: float = 0.0
+    solutions: tuple[Solution, ...]  #: about its maxima, the likeliest first
+    weight: float = 1.0  #: of the first
+    others: tuple[Member, ...] = ()  #: all modes but the first
+    log_gain: float = 0.0  #: logarithm of the evidence of all over that of the first
 
     @property
     def best(self) -> Solution:
@@ -208,7 +196,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
-    there = posterior.evidence(points, best.maximum, [scales])[0]
+    there = posterior.evidence(points, replace(best.maximum, scales=scales))
     here = evidence_under(posterior, points, linear, best.maximum.errors, LOG_GN)
     gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))

@@ -146,7 +146,8 @@ class PosteriorEstimator(Estimator):
         solved = press.solved
         exact = min(weighed.scales for weighed in solved.posterior.grid)
         grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
-        return solved.posterior.evidence(press.record.points(), solved.best.maximum, grid)
+        points, maximum = press.record.points(), solved.best.maximum
+        return [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after the press; None where it tells nothing."""

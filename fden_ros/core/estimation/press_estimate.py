@@ -17,12 +17,12 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.rig_knowledge import CONTRADICTION
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
-#: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
-#: of the relaxation's order counts as this at least [1].
-_CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
+#: Least standard deviation that the relaxation's order counts with [1].
+_LEAST_ORDER_SD = 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 
@@ -73,7 +73,6 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         probability_beyond_boundary=beyond,
         valid=claims.valid,
         known=claims.known,
-        sample_count=0,
         model_error=sum(s.characteristic * p for s, p in solved.best.scales.items()),
         loading_age=press.filter.loading_age,
         law_error=solved.law_error,
@@ -101,10 +100,8 @@ def prior_estimate(setting: PressSetting) -> Estimate:
         covariance=covariance,
         strain_origin=origin,
         strain_origin_sd=setting.origin_sd,
-        probability_beyond_boundary=0.0,
         valid=claims.valid,
         known=claims.known,
-        sample_count=0,
     )
 
 
@@ -133,7 +130,7 @@ def _is_order_contradicted(config: EstimatorConfig, error: LawError | None) -> b
         return False
     prior = config.prior
     both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
-    return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
+    return abs(error.order - prior.fractional_order) > CONTRADICTION * both
 
 
 def _of_law(model: PressModel, modes: Sequence[Member]) -> tuple[Member, ...]:

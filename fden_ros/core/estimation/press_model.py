@@ -19,6 +19,7 @@ from fden_ros.core.estimation.loop_arguments import (
     LawState,
     ResponseState,
 )
+from fden_ros.core.estimation.loops_in_numpy import splines
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.unknowns import (
     CHARACTERISTIC_KNOTS,
@@ -28,7 +29,6 @@ from fden_ros.core.estimation.unknowns import (
     LOG_GN,
     ORDER,
     Unknown,
-    characteristic_splines,
 )
 from fden_ros.core.law.characteristic import elastic_responses
 from fden_ros.core.law.geometry import Geometry
@@ -46,40 +46,23 @@ from fden_ros.core.law.relaxation import (
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The stress of a press at one state.
+    """The stress of a press at one state."""
 
-    Attributes
-    ----------
-    stress : ndarray, shape (m,)
-        Of the blocks [Pa].
-    jacobian : ndarray, shape (m, unknowns)
-    elastic, slope : ndarray, shape (points,)
-        Elastic response at the points [Pa s^alpha], and its derivative by the compression.
-    state : ResponseState
-        From which the response goes on.
-    """
-
-    stress: Array
-    jacobian: Array
+    stress: Array  #: of the blocks [Pa], (m,)
+    jacobian: Array  #: shape (m, unknowns)
+    #: Elastic response at the points [Pa s^alpha], and its derivative by the compression,
+    #: (points,).
     elastic: Array
     slope: Array
-    state: ResponseState
+    state: ResponseState  #: from which the response goes on
 
 
 @dataclass(frozen=True)
 class FreeSurface:
-    """What earlier presses have left of the tissue: the creep of their stress.
+    """What earlier presses have left of the tissue: the creep of their stress."""
 
-    Attributes
-    ----------
-    moments : StressMoments
-        At `time`.
-    time : float
-        [s], of the clock of the records.
-    """
-
-    moments: StressMoments
-    time: float
+    moments: StressMoments  #: at `time`
+    time: float  #: [s], of the clock of the records
 
     def at(self, times: Array) -> Array:
         """Return the exponential moments at times, shape (n, RATES)."""
@@ -332,15 +315,15 @@ class PressModel:
         strains = sizes**exponent
         found = elastic_responses(strains, math.exp(state[LOG_G]), math.exp(state[LOG_GN]))
         knots = self.characteristic.stop - self.characteristic.start
-        splines = characteristic_splines(strains, self.last_knot)[:, :knots]
-        bend = np.exp(splines @ state[self.characteristic])
+        of_knots, _ = splines(strains, self.last_knot, knots)
+        bend = np.exp(of_knots @ state[self.characteristic])
         elastic = found.value * bend
         slope = found.by_strain * exponent * sizes ** (exponent - 1.0) * (strains > 0.0) * bend
         by_unknowns = np.zeros((self.size, sizes.size))
         by_unknowns[: len(self.unknowns)] = slope * self._design(points).motions
         by_unknowns[LOG_G] += elastic
         by_unknowns[LOG_GN] += found.by_log_nonlinear_stiffness * bend
-        by_unknowns[self.characteristic] = elastic * splines.T
+        by_unknowns[self.characteristic] = elastic * of_knots.T
         return elastic, by_unknowns
 
 
