@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,20 +67,18 @@ class Maximum:
     is_solved: bool  #: it wants no further step
 
 
-@dataclass(frozen=True)
-class _Metric:
+class _Metric(NamedTuple):
     """By what residuals and the distance from the prior's mean are weighed."""
 
     errors: Errors
     precision: Array
 
 
-@dataclass(frozen=True)
-class _Equations:
+class _Equations(NamedTuple):
     """Normal equations of a step."""
 
     normal: Array
-    damped: Array
+    damped: Array  #: what damping multiplies, the diagonal
     towards: Array
     misfit: float
 
@@ -154,15 +153,14 @@ class MaximumSearch:
                 continue
             if tried > MOST_STEPS:
                 break
-            equations = _Equations(normal, free.damped, free.towards, free.misfit)
+            equations = free._replace(normal=normal)
             taken, damping, tries = self._step(state, equations, damping, metric)
             tried += tries
             if taken is None:
                 # A sample at the surface: its stress begins there, and so does its derivative.
-                is_stuck = is_at_kink and left < NEARLY_FOUND
-                is_at_kink, damping = True, _DAMPING
-                if is_stuck:
+                if is_at_kink and left < NEARLY_FOUND:
                     break
+                is_at_kink, damping = True, _DAMPING
                 continue
             state, found = taken
             if tries == 1:

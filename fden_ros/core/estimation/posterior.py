@@ -73,15 +73,10 @@ class Posterior(Density):
         scales: Scales,
         converged: float = CONVERGED,
         most: int = MOST_STEPS,
+        held: int | None = None,
     ) -> Maximum:
-        """Return the maximum that a start leads to.
-
-        Raises
-        ------
-        FloatingPointError
-            If the start's stress is beyond floating-point numbers.
-        """
-        return MaximumSearch(self, points, scales, converged, most=most).from_start(start)
+        """Return the maximum that a start leads to: see :class:`MaximumSearch`."""
+        return MaximumSearch(self, points, scales, converged, held, most).from_start(start)
 
     def solutions(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
@@ -168,9 +163,8 @@ class Posterior(Density):
         FloatingPointError
             If the stress is not finite at the state.
         """
-        search = MaximumSearch(self, points, scales, NEARLY_FOUND, place, most)
         with np.errstate(over="ignore", invalid="ignore"):
-            best = search.from_start(state)
+            best = self.maximum(points, state, scales, NEARLY_FOUND, most, place)
             return averaged(self, points, best, (WeighedScales(scales, 0.0),), place)
 
     def _considered(self, points: Points, found: Solution) -> Solution:
