@@ -17,12 +17,12 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.rig_knowledge import CONTRADICTION
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
-#: Least standard deviation that the relaxation's order counts with [1].
-_LEAST_ORDER_SD = 0.01
+#: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
+#: of the relaxation's order counts as this at least [1].
+_CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 
@@ -130,7 +130,7 @@ def _is_order_contradicted(config: EstimatorConfig, error: LawError | None) -> b
         return False
     prior = config.prior
     both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
-    return abs(error.order - prior.fractional_order) > CONTRADICTION * both
+    return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
 
 
 def _of_law(model: PressModel, modes: Sequence[Member]) -> tuple[Member, ...]:

@@ -33,9 +33,9 @@ RIG = ("delay", "friction")
 #: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
 #: a running linearisation, and what they tell is off the same way in each contact.
 _LEAST_SHARE = 0.5
-#: What is off by more than this many deviations of what was known contradicts it [1]: a contact
-#: speaks of another rig (by chance one in 3000), a relaxation of another alpha than is stated.
-CONTRADICTION = 4.0
+#: A contact that moves the mean by more than this many deviations of what was known [1] speaks of
+#: another rig: beyond it lie 1e-3 of two normal variables.
+_CONTRADICTION = 3.72
 
 
 class RigValue(NamedTuple):
@@ -133,7 +133,7 @@ class RigKnowledge:
         before, spread = self.scaled(uncertainty)
         moved = (mean - before)[open_]
         known = spread[np.ix_(open_, open_)]
-        if moved @ np.linalg.solve(known, moved) > CONTRADICTION**2:
+        if moved @ np.linalg.solve(known, moved) > _CONTRADICTION**2:
             return stated
         variances = np.diag(covariance)
         least = np.minimum(_LEAST_SHARE**2, np.diag(spread))
