@@ -31,7 +31,7 @@ from scipy.special import softmax
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import converged
-from fden_ros.core.estimation.estimate import Estimate, Member, mixture
+from fden_ros.core.estimation.estimate import Estimate, Member, mixture, positive
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
@@ -104,8 +104,7 @@ def log_ratio(prior: Tissue, other: Tissue, told: Tissue, *, learns_order: bool)
 
     (before, pull_before), (after, pull_after) = natural(prior), natural(told)
     # What the press itself tells, which is never less than nothing.
-    values, axes = np.linalg.eigh(after - before)
-    likelihood: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    likelihood = positive(after - before)
 
     def log_evidence(tissue: Tissue) -> float:
         precision, pull = natural(tissue)
