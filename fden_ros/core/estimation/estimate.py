@@ -92,13 +92,13 @@ def mixture(members: Sequence[Member]) -> tuple[Array, Array]:
 
 
 def positive(covariance: Array) -> Array:
-    """Return the nearest positive semidefinite matrix: rounding may have made it indefinite."""
-    values, vectors = np.linalg.eigh(covariance)
-    if values[0] >= 0.0:
-        return covariance
-    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    result: Array = 0.5 * (nearest + nearest.T)
-    return result
+    """Return the nearest symmetric positive semidefinite matrix, where rounding has left none."""
+    nearest: Array = 0.5 * (covariance + covariance.T)
+    values, vectors = np.linalg.eigh(nearest)
+    if values[0] < 0.0:
+        nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        nearest = 0.5 * (nearest + nearest.T)
+    return nearest
 
 
 class Estimate(NamedTuple):

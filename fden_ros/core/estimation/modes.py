@@ -28,8 +28,6 @@ from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
-#: Modes that are followed [1].
-_MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
 _SAME = 0.2
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
@@ -152,7 +150,7 @@ def _weighed(
     for k in np.argsort(-evidence):
         likely = float(evidence[k] - evidence.max())
         is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
-        if likely < -NEGLIGIBLE or len(kept) == _MOST or (is_linear and has_linear):
+        if likely < -NEGLIGIBLE or (is_linear and has_linear):
             continue
         if all(_are_apart(found[k], s) for _, s in kept):
             kept.append((math.exp(likely), found[k]))

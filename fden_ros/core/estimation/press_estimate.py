@@ -110,7 +110,7 @@ def _published(setting: PressSetting, full: Array) -> Array:
     covariance = full[:3, :3].copy()
     covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
     # The filter may have been far from where it is linear.
-    return positive(0.5 * (covariance + covariance.T))
+    return positive(covariance)
 
 
 def _probability_beyond(
