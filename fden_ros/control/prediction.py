@@ -43,13 +43,14 @@ from fden_ros.control.left_out import Slope
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.error_model import AGE_FLOOR, SURFACE_TIME
+from fden_ros.core.estimation.error_model import SURFACE_TIME
 from fden_ros.core.estimation.estimate import Estimate, StateIndex
 from fden_ros.core.estimation.estimator_config import (
     KERNEL_SHARE,
     NOTHING_UNKNOWN,
     Uncertainty,
 )
+from fden_ros.core.estimation.record import BLOCK_TIME
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH, STRAIN_FLOOR
 from fden_ros.core.law.characteristic import (
     apparent_stiffness_factor,
@@ -228,9 +229,9 @@ class Predictor:
         steps, loaded = np.diff(grid, prepend=0.0), elastic.value + STRAIN_FLOOR
         state, ages = np.array([loaded[0], age]), np.empty_like(steps)
         for k in range(steps.size):
-            loops.clock(loaded[k + 1 : k + 2], steps[k : k + 1], AGE_FLOOR, state)
+            loops.clock(loaded[k + 1 : k + 2], steps[k : k + 1], BLOCK_TIME, state)
             ages[k] = state[1]
-        ageing = np.log((ages + AGE_FLOOR) / (age + AGE_FLOOR))
+        ageing = np.log((ages + BLOCK_TIME) / (age + BLOCK_TIME))
         loading = np.abs(np.diff(np.log(loaded)))
         return _Path(steps, loading, ageing, self._relaxed * elastic.by_strain[1:])
 

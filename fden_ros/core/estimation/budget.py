@@ -41,24 +41,12 @@ _LEFT: Mapping[str, float] = {"noise": 1e-8, "drift": 0.0, "motion": 0.0}
 
 @dataclass(frozen=True)
 class Budget:
-    """What makes an estimate uncertain.
+    """What makes an estimate uncertain."""
 
-    Attributes
-    ----------
-    variances : tuple of float
-        Of ln G and ln Gn, in all [1].
-    parts : mapping
-        Source to its parts of the two [1].
-    stress_noise : float
-        Standard deviation of the stress per sample [Pa].
-    surface_sd : float
-        Of the compression at which the tissue begins [1].
-    """
-
-    variances: tuple[float, float]
-    parts: Mapping[str, tuple[float, float]]
-    stress_noise: float
-    surface_sd: float
+    variances: tuple[float, float]  #: of ln G and ln Gn, in all [1]
+    parts: Mapping[str, tuple[float, float]]  #: source to its parts of the two [1]
+    stress_noise: float  #: standard deviation of the stress per sample [Pa]
+    surface_sd: float  #: of the compression at which the tissue begins [1]
 
     def largest(self, index: int, least: float = 0.1) -> tuple[str, ...]:
         """Return the sources of ln G (`index` 0) or ln Gn (1), the largest first.

@@ -55,7 +55,7 @@ _LEARNED = 0.5
 #: 0.52.
 _HIDDEN = 0.25
 #: Standard deviations of the prior beyond which an estimate contradicts it [1].
-_EDGE = 3.0
+EDGE = 3.0
 #: An order below this is that of a spring, not of the law [1].
 _LEAST_ORDER = 0.015
 #: The origin hides G where it is less certain than this part of the boundary strain [1].
@@ -159,7 +159,7 @@ def _at_edge(config: EstimatorConfig, evidence: Evidence) -> ParameterSet:
     off = np.abs(evidence.mean - config.prior.mean)
     found = ParameterSet.NONE
     for parameter, distance, sd in zip(EACH, off, config.prior.deviations, strict=True):
-        if sd > 0.0 and distance > _EDGE * sd:
+        if sd > 0.0 and distance > EDGE * sd:
             found |= parameter
     if evidence.mean[2] < _LEAST_ORDER:
         found |= ParameterSet.FRACTIONAL_ORDER

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.error_model import ErrorModel, Errors
+from fden_ros.core.estimation.loop_arguments import WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
@@ -32,17 +33,10 @@ _TAIL_DEGREES = 2.0
 
 @dataclass(frozen=True)
 class Belief:
-    """A Gaussian prior of the unknowns.
+    """A Gaussian prior of the unknowns."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (n,)
-    precision : ndarray, shape (n, n)
-        Without the law's errors where the scales decide on these.
-    """
-
-    mean: Array
-    precision: Array
+    mean: Array  #: shape (n,)
+    precision: Array  #: without the law's errors where the scales decide on these, (n, n)
 
     def variances(self) -> Array:
         """Return the variances, (n,); infinite where the scales decide.
@@ -81,6 +75,27 @@ class Priors(NamedTuple):
         found = kernel.log_determinant + characteristic.log_determinant
         found -= 2.0 * KERNEL_KNOTS.size * math.log(scales.kernel)
         return found - 2.0 * CHARACTERISTIC_KNOTS * math.log(scales.characteristic)
+
+
+class Linear(NamedTuple):
+    """A record about one state, whitened: independent and of variance 1."""
+
+    residuals: Array  #: (m,)
+    jacobian: Array  #: of the model, (m, n)
+    log_determinant: float  #: of the residuals' covariance
+    walk: WalkState  #: the walks at the end of the record
+
+    @property
+    def normal(self) -> Array:
+        """J^T S^-1 J, (n, n)."""
+        result: Array = self.jacobian.T @ self.jacobian
+        return result
+
+    @property
+    def towards(self) -> Array:
+        """J^T S^-1 r, (n,)."""
+        result: Array = self.jacobian.T @ self.residuals
+        return result
 
 
 class Density:
@@ -151,6 +166,14 @@ class Density:
         found = self.model.evaluate(points, state)
         found.jacobian[:, self.known] = 0.0
         return found
+
+    def linear(
+        self, points: Points, found: Evaluation, errors: Errors, roughness: float, motion: float
+    ) -> Linear:
+        """Return the record about a state, with errors of given roughness and motion."""
+        rows = np.column_stack([points.stresses - found.stress, found.jacobian])
+        white, log_determinant, walk = self.error_model.whitened(rows, errors, roughness, motion)
+        return Linear(white[:, 0], white[:, 1:], log_determinant, walk)
 
 
 def _weights(off: Array) -> Array:

@@ -31,14 +31,13 @@ from scipy.special import softmax
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import converged
-from fden_ros.core.estimation.estimate import Estimate, Member, mixture
+from fden_ros.core.estimation.estimate import Estimate, Member, mixture, positive
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.press_posterior import PressPosterior
+from fden_ros.core.estimation.solution import NEGLIGIBLE
 
-#: A place less likely than the other by this logarithm is ruled out [1]: by one in ten thousand.
-_RULED_OUT = 9.0
 #: Probability of a place below which its claims are not asked for [1].
 _LEAST_WEIGHT = 0.01
 #: How far alike tissue is from that of the last place: standard deviations of ln G, ln Gn and
@@ -105,8 +104,7 @@ def log_ratio(prior: Tissue, other: Tissue, told: Tissue, *, learns_order: bool)
 
     (before, pull_before), (after, pull_after) = natural(prior), natural(told)
     # What the press itself tells, which is never less than nothing.
-    values, axes = np.linalg.eigh(after - before)
-    likelihood: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    likelihood = positive(after - before)
 
     def log_evidence(tissue: Tissue) -> float:
         precision, pull = natural(tissue)
@@ -216,7 +214,7 @@ class EitherPlace(Estimator):
         evidence = np.array([place.log_evidence(self._config) for place in self._places])
         if not np.isfinite(evidence).any():
             return
-        kept = np.flatnonzero(evidence > evidence.max() - _RULED_OUT)
+        kept = np.flatnonzero(evidence > evidence.max() - NEGLIGIBLE)
         self._places = [self._places[k] for k in kept]
         self._weights = softmax(evidence[kept])
 

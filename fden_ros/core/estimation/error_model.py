@@ -31,7 +31,7 @@ from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.loop_arguments import WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
-from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
 from fden_ros.core.law.characteristic import apparent_stiffness_factor
 
@@ -42,29 +42,17 @@ SURFACE_TIME = 0.25
 #: quarter where it bends in the middle, 0.17 in the mean; without it chi-squared is up to 9 a
 #: point.
 _CORNER = 0.2
-#: Age of the loading that counts as none [s].
-AGE_FLOOR = 0.01
 #: Shortest time that a step of the motion counts for [s].
 _SHORTEST = 1e-4
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is measured.
+    """Standard deviations of what is measured."""
 
-    Attributes
-    ----------
-    stress : float
-        Per sample [Pa].
-    compression : float
-        Per sample [1].
-    zero : float
-        Of the stress's zero at the touch [Pa].
-    """
-
-    stress: float
-    compression: float = 0.0
-    zero: float = 0.0
+    stress: float  #: per sample [Pa]
+    compression: float = 0.0  #: per sample [1]
+    zero: float = 0.0  #: of the stress's zero at the touch [Pa]
 
 
 class Loading(NamedTuple):
@@ -77,28 +65,15 @@ class Loading(NamedTuple):
 
 @dataclass(frozen=True)
 class Errors:
-    """The error processes of a record at one state, per block, each of shape (m,).
+    """The error processes of a record at one state, per block, each of shape (m,)."""
 
-    Attributes
-    ----------
-    noise : ndarray
-        Variances of the blocks [Pa^2].
-    gain : ndarray
-        Stress per compression of the surface [Pa].
-    rough : ndarray
-        Variance of the walk at rho = 1 [Pa^2].
-    drift, motion : ndarray
-        Variances that drift and surface gain [Pa^2, 1].
-    loading : Loading
-        At the last block.
-    """
-
-    noise: Array
-    gain: Array
-    rough: Array
+    noise: Array  #: variances of the blocks [Pa^2]
+    gain: Array  #: stress per compression of the surface [Pa]
+    rough: Array  #: variance of the walk at rho = 1 [Pa^2]
+    #: Variances that drift and surface gain [Pa^2, 1].
     drift: Array
     motion: Array
-    loading: Loading
+    loading: Loading  #: at the last block
 
     def walks(self, roughness: float, motion: float) -> tuple[Array, Array]:
         """Return the variances that the walks gain, at scales of roughness and motion."""
@@ -151,7 +126,8 @@ class ErrorModel:
         before = before or Loading(float(points.times[0]), floor, 0.0)
         seconds = np.diff(points.middles, prepend=before.time)
         loading = np.array([before.elastic, before.age])
-        clock = loops.clock(points.mean(elastic) + floor, seconds, AGE_FLOOR, loading)
+        # An age of less than a block counts as none.
+        clock = loops.clock(points.mean(elastic) + floor, seconds, BLOCK_TIME, loading)
         return Errors(
             noise=noise + by_block,
             gain=-stiffness * apparent_stiffness_factor(order, SURFACE_TIME),

@@ -91,6 +91,16 @@ def mixture(members: Sequence[Member]) -> tuple[Array, Array]:
     return middle, spread
 
 
+def positive(covariance: Array) -> Array:
+    """Return the nearest symmetric positive semidefinite matrix, where rounding has left none."""
+    nearest: Array = 0.5 * (covariance + covariance.T)
+    values, vectors = np.linalg.eigh(nearest)
+    if values[0] < 0.0:
+        nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        nearest = 0.5 * (nearest + nearest.T)
+    return nearest
+
+
 class Estimate(NamedTuple):
     """The parameters and how well they are known."""
 
@@ -98,12 +108,14 @@ class Estimate(NamedTuple):
     log_nonlinear_stiffness: float  #: ln Gn
     fractional_order: float  #: alpha [1]
     covariance: Array  #: of (ln G, ln Gn, alpha) [1], shape (3, 3)
-    strain_origin: float  #: o [1]
-    strain_origin_sd: float  #: [1]
-    probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
-    valid: ParameterSet  #: what the data determine, or a setting: the others are prior knowledge
-    known: ParameterSet  #: those of them that have converged, each by itself
-    sample_count: int
+    strain_origin: float = 0.0  #: o [1]
+    strain_origin_sd: float = 0.0  #: [1]
+    probability_beyond_boundary: float = 0.0  #: P(largest strain > 1/Gn) [1]
+    #: What the data determine, or a setting: the others are prior knowledge.
+    valid: ParameterSet = ParameterSet.NONE
+    #: Those of them that have converged, each by itself.
+    known: ParameterSet = ParameterSet.NONE
+    sample_count: int = 0
     #: Relative standard deviation of the stress-strain curve from the law over a factor e of
     #: stress, averaged by the evidence [1]; 0: the data are those of the law.
     model_error: float = 0.0
@@ -200,11 +212,12 @@ class Estimate(NamedTuple):
     @property
     def numbers(self) -> dict[str, float]:
         """What outputs state, by the names of :data:`PUBLISHED`; without those not known."""
-        found = {name: getattr(self, name) for name in _ITS_OWN}
+        of_law = LawError.names()
+        found = {name: getattr(self, name) for name in PUBLISHED if name not in of_law}
         if math.isnan(self.mismatch_probability):
             del found["mismatch_probability"]
         if self.law_error is not None:
-            found |= zip(LawError.names(), self.law_error, strict=True)
+            found |= zip(of_law, self.law_error, strict=True)
         return found
 
     def _deviation(self, index: StateIndex) -> float:
@@ -232,4 +245,3 @@ PUBLISHED = {
 }
 #: Those that have a key, by their keys.
 KEYS = {key: name for name, key in PUBLISHED.items() if key}
-_ITS_OWN = tuple(name for name in PUBLISHED if name not in LawError.names())

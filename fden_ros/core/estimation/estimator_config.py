@@ -20,21 +20,15 @@ class Prior:
 
     Two standard deviations either way hold G from 10 Pa s^alpha to 1 MPa s^alpha, Gn from 1 to 40
     and alpha from 0.02 to 0.6.
-
-    Parameters
-    ----------
-    linear_stiffness, nonlinear_stiffness : float
-        Medians of G [Pa s^alpha] and Gn [1], both log-normal.
-    linear_stiffness_log_sd, nonlinear_stiffness_log_sd : float
-        Standard deviations of ln G and ln Gn [1].
-    fractional_order, fractional_order_sd : float
-        alpha [1] and its standard deviation [1].
     """
 
+    #: Medians of G [Pa s^alpha] and Gn [1], both log-normal.
     linear_stiffness: float = 3200.0
+    #: Standard deviations of ln G and ln Gn [1].
     linear_stiffness_log_sd: float = 2.9
     nonlinear_stiffness: float = 6.3
     nonlinear_stiffness_log_sd: float = 0.92
+    #: alpha [1] and its standard deviation [1].
     fractional_order: float = 0.31
     fractional_order_sd: float = 0.145
 
@@ -75,34 +69,18 @@ class Observation(enum.Enum):
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is not known of model and rig, as standard deviations; 0: nothing.
+    """What is not known of model and rig, as standard deviations; 0: nothing."""
 
-    Parameters
-    ----------
-    kernel_sd, characteristic_sd : float
-        Relative deviations of relaxation kernel and characteristic from the law [1].
-    surface_motion_sd : float
-        Way of the tissue's surface in one second [m].
-    force_drift_sd : float
-        Change of the force's zero in one second of contact [N].
-    friction_sd : float
-        Friction against the motion of the probe [N].
-    compliance_sd : float
-        Compliance of tool and robot that `displacement` does not allow for [m/N].
-    delay_sd : float
-        Delay between force and displacement [s].
-    thickness_sd : float
-        Relative deviation of the geometry's length [1].
-    """
-
+    #: Relative deviations of relaxation kernel and characteristic from the law [1].
     kernel_sd: float = 0.0
     characteristic_sd: float = 0.0
-    surface_motion_sd: float = 0.0
-    force_drift_sd: float = 0.0
-    friction_sd: float = 0.0
+    surface_motion_sd: float = 0.0  #: way of the tissue's surface in one second [m]
+    force_drift_sd: float = 0.0  #: change of the force's zero in one second of contact [N]
+    friction_sd: float = 0.0  #: friction against the motion of the probe [N]
+    #: Compliance of tool and robot that `displacement` does not allow for [m/N].
     compliance_sd: float = 0.0
-    delay_sd: float = 0.0
-    thickness_sd: float = 0.0
+    delay_sd: float = 0.0  #: delay between force and displacement [s]
+    thickness_sd: float = 0.0  #: relative deviation of the geometry's length [1]
 
     @property
     def rig_sd(self) -> tuple[float, float]:
@@ -116,36 +94,24 @@ NOTHING_UNKNOWN = Uncertainty()
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """Prior, observation, and thresholds of convergence.
-
-    Parameters
-    ----------
-    prior : Prior
-    observation : Observation
-        STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
-    fractional_order_given : bool
-        alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
-    converged_log_sd, converged_linear_log_sd, converged_order_sd : float
-        Gn, G and alpha have converged only while the standard deviations of ln Gn, ln G and alpha
-        are at most these [1].
-    converged_probability : float
-        Gn is observable only while P(largest strain > 1/Gn) is at least this [1].
-    uncertainty : Uncertainty
-        What is not known of model and rig. Whether the model's error is there at all, the evidence
-        of the data decides.
-    friction : float
-        Friction that is expected [N]; counts where its deviation is not 0.
-    """
+    """Prior, observation, and thresholds of convergence."""
 
     prior: Prior = Prior()
+    #: STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
     observation: Observation = Observation.STRESS
+    #: alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
     fractional_order_given: bool = False
+    #: Gn, G and alpha have converged only while the standard deviations of ln Gn, ln G and alpha
+    #: are at most these [1].
     converged_log_sd: float = 0.05
     converged_linear_log_sd: float = 0.5
     converged_order_sd: float = 0.05
+    #: Gn is observable only while P(largest strain > 1/Gn) is at least this [1].
     converged_probability: float = 0.99
+    #: What is not known of model and rig. Whether the model's error is there at all, the evidence
+    #: of the data decides.
     uncertainty: Uncertainty = Uncertainty()
-    friction: float = 0.0
+    friction: float = 0.0  #: friction that is expected [N]; counts where its deviation is not 0
 
     @property
     def is_order_given(self) -> bool:

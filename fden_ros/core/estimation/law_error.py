@@ -11,9 +11,10 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.loops_in_numpy import splines
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, characteristic_splines
+from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
@@ -50,7 +51,7 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
     own = np.zeros(mean.size)
     own[ORDER], own[kernel] = 1.0, -slope
     strains = np.linspace(_FROM_STRAIN * strain, strain, _PLACES)
-    curve = characteristic_splines(strains, model.last_knot)
+    curve, _ = splines(strains, model.last_knot, characteristic.stop - characteristic.start)
     off = curve @ mean[characteristic]
     off_covariance = curve @ covariance[characteristic, characteristic] @ curve.T
     loaded = strains >= _LOADED * strain

@@ -12,44 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.law.relaxation import COUNT as RATES
 
-#: Exponentials of the kernel [1].
-RATES = 32
+#: Strain about which the splines of the characteristic's error become wider, over that of their
+#: last knot [1]; in `_loops.c` too.
+NEAR = 0.1
 #: What of the law a column of derivatives is by.
 BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT = range(5)
 
 
 @dataclass(frozen=True)
 class LawState:
-    """The law at one state of the parameters.
+    """The law at one state of the parameters."""
 
-    Attributes
-    ----------
-    linear_stiffness, nonlinear_stiffness : float
-        G [Pa s^alpha] and Gn [1].
-    exponent : float
-        Strain is compression to this power [1]: 1, or 1.5 for a sphere.
-    is_one_sided : bool
-        Nothing pulls at the probe: without compression there is no stress.
-    compliance : float
-        What the stress takes off the compression [1/Pa].
-    weights : ndarray, shape (RATES + 2,)
-        Of the exponentials; then of those slower and of those faster.
-    bend : ndarray, shape (knots,)
-        Coefficients of the logarithm of the characteristic's error: a quadratic spline, evenly
-        spaced in ln(1 + strain / (last_knot / 10)). None, or three and more.
-    last_knot : float
-        Strain of the last knot [1].
-    """
-
+    #: G [Pa s^alpha] and Gn [1].
     linear_stiffness: float
     nonlinear_stiffness: float
-    exponent: float
-    is_one_sided: bool
-    compliance: float
-    weights: Array
+    exponent: float  #: strain is compression to this power [1]: 1, or 1.5 for a sphere
+    is_one_sided: bool  #: nothing pulls at the probe: without compression there is no stress
+    compliance: float  #: what the stress takes off the compression [1/Pa]
+    weights: Array  #: of the exponentials; then of those slower and of those faster, (RATES + 2,)
+    #: Coefficients of the logarithm of the characteristic's error: a quadratic spline, evenly
+    #: spaced in ln(1 + strain / (NEAR last_knot)). None, or three and more. Shape (knots,).
     bend: Array
-    last_knot: float
+    last_knot: float  #: strain of the last knot [1]
 
     @property
     def numbers(self) -> Array:
@@ -62,27 +48,17 @@ class LawState:
 
 @dataclass(frozen=True)
 class Columns:
-    """The derivatives of the response that are asked for.
+    """The derivatives of the response that are asked for."""
 
-    Attributes
-    ----------
-    kinds : ndarray of int32, shape (columns,)
-        One of the ``BY_...`` each; by the knot m of the characteristic's error: ``BY_FIRST_KNOT``
-        + m.
-    motions : ndarray, shape (moving, points)
-        Derivatives of the compression by the first columns [1]; by the others it has none.
-    weight_of : ndarray of int32, shape (columns,)
-        Row of `weights`; -1: none.
-    weights : ndarray, shape (rows, RATES + 2)
-        Derivatives of the weights.
-    surfaces : ndarray or None, shape (columns, points)
-        Derivatives of the free surface, in the unit of the elastic response.
-    """
-
+    #: One of the ``BY_...`` each; by the knot m of the characteristic's error: ``BY_FIRST_KNOT`` +
+    #: m. Shape (columns,).
     kinds: NDArray[np.int32]
+    #: Derivatives of the compression by the first columns [1]; by the others it has none, (moving,
+    #: points).
     motions: Array
-    weight_of: NDArray[np.int32]
-    weights: Array
+    weight_of: NDArray[np.int32]  #: row of `weights`; -1: none, (columns,)
+    weights: Array  #: derivatives of the weights, (rows, RATES + 2)
+    #: Derivatives of the free surface, in the unit of the elastic response, (columns, points).
     surfaces: Array | None = None
 
     @classmethod
@@ -120,14 +96,7 @@ class ResponseState:
 
 @dataclass
 class WalkState:
-    """Two random walks: their covariance, and per column their means.
+    """Two random walks: their covariance, and per column their means."""
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (3,)
-        Of the stress's walk, of both, of the surface's.
-    means : ndarray, shape (2, columns)
-    """
-
-    covariance: Array
-    means: Array
+    covariance: Array  #: of the stress's walk, of both, of the surface's, (3,)
+    means: Array  #: shape (2, columns)

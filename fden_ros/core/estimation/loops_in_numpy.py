@@ -14,15 +14,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ive
 
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation.loop_arguments import (
     BY_COMPLIANCE,
     BY_FIRST_KNOT,
-    BY_LOG_G,
-    BY_LOG_GN,
+    NEAR,
     RATES,
     Columns,
     LawState,
@@ -30,6 +31,7 @@ from fden_ros.core.estimation.loop_arguments import (
     ResponseState,
     WalkState,
 )
+from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 # Gauss-Lobatto nodes on [0, 1]; and the Legendre coefficients of the derivative of the cubic
 # through values there.
@@ -41,48 +43,21 @@ _SLOPES = np.array(
         [-1.25, 2.795084971874737, -2.795084971874737, 1.25],
     ]
 )
-#: Below this half the moments are series: their closed form cancels there.
-_SERIES_LIMIT = 0.7
-_SERIES_TERMS = 9
-#: Beyond it the exponential characteristic goes on as its tangent.
-_LARGEST_EXPONENT = 60.0
-_BISECTIONS = 60
-_NEWTON_STEPS = 12
-_SMALLEST_CHANGE = 1e-15
+#: Newton's method ends after so many steps [1], or with a change of the compression below this.
+_NEWTON_STEPS, _SMALLEST_CHANGE = 12, 1e-15
 
 
 def moments(durations: Array, rates: Array) -> Array:
     """Return decay and moments of each step: see :func:`loops.moments`."""
     y = durations[:, None] * rates
-    half = 0.5 * y
-    small, large = np.minimum(half, _SERIES_LIMIT), np.maximum(half, _SERIES_LIMIT)
-    by_order = np.where(half < _SERIES_LIMIT, _series_moments(small), _closed_moments(large))
+    z = 0.5 * y
+    # Modified spherical Bessel functions. From 1e9 on, where scipy has none, nothing is left.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_order = np.nan_to_num(
+            [ive(order + 0.5, z) * np.sqrt(2.0 * np.pi / z) for order in range(3)]
+        )
+    by_order[0][z == 0.0] = 2.0
     return np.stack([np.exp(-y), *by_order], axis=1)
-
-
-def _series_moments(z: Array) -> list[Array]:
-    """Return M_0, M_1 and M_2 at y = 2 z: modified spherical Bessel functions, by their series."""
-    decay = np.exp(-z)
-    factors = 2.0 * decay, 2.0 * decay * z / 3.0, 2.0 * decay * z * z / 15.0
-    result = []
-    for order, factor in enumerate(factors):
-        term, total = np.ones_like(z), np.ones_like(z)
-        for j in range(1, _SERIES_TERMS):
-            term = term * (0.5 * z * z) / (j * (2.0 * j + 2.0 * order + 1.0))
-            total = total + term
-        result.append(factor * total)
-    return result
-
-
-def _closed_moments(z: Array) -> list[Array]:
-    """Return M_0, M_1 and M_2 at y = 2 z, by their closed form."""
-    decay = np.exp(-2.0 * z)
-    plus, minus = 1.0 + decay, 1.0 - decay
-    return [
-        minus / z,
-        (plus - minus / z) / z,
-        (minus * (1.0 + 3.0 / (z * z)) - 3.0 * plus / z) / z,
-    ]
 
 
 # What is not finite is found at the end of each step.
@@ -122,66 +97,43 @@ def respond(
     return Response(stress, jacobian, elastic, slope)
 
 
-@dataclass(frozen=True)
-class _Given:
-    """The derivatives that are asked for; zeros where a column has none.
-
-    `motion` and `surface` have shape (columns, points), `weights` (columns, RATES + 2), and
-    `of_law` is each column's row in :meth:`_Elastic.derivatives`.
-    """
+class _Given(NamedTuple):
+    """The derivatives that are asked for; zeros where a column has none."""
 
     is_by_compliance: Array
-    of_law: Indices
-    motion: Array
-    surface: Array
-    weights: Array
+    of_law: Indices  #: each column's row in :meth:`_Elastic.derivatives`
+    motion: Array  #: (columns, points)
+    surface: Array  #: (columns, points)
+    weights: Array  #: (columns, RATES + 2)
 
     @classmethod
     def of(cls, columns: Columns, points: int) -> _Given:
-        rows = {BY_LOG_G: 1, BY_LOG_GN: 2}
-        first_knot = BY_FIRST_KNOT
+        rows = np.array([0, 1, 2, 0])  # by nothing, ln G, ln Gn, the compliance
+        knots = columns.kinds - BY_FIRST_KNOT
         motion, weights = np.zeros((columns.count, points)), np.zeros((columns.count, RATES + 2))
         motion[: columns.motions.shape[0]] = columns.motions
         has_weights = columns.weight_of >= 0
         weights[has_weights] = columns.weights[columns.weight_of[has_weights]]
         return cls(
             (columns.kinds == BY_COMPLIANCE).astype(float),
-            np.array(
-                [
-                    3 + kind - first_knot if kind >= first_knot else rows.get(kind, 0)
-                    for kind in columns.kinds.tolist()
-                ],
-                dtype=np.intp,
-            ),
+            np.where(knots < 0, rows[np.minimum(columns.kinds, 3)], 3 + knots),
             motion,
             np.zeros_like(motion) if columns.surfaces is None else columns.surfaces,
             weights,
         )
 
 
-@dataclass(frozen=True)
-class _Memory:
+class _Memory(NamedTuple):
     """What goes on from point to point; views of a :class:`ResponseState`.
 
     Row 0 is of the response itself, the others are of its derivatives.
-
-    Attributes
-    ----------
-    kept : ndarray, shape (columns + 1, RATES)
-        The exponentials.
-    totals : ndarray, shape (columns + 1,)
-        The elastic response in excess of the free surface.
-    moved, lifted : ndarray, shape (columns + 1,)
-        Derivatives of the compression and of the free surface; 0 in row 0.
-    last : ndarray, shape (4,)
-        Compression, free surface, whether the law is active, stress.
     """
 
-    kept: Array
-    totals: Array
-    moved: Array
-    lifted: Array
-    last: Array
+    kept: Array  #: the exponentials, (columns + 1, RATES)
+    totals: Array  #: the elastic response in excess of the free surface, (columns + 1,)
+    moved: Array  #: derivatives of the compression, (columns + 1,); 0 in row 0
+    lifted: Array  #: derivatives of the free surface, likewise
+    last: Array  #: compression, free surface, whether the law is active, stress
 
     @classmethod
     def of(cls, state: ResponseState) -> _Memory:
@@ -190,17 +142,13 @@ class _Memory:
         return cls(kept.reshape(-1, RATES), totals, moved, lifted, last)
 
 
-@dataclass(frozen=True)
-class _Elastic:
-    """The elastic response at compressions of shape (n,), with its derivatives.
-
-    `of_knots`, shape (n, knots), are the weights of the knots of the characteristic's error.
-    """
+class _Elastic(NamedTuple):
+    """The elastic response at compressions of shape (n,), with its derivatives."""
 
     value: Array
     by_compression: Array
     by_log_gn: Array
-    of_knots: Array
+    of_knots: Array  #: weights of the knots of the characteristic's error, (n, knots)
 
     def derivatives(self) -> Array:
         """Return those by nothing, ln G, ln Gn and each knot, shape (3 + knots, n)."""
@@ -214,11 +162,12 @@ def _elastic(law: LawState, compression: Array) -> _Elastic:
     strain = size**law.exponent
     by_size = law.exponent * size ** (law.exponent - 1.0)
     scaled = law.nonlinear_stiffness * strain
-    beyond = np.clip(scaled - 1.0, 0.0, _LARGEST_EXPONENT)
+    beyond = np.clip(scaled - 1.0, 0.0, MAX_EXPONENT)
     growth = np.exp(beyond)
     ratio = growth * (scaled - beyond)
-    bend, tilt, of_knots = _bend(law, strain)
-    unit = law.linear_stiffness / law.nonlinear_stiffness * np.exp(bend)
+    of_knots, slopes = splines(strain, law.last_knot, law.bend.size)
+    tilt = slopes @ law.bend
+    unit = law.linear_stiffness / law.nonlinear_stiffness * np.exp(of_knots @ law.bend)
     if law.is_one_sided:
         unit = np.where(compression < 0.0, 0.0, unit)
     signed = np.where(compression < 0.0, -unit, unit)
@@ -230,64 +179,42 @@ def _elastic(law: LawState, compression: Array) -> _Elastic:
     )
 
 
-def _bend(law: LawState, strain: Array) -> tuple[Array, Array, Array]:
-    """Return the characteristic's error, its slope, and the weights of its knots.
+def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
+    """Return the values of the characteristic's splines at strains from 0 on, and their slopes.
 
-    It is a quadratic spline, evenly spaced in ln(1 + strain / (last_knot / 10)), and constant
-    beyond the last knot.
+    Of shape (strains, knots). They are quadratic, evenly spaced in ln(1 + x / x0), and constant
+    beyond the last knot: so they can follow the law's own bend at 1/Gn. With hat functions ln Gn
+    has false maxima 0.15 apart.
     """
-    weights = np.zeros((strain.size, law.bend.size))
-    cells = law.bend.size - 2
-    if cells < 1:
-        return np.zeros_like(strain), np.zeros_like(strain), weights
-    near = 0.1 * law.last_knot
-    per_place = cells / np.log(11.0)
+    values, slopes = np.zeros((strain.size, knots)), np.zeros((strain.size, knots))
+    if not knots:
+        return values, slopes
+    near, cells = NEAR * last_knot, knots - 2
+    per_place = cells / np.log1p(1.0 / NEAR)
     place = per_place * np.log1p(strain / near)
     is_inside = place < cells
     cell = np.where(is_inside, place, cells - 1).astype(np.intp)
-    part = np.where(is_inside, place - cell, 1.0)
-    three = cell[:, None] + np.arange(3)
-    of_three = [0.5 * (1.0 - part) ** 2, 0.5 + part * (1.0 - part), 0.5 * part**2]
-    by_part = np.transpose([part - 1.0, 1.0 - 2.0 * part, part])
-    weights[np.arange(strain.size)[:, None], three] = np.transpose(of_three)
+    p = np.where(is_inside, place - cell, 1.0)
+    at = np.arange(strain.size)[:, None], cell[:, None] + np.arange(3)
+    values[at] = np.transpose([0.5 * (1.0 - p) ** 2, 0.5 + p * (1.0 - p), 0.5 * p**2])
     tilt = np.where(is_inside, per_place / (near + strain), 0.0)
-    return weights @ law.bend, tilt * (by_part * law.bend[three]).sum(axis=1), weights
+    slopes[at] = np.transpose([tilt * (p - 1.0), tilt * (1.0 - 2.0 * p), tilt * p])
+    return values, slopes
 
 
 @dataclass(frozen=True)
 class _Step:
-    """One step to a compression at its end.
-
-    Attributes
-    ----------
-    law : LawState
-    is_active : bool
-        Whether the probe presses on the tissue at the end.
-    decay : ndarray, shape (RATES,)
-        Of the exponentials.
-    parts : ndarray, shape (NODES,)
-        Where in the step the nodes are: 0 at its beginning, 1 at its end.
-    nodes : _Elastic
-        The elastic response at the nodes.
-    excess : ndarray, shape (NODES,)
-        psi at the nodes.
-    reach : ndarray, shape (RATES, NODES)
-        What psi at the nodes adds to the exponentials.
-    total : ndarray, shape (NODES,)
-        psi at the end, from psi at the nodes: the last, or nothing.
-    per_second : ndarray, shape (NODES,)
-        The rate of psi at the end, from psi at the nodes [1/s].
-    """
+    """One step to a compression at its end."""
 
     law: LawState
-    is_active: bool
-    decay: Array
-    parts: Array
-    nodes: _Elastic
-    excess: Array
-    reach: Array
-    total: Array
-    per_second: Array
+    is_active: bool  #: the probe presses on the tissue at the end
+    decay: Array  #: of the exponentials, (RATES,)
+    parts: Array  #: where the nodes are, from 0 at the beginning to 1 at the end, (NODES,)
+    nodes: _Elastic  #: the elastic response there
+    excess: Array  #: psi there, (NODES,)
+    reach: Array  #: what psi there adds to the exponentials, (RATES, NODES)
+    total: Array  #: psi at the end from psi there: the last, or nothing, (NODES,)
+    per_second: Array  #: the rate of psi at the end from psi there [1/s], (NODES,)
 
     @cached_property
     def weighs(self) -> Array:
@@ -306,11 +233,10 @@ class _Step:
         return 1.0 + self.law.compliance * float(self.weighs @ self.by_end)
 
 
-@dataclass(frozen=True)
-class _Start:
-    """Where a step begins, and what is known of it: `last` of the memory, moments, duration."""
+class _Start(NamedTuple):
+    """Where a step begins, and what is known of it."""
 
-    last: Array
+    last: Array  #: of the memory
     moments: Array
     duration: float
 
@@ -410,15 +336,14 @@ def _crossing(
     if free == (0.0, 0.0):
         return min(max(-motion[0] / (motion[1] - motion[0]), 0.0), 1.0)
     low, high = 0.0, 1.0
-    for _ in range(_BISECTIONS):
-        at = 0.5 * (low + high)
+    while low < (at := 0.5 * (low + high)) < high:
         compression = motion[0] + at * (motion[1] - motion[0])
         value = float(_elastic(law, np.array([compression])).value[0])
         if (value > free[0] + at * (free[1] - free[0])) == rises:
             high = at
         else:
             low = at
-    return 0.5 * (low + high)
+    return at
 
 
 def _settled(

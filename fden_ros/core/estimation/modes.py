@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit, log_ndtr
@@ -26,13 +26,9 @@ from fden_ros.core.estimation.estimate import Member, mixture
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Solution, evidence_under
+from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
-#: Maxima less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE = 7.0
-#: Modes that are followed [1].
-_MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
 _SAME = 0.2
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
@@ -41,30 +37,16 @@ _NEAR, _BENT = 0.05, 0.3
 #: A linear law that is less likely than the bend by this logarithm after as many steps is not
 #: sought on [1].
 _HOPELESS, _FIRST_STEPS = 40.0, 2
-#: ln Gn of a linear law is below the boundary by this [1].
-_BELOW = 1e-3
 
 
 @dataclass(frozen=True)
 class Modes:
-    """The modes of a posterior.
+    """The modes of a posterior."""
 
-    Attributes
-    ----------
-    solutions : tuple of Solution
-        About its maxima, the likeliest first.
-    weight : float
-        Of the first.
-    others : tuple of Member
-        All modes but the first.
-    log_gain : float
-        Logarithm of the evidence of all over that of the first.
-    """
-
-    solutions: tuple[Solution, ...]
-    weight: float = 1.0
-    others: tuple[Member, ...] = ()
-    log_gain: float = 0.0
+    solutions: tuple[Solution, ...]  #: about its maxima, the likeliest first
+    weight: float = 1.0  #: of the first
+    others: tuple[Member, ...] = ()  #: all modes but the first
+    log_gain: float = 0.0  #: logarithm of the evidence of all over that of the first
 
     @property
     def best(self) -> Solution:
@@ -177,7 +159,7 @@ def _weighed(
     for k in np.argsort(-evidence):
         likely = float(evidence[k] - evidence.max())
         is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
-        if likely < -_NEGLIGIBLE or len(kept) == _MOST or (is_linear and has_linear):
+        if likely < -NEGLIGIBLE or (is_linear and has_linear):
             continue
         if all(_are_apart(found[k], s) for _, s in kept):
             kept.append((math.exp(likely), found[k]))
@@ -209,7 +191,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     boundary = _boundary(strain)
     beyond = (float(best.mean[LOG_GN]) - boundary) / sd
     state = best.maximum.state.copy()
-    state[LOG_GN] = min(float(state[LOG_GN]), boundary - _BELOW)
+    state[LOG_GN] = min(float(state[LOG_GN]), boundary)
     scales = best.best_scales
     linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS)
     if not linear.is_solved:
@@ -221,7 +203,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
-    there = posterior.evidence(points, best.maximum, [scales])[0]
+    there = posterior.evidence(points, replace(best.maximum, scales=scales))
     here = evidence_under(posterior, points, linear, best.maximum.errors, LOG_GN)
     gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from fden_ros.core.estimation.error_model import ErrorModel
 from fden_ros.core.estimation.maximum import (
     CONVERGED,
     MOST_STEPS,
+    NEARLY_FOUND,
     Maximum,
     MaximumSearch,
     solved,
@@ -25,24 +27,15 @@ from fden_ros.core.estimation.maximum import (
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
-from fden_ros.core.estimation.solution import Solution, averaged, log_evidence
+from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, averaged, evidence_at
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
-#: A maximum is found to a twentieth of a standard deviation, while the record grows [1]: with a
-#: fourteenth the last live state was up to 0.2 off the summary.
-NEARLY_FOUND = 2.5e-3
 #: Steps after which other scales are tried [1]; a growing record takes one to five.
 _FEW_STEPS = 12
-#: A smooth error of this scale [1] is none.
-_LEAST_SCALE = 1e-4
 #: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
 _SAME = 0.03
-#: Rounds of maximum and choice of the scales [1].
-_MOST_ROUNDS = 8
-#: Maxima less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE = 9.0
 
 
 class Posterior(Density):
@@ -80,15 +73,10 @@ class Posterior(Density):
         scales: Scales,
         converged: float = CONVERGED,
         most: int = MOST_STEPS,
+        held: int | None = None,
     ) -> Maximum:
-        """Return the maximum that a start leads to.
-
-        Raises
-        ------
-        FloatingPointError
-            If the start's stress is beyond floating-point numbers.
-        """
-        return MaximumSearch(self, points, scales, converged, most=most).from_start(start)
+        """Return the maximum that a start leads to: see :class:`MaximumSearch`."""
+        return MaximumSearch(self, points, scales, converged, held, most).from_start(start)
 
     def solutions(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
@@ -103,16 +91,15 @@ class Posterior(Density):
         found: list[Solution] = []
         with np.errstate(over="ignore", invalid="ignore"):
             # Roughly: most starts lead to the same maximum, which is then refined once.
-            maxima = self._maxima(points, starts, scales, NEARLY_FOUND)
-            evidence = [log_evidence(self, points, m, maxima[0].errors) for m in maxima]
-            for k, maximum in enumerate(maxima):
-                is_likely = evidence[k] > evidence[0] - _NEGLIGIBLE
-                if not is_likely or any(_are_one(maximum, other) for other in maxima[:k]):
+            seen: list[Maximum] = []
+            for maximum in self._maxima(points, starts, scales):
+                if any(_are_one(maximum, other) for other in seen):
                     continue
+                seen.append(maximum)
                 with contextlib.suppress(*UNSOLVABLE):
                     found.append(self._refined(points, maximum, converged))
         if not found:
-            raise FloatingPointError("no maximum has a finite evidence")
+            raise FloatingPointError("no start leads to a maximum with a finite evidence")
         return found
 
     def is_known(self, place: int) -> bool:
@@ -134,13 +121,11 @@ class Posterior(Density):
     def _refined(self, points: Points, best: Maximum, converged: float) -> Solution:
         """Return the solution about a maximum that is nearly found, at the scales best there."""
         seen = [] if converged < NEARLY_FOUND else [best.scales]
-        for _ in range(_MOST_ROUNDS):
+        found = averaged(self, points, best, self.grid)
+        while found.best_scales not in seen:
+            seen.append(found.best_scales)
+            best = self.maximum(points, best.state, found.best_scales, converged)
             found = averaged(self, points, best, self.grid)
-            chosen = found.best_scales
-            if chosen in seen:
-                break
-            seen.append(chosen)
-            best = self.maximum(points, best.state, chosen, converged)
         return self._considered(points, found)
 
     def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
@@ -179,9 +164,8 @@ class Posterior(Density):
         FloatingPointError
             If the stress is not finite at the state.
         """
-        search = MaximumSearch(self, points, scales, NEARLY_FOUND, place, most)
         with np.errstate(over="ignore", invalid="ignore"):
-            best = search.from_start(state)
+            best = self.maximum(points, state, scales, NEARLY_FOUND, most, place)
             return averaged(self, points, best, (WeighedScales(scales, 0.0),), place)
 
     def _considered(self, points: Points, found: Solution) -> Solution:
@@ -189,51 +173,40 @@ class Posterior(Density):
         if not self._order_sd:
             return found
         maximum, scales = found.maximum, found.maximum.scales
-        by_order = self.model.evaluate(points, maximum.state).jacobian[:, ORDER]
-        rows = np.column_stack([by_order, maximum.evaluation.jacobian])
-        white, _, _ = self.error_model.whitened(
-            rows, maximum.errors, scales.roughness, scales.motion
+        found_with_order = self.model.evaluate(points, maximum.state)
+        about = self.linear(
+            points, found_with_order, maximum.errors, scales.roughness, scales.motion
         )
-        normal = white[:, 1:].T @ white[:, 1:] + self.precision(maximum.state, scales)
-        shift = -solved(normal, white[:, 1:].T @ white[:, 0])
+        by_order = about.jacobian[:, ORDER].copy()
+        about.jacobian[:, self.known] = 0.0
+        normal = about.normal + self.precision(maximum.state, scales)
+        shift = -solved(normal, about.jacobian.T @ by_order)
         shift[ORDER] = 1.0
         return replace(found, considered=self._order_sd**2 * np.outer(shift, shift))
 
-    def _maxima(
-        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float
-    ) -> list[Maximum]:
-        """Return the maxima, best first; while they are compared the errors are the same."""
+    def _maxima(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Maximum]:
+        """Return the maxima that are likely, best first; they are compared by the same errors."""
         maxima = []
         for start in starts:
             with contextlib.suppress(*UNSOLVABLE):
-                maxima.append(self.maximum(points, start, scales, converged))
-        if not maxima:
-            raise FloatingPointError("the stress is not finite at any start")
-        if len(maxima) == 1:
-            return maxima
-        reference = maxima[0]
-        for _ in maxima:
-            evidence = [log_evidence(self, points, m, reference.errors) for m in maxima]
-            order = np.argsort(evidence)[::-1].tolist()
-            if maxima[order[0]] is reference:
-                break
-            reference = maxima[order[0]]
-        return [maxima[k] for k in order]
+                maxima.append(self.maximum(points, start, scales, NEARLY_FOUND))
+        for _ in range(len(maxima) if len(maxima) > 1 else 0):
+            best = maxima[0]
+            compared = [replace(m, errors=best.errors) for m in maxima]
+            evidence = np.array([self.evidence(points, m) for m in compared])
+            maxima = [maxima[k] for k in np.argsort(-evidence)]
+            if maxima[0] is best:
+                return maxima[: np.count_nonzero(evidence > evidence.max() - NEGLIGIBLE)]
+        return maxima
 
-    def evidence(self, points: Points, maximum: Maximum, grid: Sequence[Scales]) -> list[float]:
-        """Return the log evidence of single scales, from the linearisation at a maximum."""
-        places = [(WeighedScales(_floored(scales), 0.0),) for scales in grid]
-        return [averaged(self, points, maximum, place).log_evidence for place in places]
+    def evidence(self, points: Points, maximum: Maximum) -> float:
+        """Return the log evidence at the scales of a maximum, from the linearisation there."""
+        try:
+            return evidence_at(self, points, maximum)
+        except UNSOLVABLE:
+            return -math.inf
 
 
 def _are_one(maximum: Maximum, other: Maximum) -> bool:
     """Whether two maxima are at the same ln G, ln Gn and alpha."""
     return bool(np.max(np.abs(maximum.state - other.state)[: len(LAW)]) <= _SAME)
-
-
-def _floored(scales: Scales) -> Scales:
-    """Return scales of which the smooth errors have a prior of their own."""
-    return scales._replace(
-        kernel=max(scales.kernel, _LEAST_SCALE),
-        characteristic=max(scales.characteristic, _LEAST_SCALE),
-    )

@@ -26,7 +26,6 @@ from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, rig_places
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import Lifetime
 from fden_ros.core.law.geometry import Geometry
@@ -144,9 +143,11 @@ class PosteriorEstimator(Estimator):
         if press is None or press.solved is None or press.is_lost or not stated:
             return None
         now = self._setting.config.uncertainty.surface_motion_sd
-        grid = [Scales(0.0, 0.0, 0.0, scale * stated / now) for scale in MOTION_SCALES]
         solved = press.solved
-        return solved.posterior.evidence(press.record.points(), solved.best.maximum, grid)
+        exact = min(weighed.scales for weighed in solved.posterior.grid)
+        grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
+        points, maximum = press.record.points(), solved.best.maximum
+        return [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after the press; None where it tells nothing."""

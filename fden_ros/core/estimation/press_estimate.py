@@ -12,22 +12,19 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate, LawError, Member, mixture
+from fden_ros.core.estimation.estimate import Estimate, LawError, Member, mixture, positive
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
+from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 #: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
 #: of the relaxation's order counts as this at least [1].
 _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
-#: Part of the largest variance that rounding may leave below 0 [1].
-_ROUNDING = 1e-12
-#: Logarithm beyond which a number is as good as infinite [1].
-_LARGEST_LOG = 300.0
 
 
 def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
@@ -45,7 +42,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     config = setting.config
     modes = solved.modes.members(press.filter.mean, press.filter.covariance)
     mean, full = _after_changes(solved.model, *mixture(modes))
-    if not np.all(np.abs(mean) < _LARGEST_LOG):
+    if not np.all(np.abs(mean) < MAX_EXPONENT):
         # The filter is where no number is; the next solution is due.
         return None
     covariance = _published(setting, full)
@@ -62,7 +59,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         deviations,
         beyond,
         solved.best.is_solved and not press.is_lost,
-        origin_sd * math.exp(min(float(mean[LOG_GN]), _LARGEST_LOG)),
+        origin_sd * math.exp(float(mean[LOG_GN])),
         is_contradicted,
     )
     claims = claims_of(config, evidence)
@@ -76,7 +73,6 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         probability_beyond_boundary=beyond,
         valid=claims.valid,
         known=claims.known,
-        sample_count=0,
         model_error=sum(s.characteristic * p for s, p in solved.best.scales.items()),
         loading_age=press.filter.loading_age,
         law_error=solved.law_error,
@@ -104,10 +100,8 @@ def prior_estimate(setting: PressSetting) -> Estimate:
         covariance=covariance,
         strain_origin=origin,
         strain_origin_sd=setting.origin_sd,
-        probability_beyond_boundary=0.0,
         valid=claims.valid,
         known=claims.known,
-        sample_count=0,
     )
 
 
@@ -115,13 +109,8 @@ def _published(setting: PressSetting, full: Array) -> Array:
     """Return the covariance of (ln G, ln Gn, alpha), with that of the thickness."""
     covariance = full[:3, :3].copy()
     covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
-    result: Array = 0.5 * (covariance + covariance.T)
-    values, vectors = np.linalg.eigh(result)
-    if values[0] < -_ROUNDING * values[-1]:
-        # The filter was far from where it is linear.
-        result = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        result = 0.5 * (result + result.T)
-    return result
+    # The filter may have been far from where it is linear.
+    return positive(covariance)
 
 
 def _probability_beyond(

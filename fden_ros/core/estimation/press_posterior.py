@@ -11,7 +11,9 @@ by the blocks since. Where a block is not explained a change is looked for at on
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -30,39 +32,35 @@ from fden_ros.core.estimation.change import (
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Block, Record, Sample
-from fden_ros.core.estimation.search import Search, Solved
+from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.characteristic import elastic_response
 
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: So is it when ln G, ln Gn or alpha has moved by this many standard deviations [1]: the filter
-#: is linear about the last solution, and went on by four of them in a hold of a minute.
-_MOVED = 1.0
 #: A solution is used so long after its record has ended [s]: it takes up to 40 ms. At 10 Hz that
 #: is with the next sample.
 SOLUTION_TIME = 0.095
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
-#: A change is placed anew once it was seen for this time [s], within this time [s].
-_PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
-#: An innovation beyond this many standard deviations is not explained [1].
-_SURPRISE = 5.0
 #: The touch may be this many standard deviations of the origin before its nominal place [1].
 _REACH = 6.0
-#: Least variance of an innovation [Pa^2].
-_LEAST_VARIANCE = 1e-300
+#: A change is placed anew once it was seen for this time [s], within this time [s].
+_PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
 
 
 class _Begun(NamedTuple):
     """A solution that has been begun."""
 
     search: Search
+    compression: float  #: largest of its record [1]
     found: Pending[Solved]
     since: list[Block]  #: the blocks after its record
 
@@ -188,7 +186,7 @@ class PressPosterior:
                 self.go_on()
         self._samples = []
         self._blocks += 1
-        self._is_surprised = innovation.normalized_squared > _SURPRISE**2
+        self._is_surprised = innovation.normalized_squared > NO_CHANCE**2
         if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
             self._suspected_at = self._now
         if self._suspected_at is not None:
@@ -212,7 +210,7 @@ class PressPosterior:
                 self.begin_solution()
 
     def _unpredicted(self, stress: float) -> Innovation:
-        return Innovation(0.0, stress, 0.0, max(self.setting.stress_sd**2, _LEAST_VARIANCE))
+        return Innovation(0.0, stress, 0.0, self.setting.stress_sd**2)
 
     def _filtered(
         self, own_filter: PressFilter, blocks: list[Block], compression: float
@@ -233,7 +231,10 @@ class PressPosterior:
     # Solutions
 
     def _posterior(self, events: tuple[Unknown, ...]) -> Posterior:
-        return self.setting.posterior(events, self.compression_sd, self.deepest)
+        return self._made(events)(PressModel)
+
+    def _made(self, events: tuple[Unknown, ...]) -> Callable[[type[PressModel]], Posterior]:
+        return partial(self.setting.posterior, events, self.compression_sd, self.deepest)
 
     def _is_due(self) -> bool:
         is_begun = self._begun is not None
@@ -247,49 +248,42 @@ class PressPosterior:
         )
 
     def _has_moved(self) -> bool:
-        """Whether the filter is far from the solution about which it is linear."""
+        """Whether the filter is a standard deviation from the solution about which it is linear.
+
+        It went on by four of them in a hold of a minute.
+        """
         if self.solved is None or self.filter is None:
             return False
         law, best = slice(0, len(LAW)), self.solved.best
         moved = np.square(self.filter.mean - best.mean)[law]
-        return bool(np.any(moved > _MOVED**2 * best.covariance.diagonal()[law]))
+        return bool(np.any(moved > best.covariance.diagonal()[law]))
 
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts."""
         self._begun = None
         if self._blocks >= _FIRST_SOLUTION:
-            self.begin_solution(fully=True, is_last=True)
+            self.begin_solution(Care.LAST)
 
     def solve(self) -> None:
         """Solve the posterior of the record so far now, from all starts."""
-        self.begin_solution(fully=True)
+        self.begin_solution(Care.EXACT)
         self.go_on()
 
-    def begin_solution(self, *, fully: bool = False, is_last: bool = False) -> None:
-        """Begin to solve the posterior of the record so far; `fully`: with all care."""
+    def begin_solution(self, care: Care = Care.TRACKED) -> None:
+        """Begin to solve the posterior of the record so far."""
         self._place_again()
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION:
             return
-        is_doubled = 2 * self._blocks_at_starts <= self._blocks
-        is_from_starts = fully or is_doubled or self.solved is None
-        if is_from_starts:
+        if 2 * self._blocks_at_starts <= self._blocks or self.solved is None:
+            care = max(care, Care.FROM_STARTS)
+        if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self._blocks
-        search = Search(
-            self.setting,
-            self.events,
-            self.compression_sd,
-            points,
-            self.solved,
-            self._now - self._start,
-            self.record.max_compression,
-            self.deepest,
-            is_from_starts,
-            fully,
-            is_last,
-        )
+        made, elapsed = self._made(self.events), self._now - self._start
+        search = Search(self.setting, made, points, self.solved, elapsed, self.deepest, care)
         found = Pending(search.solved, self._executor)
-        self._begun, self.begun_at = _Begun(search, found, []), self._blocks
+        self._begun = _Begun(search, self.record.max_compression, found, [])
+        self.begun_at = self._blocks
 
     def go_on(self) -> None:
         """Go on from the solution that was begun, by the blocks since."""
@@ -305,7 +299,7 @@ class PressPosterior:
             return
         self.is_lost, self.solved = False, solved
         self._last = float(search.points.times[-1])
-        self._solved_at = search.elapsed, search.compression
+        self._solved_at = search.elapsed, begun.compression
         self.filter = PressFilter(solved.best, solved.model, solved.posterior.error_model)
         if not begun.since:
             return

@@ -33,52 +33,30 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Carried:
-    """The posterior of the last press of a site.
-
-    Attributes
-    ----------
-    model : PressModel
-    mean, covariance : ndarray, shapes (n,), (n, n)
-        Of its unknowns.
-    """
+    """The posterior of the last press of a site."""
 
     model: PressModel
+    #: Of its unknowns, (n,), (n, n).
     mean: Array
     covariance: Array
 
 
 @dataclass(frozen=True)
 class PressSetting:
-    """What is known of a press before its first sample.
+    """What is known of a press before its first sample."""
 
-    Attributes
-    ----------
-    config : EstimatorConfig
-        With the scales of motion and drift as they are learned.
-    stated : Uncertainty
-        Of the rig, as it is stated.
-    geometry : Geometry
-    origin_sd : float
-        Standard deviation of the strain origin [1]; 0: known.
-    stress_sd, zero_sd, drift_sd : float
-        Standard deviations of a sample's stress [Pa], of its zero [Pa] and of that one's drift
-        [Pa/s].
-    rig : RigKnowledge
-    carried : Carried or None
-        None: the first press of the site.
-    free : FreeSurface or None
-        What earlier presses have left of the tissue; None: it is at rest.
-    """
-
-    config: EstimatorConfig
-    stated: Uncertainty
+    config: EstimatorConfig  #: with the scales of motion and drift as they are learned
+    stated: Uncertainty  #: of the rig, as it is stated
     geometry: Geometry
-    origin_sd: float
+    origin_sd: float  #: standard deviation of the strain origin [1]; 0: known
+    #: Standard deviations of a sample's stress [Pa], of its zero [Pa] and of that one's drift
+    #: [Pa/s].
     stress_sd: float
     zero_sd: float
     drift_sd: float
     rig: RigKnowledge
-    carried: Carried | None = None
+    carried: Carried | None = None  #: None: the first press of the site
+    #: What earlier presses have left of the tissue; None: it is at rest.
     free: FreeSurface | None = None
 
     @property

@@ -167,29 +167,20 @@ class _Cell:
 
 @dataclass(frozen=True)
 class Points:
-    """A record as arrays: `n` points of the motion, `m` blocks observed.
+    """A record as arrays: `n` points of the motion, `m` blocks observed."""
 
-    Attributes
-    ----------
-    times, elapsed, compressions, speeds, bends : ndarray, shape (n,)
-        [s, s, 1, 1/s, 1/s]: the second are the steps that end at the points, the fourth the speeds
-        as far as they are above their noise, the last the changes of the speed there.
-    steps : ndarray, shape (n,)
-        Longest time between samples beside a point [s].
-    first, last : ndarray of int, shape (m,)
-        Points of the blocks.
-    middles, durations, counts, stresses : ndarray, shape (m,)
-        Mean times [s], durations [s], samples [1], mean stresses [Pa].
-    """
-
+    #: [s, s, 1, 1/s, 1/s]: the second are the steps that end at the points, the fourth the speeds
+    #: as far as they are above their noise, the last the changes of the speed there, (n,).
     times: Array
     elapsed: Array
     compressions: Array
     speeds: Array
     bends: Array
-    steps: Array
+    steps: Array  #: longest time between samples beside a point [s], (n,)
+    #: Points of the blocks, (m,).
     first: Array
     last: Array
+    #: Mean times [s], durations [s], samples [1], mean stresses [Pa], (m,).
     middles: Array
     durations: Array
     counts: Array

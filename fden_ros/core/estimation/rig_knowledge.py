@@ -50,25 +50,15 @@ class RigKnowledge:
     """Mean and covariance of (delay [s], friction [N]).
 
     The tissue is marginalised. A deviation of 0: the quantity is what it is said to be.
-
-    Parameters
-    ----------
-    mean : tuple of float
-        What `displacement.delay` leaves, and the friction.
-    covariance : tuple of tuple of float
-    contacts : int
-        Contacts that have taught it.
-    motion : tuple of float
-        Logarithms of the evidence for shares of the stated motion of the surface, which is that of
-        a patient, and one for all contacts as well.
-    drift : tuple of float
-        The same for scales of the stated drift of the force in contact.
     """
 
-    mean: tuple[float, ...]
+    mean: tuple[float, ...]  #: what `displacement.delay` leaves, and the friction
     covariance: tuple[tuple[float, ...], ...]
-    contacts: int = 0
+    contacts: int = 0  #: contacts that have taught it
+    #: Logarithms of the evidence for shares of the stated motion of the surface, which is that of
+    #: a patient, and one for all contacts as well.
     motion: Evidence = NO_MOTION_EVIDENCE
+    #: The same for scales of the stated drift of the force in contact.
     drift: Evidence = NO_DRIFT_EVIDENCE
 
     @property

@@ -16,7 +16,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
+from fden_ros.core.estimation.maximum import NEARLY_FOUND
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
@@ -29,8 +30,6 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 _SLOWEST, _FASTEST = 0.3, 60.0
 #: Prior of the part q that relaxes: mean and standard deviation [1].
 _PART, _PART_SD = 0.5, 0.3
-#: Precision with which the rig is held [1].
-_HELD = 1e6
 
 
 class _Maxwell(PressModel):
@@ -109,11 +108,12 @@ def _straight(posterior: Posterior, state: Array) -> Posterior:
     With a rig of its own a rival could stand for any relaxation: by a delay of 38 of the stated
     standard deviations it explained one of the law itself.
     """
+    belief = posterior.belief
     for k, unknown in enumerate(posterior.model.unknowns):
         if unknown.lifetime is Lifetime.RIG:
-            precision = posterior.belief.precision
-            precision[k], precision[:, k] = 0.0, 0.0
-            precision[k, k], posterior.belief.mean[k] = _HELD, state[k]
+            belief.precision[k], belief.precision[:, k] = 0.0, 0.0
+            belief.precision[k, k], belief.mean[k] = 1.0, state[k]
+            posterior.known = np.append(posterior.known, k)
     least = min(weighed.scales.kernel for weighed in posterior.grid)
     posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
     return posterior

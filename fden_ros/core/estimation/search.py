@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import enum
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,16 +16,16 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
-from fden_ros.core.estimation.maximum import CONVERGED
+from fden_ros.core.estimation.maximum import CONVERGED, NEARLY_FOUND
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
-from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Starts of ln Gn, about the prior's mean in its standard deviations [1].
@@ -36,24 +38,13 @@ _MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 
 @dataclass(frozen=True)
 class Solved:
-    """A posterior with its solution.
-
-    Attributes
-    ----------
-    posterior : Posterior
-    modes : Modes
-    law_error : LawError or None
-        How far the press is from the law; None: it cannot tell.
-    is_contradicted : bool
-        By its whitened residuals.
-    mismatch_probability : float or None
-        Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
-    """
+    """A posterior with its solution."""
 
     posterior: Posterior
     modes: Modes
-    law_error: LawError | None
-    is_contradicted: bool
+    law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
+    is_contradicted: bool  #: by its whitened residuals
+    #: Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
     mismatch_probability: float | None = None
 
     @property
@@ -77,54 +68,32 @@ class Solved:
         return state
 
 
+class Care(enum.IntEnum):
+    """How carefully a solution is sought; each includes those before."""
+
+    TRACKED = enum.auto()  #: from the last maxima
+    FROM_STARTS = enum.auto()  #: and from all starts
+    EXACT = enum.auto()  #: maxima are found to CONVERGED
+    LAST = enum.auto()  #: the press is over: it is asked whether the relaxation ends
+
+
 @dataclass(frozen=True)
 class Search:
-    """What a solution is a function of.
-
-    Attributes
-    ----------
-    setting : PressSetting
-    events : tuple of Unknown
-        Changes of the tissue under the probe, and jerks.
-    compression_sd : float
-        Standard deviation of a sample's compression [1].
-    points : Points
-        The record.
-    before : Solved or None
-        The solution of a shorter record.
-    elapsed : float
-        From the touch to the end of the record [s].
-    compression : float
-        Largest of the record [1].
-    deepest : float
-        Largest compression of the site [1].
-    is_from_starts : bool
-        From all starts, not only from the last maxima.
-    is_exact : bool
-        Maxima are found to CONVERGED.
-    is_last : bool
-        The press is over: it is asked whether the relaxation ends.
-    """
+    """What a solution is a function of."""
 
     setting: PressSetting
-    events: tuple[Unknown, ...]
-    compression_sd: float
-    points: Points
-    before: Solved | None
-    elapsed: float
-    compression: float
-    deepest: float
-    is_from_starts: bool
-    is_exact: bool
-    is_last: bool = False
+    #: Returns the posterior with a model of some class.
+    made: Callable[[type[PressModel]], Posterior]
+    points: Points  #: the record
+    before: Solved | None  #: the solution of a shorter record
+    elapsed: float  #: from the touch to the end of the record [s]
+    deepest: float  #: largest compression of the site [1]
+    care: Care
 
     @functools.cached_property
     def posterior(self) -> Posterior:
         """The posterior, given the record."""
-        return self._posterior(PressModel)
-
-    def _posterior(self, kind: type[PressModel]) -> Posterior:
-        return self.setting.posterior(self.events, self.compression_sd, self.deepest, kind)
+        return self.made(PressModel)
 
     def solved(self) -> Solved:
         """Return the solution.
@@ -140,7 +109,7 @@ class Search:
             modes,
             self._law_error(modes.best),
             contradicts(modes.best.residuals),
-            self._mismatch_probability(modes.best) if self.is_last else None,
+            self._mismatch_probability(modes.best) if self.care >= Care.LAST else None,
         )
 
     def _law_error(self, best: Solution) -> LawError | None:
@@ -157,7 +126,7 @@ class Search:
         setting = self.setting
         if setting.carried or setting.config.is_order_given or not setting.is_bent:
             return None
-        odds = mismatch_log_odds(self.points, best, self.posterior, self._posterior)
+        odds = mismatch_log_odds(self.points, best, self.posterior, self.made)
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
 
     def _strain(self, origin: float) -> float:
@@ -170,8 +139,8 @@ class Search:
         if before is not None:
             strain = self._strain(self.setting.origin(before.best.mean))
             tracked = [(before.grown(s, posterior), s) for s in before.modes.solutions]
-        converged = CONVERGED if self.is_exact else NEARLY_FOUND
-        if tracked and not self.is_from_starts:
+        converged = CONVERGED if self.care >= Care.EXACT else NEARLY_FOUND
+        if tracked and self.care < Care.FROM_STARTS:
             try:
                 return follow_modes(posterior, points, tracked, strain)
             except UNSOLVABLE:

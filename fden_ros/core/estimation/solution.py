@@ -20,46 +20,33 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.density import Density
+from fden_ros.core.estimation.density import Density, Linear
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.loop_arguments import ResponseState, WalkState
 from fden_ros.core.estimation.maximum import Maximum, inverted
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 
-#: Scales less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE = 9.0
+#: What is less likely than the best by this logarithm does not count [1]: one in ten thousand.
+NEGLIGIBLE = 9.0
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The posterior given a record.
+    """The posterior given a record."""
 
-    Attributes
-    ----------
-    maximum : Maximum
-        About which everything is linear.
-    mean, covariance : ndarray, shapes (n,), (n, n)
-        Of the mixture over the scales.
-    scales : dict of Scales to float
-        Probabilities of the scales.
-    log_evidence : float
-    residuals : ndarray, shape (m,)
-        Of the maximum, whitened: independent and of variance 1 where the model is right.
-    walk : WalkState
-        The walks at the end of the record: their means, for the residuals at the maximum and for
-        the unknowns' columns, and their covariance, at the best scales.
-    considered : ndarray or None, shape (n, n)
-        What the uncertainty of an order that is not learned adds to the covariance.
-    """
-
-    maximum: Maximum
+    maximum: Maximum  #: about which everything is linear
+    #: Of the mixture over the scales, (n,), (n, n).
     mean: Array
     covariance: Array
-    scales: dict[Scales, float]
+    scales: dict[Scales, float]  #: probabilities of the scales
     log_evidence: float
+    #: Of the maximum, whitened: independent and of variance 1 where the model is right, (m,).
     residuals: Array
+    #: The walks at the end of the record: their means, for the residuals at the maximum and for
+    #: the unknowns' columns, and their covariance, at the best scales.
     walk: WalkState
+    #: What the uncertainty of an order that is not learned adds to the covariance, (n, n).
     considered: Array | None = None
 
     @property
@@ -109,9 +96,6 @@ def averaged(
     FloatingPointError
         If no scale has a finite evidence.
     """
-    rows = np.column_stack(
-        [points.stresses - maximum.evaluation.stress, maximum.evaluation.jacobian]
-    )
     priors = density.priors(maximum.state)
     off = density.belief.mean - maximum.state
     precisions = {w.scales[:2]: priors.precision(w.scales) for w in grid}
@@ -120,16 +104,14 @@ def averaged(
         groups.setdefault(weighed.scales[2:], []).append(weighed)
     tails = density.tails(maximum.state)
     members: list[_Member] = []
-    best_walk, best, residuals = None, -math.inf, rows[:, 0]
+    best, about_best = -math.inf, None
     for (roughness, motion), group in groups.items():
-        white, log_det, walk = density.error_model.whitened(
-            rows, maximum.errors, roughness, motion
-        )
+        about = density.linear(points, maximum.evaluation, maximum.errors, roughness, motion)
         of_group = np.array([precisions[w.scales[:2]] for w in group])
         pulls = of_group @ off
         equations = np.empty((len(group), off.size, off.size + 1))
-        equations[:, :, :-1] = white[:, 1:].T @ white[:, 1:] + of_group
-        equations[:, :, -1] = white[:, 1:].T @ white[:, 0] + pulls
+        equations[:, :, :-1] = about.normal + of_group
+        equations[:, :, -1] = about.towards + pulls
         if held is not None:
             equations[:, held], equations[:, :, held] = 0.0, 0.0
             equations[:, held, held] = 1.0
@@ -137,26 +119,21 @@ def averaged(
         loops.eliminate(factors)
         volumes = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
         log_priors = [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in group]
-        square = float(white[:, 0] @ white[:, 0]) + log_det + tails
+        square = float(about.residuals @ about.residuals) + about.log_determinant + tails
         evidence = log_priors - volumes
         evidence += 0.5 * (np.sum(factors[:, :, -1] ** 2, axis=1) - square - pulls @ off)
         members += map(_Member, evidence, [w.scales for w in group], equations)
         if evidence.max() > best:
-            best, best_walk, residuals = float(evidence.max()), walk, white[:, 0]
-    if best_walk is None:
+            best, about_best = float(evidence.max()), about
+    if about_best is None:
         raise FloatingPointError("no scale of the errors has a finite evidence")
-    return _mixture(density, maximum, members, best, residuals, best_walk)
+    members = [m for m in members if m.log_evidence > best - NEGLIGIBLE]
+    return _mixture(density, maximum, members, best, about_best)
 
 
 def _mixture(
-    density: Density,
-    maximum: Maximum,
-    members: list[_Member],
-    best: float,
-    residuals: Array,
-    walk: WalkState,
+    density: Density, maximum: Maximum, members: list[_Member], best: float, linear: Linear
 ) -> Solution:
-    members = [m for m in members if m.log_evidence > best - _NEGLIGIBLE]
     weights = np.exp([m.log_evidence - best for m in members])
     total = float(weights.sum())
     weights /= total
@@ -173,23 +150,17 @@ def _mixture(
         covariance,
         {m.scales: float(w) for w, m in zip(weights, members, strict=True)},
         best + math.log(total),
-        residuals,
-        walk,
+        linear.residuals,
+        linear.walk,
     )
 
 
-def log_evidence(density: Density, points: Points, maximum: Maximum, errors: Errors) -> float:
-    """Return the log evidence about a maximum, with the errors of a state to compare by."""
-    scales = maximum.scales
-    rows = np.column_stack(
-        [points.stresses - maximum.evaluation.stress, maximum.evaluation.jacobian]
-    )
-    white, log_det, _ = density.error_model.whitened(rows, errors, scales.roughness, scales.motion)
-    precision = density.precision(maximum.state, scales)
-    off = maximum.state - density.belief.mean
-    normal = white[:, 1:].T @ white[:, 1:] + precision
-    misfit = white[:, 0] @ white[:, 0] + off @ precision @ off + density.tails(maximum.state)
-    return -0.5 * float(misfit + log_det + np.linalg.slogdet(normal)[1])
+def evidence_at(
+    density: Density, points: Points, maximum: Maximum, held: int | None = None
+) -> float:
+    """Return the log evidence at the scales of a maximum; `held` is that of `averaged`."""
+    place = (WeighedScales(maximum.scales, 0.0),)
+    return averaged(density, points, maximum, place, held).log_evidence
 
 
 def evidence_under(
@@ -208,7 +179,5 @@ def evidence_under(
     maximum = solution.maximum
     if errors is maximum.errors:
         return solution.log_evidence
-    place = (WeighedScales(maximum.scales, 0.0),)
-    there = averaged(density, points, replace(maximum, errors=errors), place, held)
-    own = averaged(density, points, maximum, place, held)
-    return solution.log_evidence + there.log_evidence - own.log_evidence
+    there = evidence_at(density, points, replace(maximum, errors=errors), held)
+    return solution.log_evidence + there - evidence_at(density, points, maximum, held)

@@ -28,16 +28,15 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.loop_arguments import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN
+from fden_ros.core.estimation.loop_arguments import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, NEAR
+from fden_ros.core.estimation.loops_in_numpy import splines
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.law.characteristic import phi
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
 #: Speed at which friction has half its full square [m/s]: slower is a hold.
 FRICTION_SPEED = 5e-4
-#: Compression at which half of it acts [1]: with 0.01 friction six times its deviation was taken
-#: for motion of the surface in 3 of 15 presses, unflagged; with 0.001 it is no better.
-FRICTION_STRAIN = 0.003
 
 
 class Lifetime(enum.Enum):
@@ -50,31 +49,19 @@ class Lifetime(enum.Enum):
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number that is not known.
-
-    Attributes
-    ----------
-    name : str
-    mean, sd : float
-        Its prior. An unknown counts in standard deviations, except for the law's own parameters.
-    lifetime : Lifetime
-    kind : int
-        What of the law it is, one of the ``BY_...`` of the loops.
-    motion : callable or None
-        Points to the change of their compressions by one standard deviation, (n,).
-    stress : callable or None
-        Points to the stress at their blocks by one standard deviation, (m,) [Pa].
-    since : float or None
-        It is a change of the stiffness at this time [s], relative to the first stiffness.
-    """
+    """One number that is not known."""
 
     name: str
+    #: Its prior. An unknown counts in standard deviations, except for the law's own parameters.
     mean: float
     sd: float
     lifetime: Lifetime
-    kind: int = 0
+    kind: int = 0  #: what of the law it is, one of the ``BY_...`` of the loops
+    #: Points to the change of their compressions by one standard deviation, (n,).
     motion: Callable[[Points], Array] | None = None
+    #: Points to the stress at their blocks by one standard deviation, (m,) [Pa].
     stress: Callable[[Points], Array] | None = None
+    #: It is a change of the stiffness at this time [s], relative to the first stiffness.
     since: float | None = None
 
     @property
@@ -98,17 +85,15 @@ KERNEL_LENGTH = 2.0 * math.log(10.0)
 CHARACTERISTIC_KNOTS = 22
 #: Correlation length of the characteristic's error in ln phi [1].
 CHARACTERISTIC_LENGTH = 2.0
-#: Strain below which ln phi counts as if there was no motion [1].
+#: Strain below which ln phi counts as if there was no motion [1]; at this compression half of the
+#: friction acts: with 0.01 friction six times its deviation was taken for motion of the surface in
+#: 3 of 15 presses, unflagged; with 0.001 it is no better.
 STRAIN_FLOOR = 3e-3
 #: By definition the law's error is 0 at this strain [1], and after this time [s] at this order
 #: [1]: there G and Gn are those of the tissue.
 REFERENCE_STRAIN, REFERENCE_TIME, REFERENCE_ORDER = 0.1, 1.0, 0.3
 #: What is left of the variance of an error where it is 0 by definition [1].
 _CONSTRAINED = 1e-6
-#: Places closer than this [1] are as far apart as this.
-_LEAST_DISTANCE = 1e-9
-#: Strain about which the splines become wider, over that of the last knot [1].
-_NEAR = 0.1
 #: The last knot of strain [1] is the least of 0.02 * 1.25^k above the largest strain.
 _LEAST_RANGE, _RANGE_RATIO, _RANGE_MARGIN = 0.02, 1.25, 1.05
 
@@ -134,26 +119,7 @@ def characteristic_knots(last: float) -> Array:
     """Return the strains about which the splines of the characteristic's error lie [1]."""
     cells = CHARACTERISTIC_KNOTS - 2
     middles = np.clip((np.arange(CHARACTERISTIC_KNOTS) - 0.5) / cells, 0.0, 1.0)
-    result: Array = _NEAR * last * np.expm1(middles * math.log1p(1.0 / _NEAR))
-    return result
-
-
-def characteristic_splines(strains: Array, last: float) -> Array:
-    """Return the values of the splines at strains, shape (strains, splines).
-
-    Quadratic and evenly spaced in ln(1 + x / x0), so that they can follow the law's own bend at
-    1/Gn: with hat functions ln Gn has false maxima 0.15 apart.
-    """
-    cells = CHARACTERISTIC_KNOTS - 2
-    scaled = np.log1p(np.maximum(strains, 0.0) / (_NEAR * last)) / math.log1p(1.0 / _NEAR)
-    at = np.minimum(scaled, 1.0) * cells
-    k = np.minimum(at.astype(int), cells - 1)
-    p = at - k
-    result = np.zeros((at.size, CHARACTERISTIC_KNOTS))
-    rows = np.arange(at.size)
-    result[rows, k] = 0.5 * (1.0 - p) ** 2
-    result[rows, k + 1] = 0.5 + p * (1.0 - p)
-    result[rows, k + 2] = 0.5 * p**2
+    result: Array = NEAR * last * np.expm1(middles * math.log1p(1.0 / NEAR))
     return result
 
 
@@ -171,7 +137,7 @@ def _constrained(places: Array, length: float, zero: Array) -> FieldPrior:
     They are correlated as exp(-distance / length), whose inverse has three diagonals; that of
     a covariance less part of what the sum shares in follows from the sum's variance alone.
     """
-    apart = np.maximum(np.diff(places), _LEAST_DISTANCE) / length
+    apart = np.diff(places) / length
     at = np.concatenate([[0.0], np.cumsum(apart)])
     variance = float(zero @ np.exp(-np.abs(at[:, None] - at)) @ zero)
     beside = np.exp(-apart)
@@ -198,11 +164,9 @@ def kernel_prior() -> FieldPrior:
 
 def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
     """Return the prior of the characteristic's error; at the strain 0.1 it is 0."""
-    scaled = nonlinear_stiffness * characteristic_knots(last)
-    ratio = np.where(scaled > 1.0, np.exp(np.minimum(scaled, 300.0) - 1.0), scaled)
-    place = np.log(ratio + STRAIN_FLOOR * nonlinear_stiffness)
-    zero = characteristic_splines(np.array([REFERENCE_STRAIN]), last)[0]
-    return _constrained(place, CHARACTERISTIC_LENGTH, zero)
+    place = np.log(phi(characteristic_knots(last), 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
+    zero, _ = splines(np.array([REFERENCE_STRAIN]), last, CHARACTERISTIC_KNOTS)
+    return _constrained(place, CHARACTERISTIC_LENGTH, zero[0])
 
 
 def change_since(time: float) -> Unknown:
@@ -232,7 +196,7 @@ def _friction(stress: float, length: float, points: Points) -> Array:
     speed = length * points.mean(points.speeds)
     # In the air there is none, or it is in the zero.
     pressed = np.maximum(points.mean(points.compressions), 0.0)
-    in_contact = pressed**2 / (pressed**2 + FRICTION_STRAIN**2)
+    in_contact = pressed**2 / (pressed**2 + STRAIN_FLOOR**2)
     result: Array = stress * in_contact * speed / np.hypot(speed, FRICTION_SPEED)
     return result
 

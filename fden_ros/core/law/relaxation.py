@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -59,8 +60,11 @@ def relaxation_weights(order: float) -> Array:
 
 def relaxation_slopes(order: float) -> Array:
     """Return the derivatives of :func:`relaxation_weights` by alpha."""
-    after, before = relaxation_weights(order + _STEP), relaxation_weights(order - _STEP)
-    result: Array = (after - before) / (2.0 * _STEP)
+    return _slopes(relaxation_weights, order)
+
+
+def _slopes(weights: Callable[[float], Array], order: float) -> Array:
+    result: Array = (weights(order + _STEP) - weights(order - _STEP)) / (2.0 * _STEP)
     return result
 
 
@@ -73,6 +77,11 @@ def creep_weights(order: float) -> Array:
     return weights
 
 
+def creep_slopes(order: float) -> Array:
+    """Return the derivatives of :func:`creep_weights` by alpha."""
+    return _slopes(creep_weights, order)
+
+
 @functools.lru_cache(maxsize=16)
 def memory_weights(order: float) -> Array:
     """Return the weights, shape (COUNT + 1,), of moments and present stress in D^-alpha of it."""
@@ -80,6 +89,11 @@ def memory_weights(order: float) -> Array:
     # What decays faster than the fastest follows the stress.
     fast = factor * RATES[-1] ** -order / math.expm1(SPACING * order)
     return np.append(creep_weights(order), fast)
+
+
+def memory_slopes(order: float) -> Array:
+    """Return the derivatives of :func:`memory_weights` by alpha."""
+    return _slopes(memory_weights, order)
 
 
 def passed(

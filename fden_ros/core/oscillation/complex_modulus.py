@@ -201,8 +201,7 @@ class ComplexModulusMeter:
         results = []
         for index, omega in enumerate(self.angular_frequencies):
             place = _TREND + 2 * index
-            cosine, sine = solution[place], solution[place + 1]
-            strain, stress = complex(cosine[0], -sine[0]), complex(cosine[1], -sine[1])
+            strain, stress = (complex(phasor) for phasor in pairs[index])
             if abs(strain) < self._least_amplitude:
                 continue
             modulus = stress / strain

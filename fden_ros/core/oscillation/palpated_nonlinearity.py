@@ -22,6 +22,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ive
 
 from fden_ros.core.arrays import Array
@@ -31,10 +32,6 @@ from fden_ros.core.oscillation.palpation import Palpated
 
 #: Harmonics that are looked at.
 HARMONICS = (1.0, 2.0, 3.0)
-#: z by the ratios of the second and the third harmonic to the first, less (j n)^alpha.
-_Z = np.linspace(0.0, 4.0, 801)
-_SECOND = np.concatenate([[0.0], ive(2, _Z[1:]) / ive(1, _Z[1:])])
-_THIRD = np.concatenate([[0.0], ive(3, _Z[1:]) / ive(1, _Z[1:])])
 #: A larger z is of no palpation; nor is more force times amplitude, squared [N^2 m^2].
 _LARGEST, _MOST_INFORMATION = 3.5, 1e100
 #: z is told from this many of its deviations on; what the law says of the third harmonic and
@@ -121,7 +118,7 @@ class PalpatedNonlinearity:
         half = cmath.exp(0.5j * math.pi * order)
         second = own[1] * turn**2 * half / abs(force[0]) * 2.0**-order
         third = own[2] * turn**3 * half**2 / abs(force[0]) * 3.0**-order
-        z = float(np.interp(abs(second.real), _SECOND, _Z)) * math.copysign(1.0, second.real)
+        z = math.copysign(_z_of(abs(second.real)), second.real)
         slope = z / second.real if abs(z) > 1e-6 else 4.0
         self._amplitude = amplitude
         self._second.add(complex(z, slope * second.imag) / amplitude, information)
@@ -152,7 +149,7 @@ class PalpatedNonlinearity:
             return None
         if value * self._amplitude > _LARGEST:
             return None
-        expected = float(np.interp(value * self._amplitude, _Z, _THIRD)) / self._amplitude**2
+        expected = _ratio(3, value * self._amplitude) / self._amplitude**2
         # Friction has a third harmonic too, at a right angle to the displacement's.
         lean = math.tan(0.5 * math.pi * order)
         off = abs(third.real - lean * third.imag - expected) / expected
@@ -162,3 +159,15 @@ class PalpatedNonlinearity:
             return None
         unseen = _UNSEEN * value * self._amplitude * (off + off_sd)
         return Nonlinearity(value, value * math.hypot(own_sd / value, by_rig, unseen))
+
+
+def _ratio(harmonic: int, z: float) -> float:
+    """Return the ratio of a harmonic to the first, less (j n)^alpha."""
+    return float(ive(harmonic, z) / ive(1, z))
+
+
+def _z_of(ratio: float) -> float:
+    """Return z by the ratio of the second harmonic; beyond any palpation's it stops."""
+    most, least = 2.0 * _LARGEST, float(np.finfo(float).eps)
+    ratio = min(ratio, _ratio(2, most))
+    return float(brentq(lambda z: _ratio(2, z) - ratio, least, most))

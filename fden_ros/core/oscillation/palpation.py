@@ -22,21 +22,16 @@ import numpy as np
 from scipy.special import digamma
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.claims import converged, determined
+from fden_ros.core.estimation.claims import EDGE, converged, determined
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
+from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.apparent_stiffness import ApparentStiffness
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 
-#: k' lies above 0 by this many standard deviations where the probe is on something.
-_PRESENT = 5.0
-#: alpha lies beyond what can be represented by this many standard deviations.
-_BEYOND = 3.0
 #: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
-#: Least standard deviation of a given alpha, so that it can be divided by.
-_LEAST_ORDER_SD = 1e-6
 
 
 class Palpated(NamedTuple):
@@ -69,7 +64,7 @@ def palpated(
     samples : int
         Behind the measurement.
     """
-    if stiffness.value.real <= _PRESENT * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
+    if stiffness.value.real <= NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
     value = stiffness.value
@@ -78,11 +73,10 @@ def palpated(
     rotation[1] *= 2.0 / math.pi
     measured = rotation @ whole.covariance @ rotation.T  # of ln |k| and alpha
     own_order = 2.0 / math.pi * math.atan2(value.imag, value.real)
-    own_sd = math.sqrt(max(float(measured[1, 1]), _LEAST_ORDER_SD**2))
     prior = config.prior
-    prior_sd = max(prior.fractional_order_sd, _LEAST_ORDER_SD)
     # The prior's alpha as one more observation, which moves ln |k| with it.
-    gain = measured[:, 1] / (own_sd**2 + prior_sd**2)
+    both = float(measured[1, 1]) + prior.fractional_order_sd**2
+    gain = measured[:, 1] / max(both, np.finfo(float).tiny)
     log_size, order = np.array([math.log(size), own_order]) + gain * (
         prior.fractional_order - own_order
     )
@@ -122,21 +116,19 @@ def _estimate(
     covariance[2, 2] = variance
     deviations = np.sqrt(covariance.diagonal())
     is_beyond = not config.is_order_given and (
-        own_order + _BEYOND * deviation < _LOWEST_ORDER
-        or own_order - _BEYOND * deviation > _HIGHEST_ORDER
+        own_order + EDGE * deviation < _LOWEST_ORDER
+        or own_order - EDGE * deviation > _HIGHEST_ORDER
     )
     valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
-    known = converged(config, deviations, valid)
+    if is_beyond:
+        valid = ParameterSet.NONE
     return Estimate(
         log_linear_stiffness=math.log(prior.linear_stiffness),
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
         fractional_order=min(max(order, _LOWEST_ORDER), _HIGHEST_ORDER),
         covariance=covariance,
-        strain_origin=0.0,
-        strain_origin_sd=0.0,
-        probability_beyond_boundary=0.0,
-        valid=ParameterSet.NONE if is_beyond else valid,
-        known=ParameterSet.NONE if is_beyond else known,
+        valid=valid,
+        known=converged(config, deviations, valid),
         at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
         sample_count=samples,
     )
