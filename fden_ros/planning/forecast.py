@@ -27,9 +27,9 @@ from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.estimation.maximum import Maximum, inverted
-from fden_ros.core.estimation.modes import follow_modes
-from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.maximum import inverted
+from fden_ros.core.estimation.modes import find_modes
+from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -37,7 +37,6 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.solution import Solution, averaged
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN, ORIGIN, Lifetime
 from fden_ros.planning.motion import Motion, Sensors, record, until
 from fden_ros.planning.tissue import TissueBelief
@@ -216,7 +215,6 @@ class Forecast:
         common = self._posterior(self._setting(self._origin_sd), motion.deepest)
         points = record(motion, geometry, self.sensors, _REACH * self._origin_sd)
         strain = geometry.strain(motion.deepest / length)
-        before: Solution | None = None
         for seed, tissue in enumerate(tissues):
             try:
                 response = common.model.response(points, self._state(common, tissue))
@@ -225,8 +223,8 @@ class Forecast:
                 posterior = self._posterior(setting, motion.deepest)
                 own = self._measured(motion, points, response, seed)
                 state = self._state(posterior, tissue)
-                before = before or _linearised(posterior, own, state)
-                modes = follow_modes(posterior, own, [(state, before)], strain)
+                scales = posterior.grid[len(posterior.grid) // 2].scales
+                modes = find_modes(posterior, own, [state], scales, (), strain, NEARLY_FOUND)
             except UNSOLVABLE:
                 continue
             _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)
@@ -269,14 +267,6 @@ def _kept(motion: Motion, points: Points, found: Evaluation) -> tuple[int, bool]
     if not away.size:
         return points.middles.size, False
     return int(away[0]), bool(points.middles[away[0]] < motion.held[1])
-
-
-def _linearised(posterior: Posterior, points: Points, state: Array) -> Solution:
-    """Return the posterior at a state, at all scales."""
-    found = posterior.evaluate(points, state)
-    errors = posterior.error_model.errors(points, state, found)
-    maximum = Maximum(state, found, errors, posterior.grid[0].scales, True)
-    return averaged(posterior, points, maximum, posterior.grid)
 
 
 def _repeated(normal: Array, prior: Array, lasting: Array, presses: int) -> list[Array]:

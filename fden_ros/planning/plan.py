@@ -3,9 +3,9 @@
 
 """The motion to make next: a search over depth, speed, hold and oscillation, and what to expect.
 
-A motion is judged by the deviations that are wanted: the geometric mean over tissues of the root of
-the summed squares of their ratios to the targets. Of the motions within 5 % of the best the shortest
-is chosen.
+A motion is judged by the deviations that are wanted: the geometric mean over tissues of the root
+of the summed squares of their ratios to the targets. Of the motions within 5 % of the best the
+shortest is chosen.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from fden_ros.planning.remedies import WORDS, Case, quantity, remedy, uncover
 from fden_ros.planning.tissue import TissueBelief
 
 #: Tissues by which motions are compared, of which the estimator's own deviations are found, for
-#: which the probability is stated, and for which forces are limited [1].
+#: which the probability is stated and touches are counted that hide the surface, and for which
+#: forces are limited [1].
 _COMPARED, _STATED, _COUNTED, _LIMITED = 4, 1, 12, 24
 #: Presses that are planned at most [1].
 MOST_PRESSES = 3
@@ -39,8 +40,8 @@ POSSIBLE = 0.8
 #: A press is worth it from this probability of the target on [1].
 WORTH_IT = 0.25
 #: Depths over the largest, speeds over the largest [1], and holds [s] that are tried; the second
-#: depth shows where the law's own error is larger than the noise, and a slow touch shows more of the
-#: surface.
+#: depth shows where the law's own error is larger than the noise, and a slow touch shows more of
+#: the surface.
 _DEPTHS, _SPEEDS, _HOLDS = (1.0, 0.7), (1.0, 0.6, 0.2), (0.25, 1.0, 4.0)
 #: Oscillation that is tried: over the depth [1], and cycles [1].
 _AMPLITUDE, _CYCLES = 0.05, 2
@@ -234,7 +235,9 @@ class Search:
         if not stated or not known:
             raise InputError("no tissue that may be there has a finite stress")
         pairs = zip(stated, known, strict=False)
-        wider = np.median([np.sqrt(one.variances / two.variances[0]) for one, two in pairs], axis=0)
+        wider = np.median(
+            [np.sqrt(one.variances / two.variances[0]) for one, two in pairs], axis=0
+        )
         after = np.array([one.deviations(wider) for one in known])
         is_met = np.all(self.target.ratios(after) <= 1.0, axis=-1)
         likely = np.flatnonzero(is_met.mean(axis=0) >= POSSIBLE)

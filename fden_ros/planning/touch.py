@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -72,8 +73,13 @@ def touch_of(
     seen = np.arange(-_AIR, motion.held[1], 1.0 / sensors.rate)
     clean = np.interp(seen, *course) * (seen > 0.0)
     forces = clean + noise * np.random.default_rng(seed).standard_normal(seen.size)
-    approach = _Approach(seen, forces, motion.depths(seen), config.estimator.prior.fractional_order)
-    surface, end = _detected(approach, clean, noise, max(CLEAR_DEVIATIONS * noise, threshold))
+    depths, order = motion.depths(seen), config.estimator.prior.fractional_order
+
+    def surface_of(end: int, window: float) -> Surface:
+        return find_surface(seen[:end], forces[:end], depths[:end], order, 0.0, window)
+
+    clear = max(CLEAR_DEVIATIONS * noise, threshold)
+    surface, end = _detected(surface_of, seen, clean, noise, clear)
     last = (Pair(0, 1, value, 0.0, None) for value in forces[max(end - 3, 0) : end].tolist())
     onset = Onset(
         samples=tuple(last),
@@ -93,22 +99,12 @@ def touch_of(
     return Touch(origin_sd, surface.evidence >= MIN_EVIDENCE, is_hidden)
 
 
-class _Approach(NamedTuple):
-    """Samples through the air into the tissue."""
-
-    times: Array  #: [s]
-    forces: Array  #: [N]
-    depths: Array  #: [m]
-    order: float
-
-    def surface(self, end: int, window: float) -> Surface:
-        """Return the surface that so many of them show."""
-        seen = (values[:end] for values in self[:3])
-        return find_surface(*seen, self.order, 0.0, window)
-
-
 def _detected(
-    approach: _Approach, clean: Array, noise: float, threshold: float
+    surface_of: Callable[[int, float], Surface],
+    times: Array,
+    clean: Array,
+    noise: float,
+    threshold: float,
 ) -> tuple[Surface, int]:
     """Return the surface where the contact is detected, and how many samples there are by then.
 
@@ -116,7 +112,6 @@ def _detected(
     for a tenth longer; at the latest where the force is clear. Not looked for before the force
     without noise has left as much evidence of a line in time.
     """
-    times = approach.times
     step = float(times[1] - times[0])
     chunk = math.ceil(_CHUNK / step)
     above = np.flatnonzero(clean > threshold)
@@ -124,12 +119,12 @@ def _detected(
     ample = (_left_of_line(times, clean) > AMPLE_EVIDENCE * noise**2) & (times > _LASTING)
     end = int(np.argmax(ample)) if ample.any() else latest
     while end < latest:
-        surface = approach.surface(end, _WINDOW)
+        surface = surface_of(end, _WINDOW)
         if surface.evidence >= AMPLE_EVIDENCE:
             return surface, end
         lasting = float(times[end - 1] - times[min(surface.first, end - 1)])
         end += max(round(_RETRY * lasting / step), chunk)
-    return approach.surface(latest, FIRST_WINDOW if above.size else _WINDOW), latest
+    return surface_of(latest, FIRST_WINDOW if above.size else _WINDOW), latest
 
 
 def _left_of_line(times: Array, forces: Array) -> Array:
