@@ -110,13 +110,13 @@ def _detected(
 
     As the detector does: where the evidence is ample, looked for again when the contact has lasted
     for a tenth longer; at the latest where the force is clear. Not looked for before the force
-    without noise has left as much evidence of a line in time.
+    without noise has as large a chi-squared.
     """
     step = float(times[1] - times[0])
     chunk = math.ceil(_CHUNK / step)
     above = np.flatnonzero(clean > threshold)
     latest = min(int(above[0]) + chunk, times.size) if above.size else times.size
-    ample = (_left_of_line(times, clean) > AMPLE_EVIDENCE * noise**2) & (times > _LASTING)
+    ample = (np.cumsum(clean**2) > AMPLE_EVIDENCE * noise**2) & (times > _LASTING)
     end = int(np.argmax(ample)) if ample.any() else latest
     while end < latest:
         surface = surface_of(end, _WINDOW)
@@ -125,13 +125,3 @@ def _detected(
         lasting = float(times[end - 1] - times[min(surface.first, end - 1)])
         end += max(round(_RETRY * lasting / step), chunk)
     return surface_of(latest, FIRST_WINDOW if above.size else _WINDOW), latest
-
-
-def _left_of_line(times: Array, forces: Array) -> Array:
-    """Return the squares that a line in time leaves of the forces so far [N^2]."""
-    count, t = np.arange(1.0, times.size + 1.0), times - times[0]
-    st, stt = np.cumsum(t), np.cumsum(t * t)
-    sf, stf, sff = np.cumsum(forces), np.cumsum(t * forces), np.cumsum(forces**2)
-    spread = np.maximum(stt - st**2 / count, 1e-12)
-    result: Array = sff - sf**2 / count - (stf - st * sf / count) ** 2 / spread
-    return result
