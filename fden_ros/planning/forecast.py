@@ -51,6 +51,8 @@ _FIRST_ORIGIN_SD = 3e-3
 _REACH = 6.0
 #: Added to the variances where no contact is detected [1].
 _UNTOLD = 100.0
+#: Speed of a release that is not looked at [m/s].
+_AWAY = 1.0
 _LAW = slice(0, len(LAW))
 
 
@@ -178,7 +180,7 @@ class Forecast:
     def hidden_share(self, motion: Motion, tissues: Array) -> float:
         """Return in which share of tissues (k, 3) noise hides the surface at a motion's touch."""
         if motion.speed not in self._shares:
-            ramp = Motion(motion.depth, motion.speed, 0.0, motion.speed)
+            ramp = Motion(motion.depth, motion.speed, 0.0, _AWAY)
             posterior = self._posterior(self._setting(self._origin_sd), ramp.deepest)
             points = record(ramp, self.config.geometry, self.sensors, 0.0)
             found = []

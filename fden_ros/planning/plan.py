@@ -39,10 +39,9 @@ _AS_GOOD = 1.05
 POSSIBLE = 0.8
 #: A press is worth it from this probability of the target on [1].
 WORTH_IT = 0.25
-#: Depths over the largest, speeds over the largest [1], and holds [s] that are tried; the second
-#: depth shows where the law's own error is larger than the noise, and a slow touch shows more of
-#: the surface.
-_DEPTHS, _SPEEDS, _HOLDS = (1.0, 0.7), (1.0, 0.6, 0.2), (0.25, 1.0, 4.0)
+#: Depths over the largest, slower speeds over the largest [1], and holds [s] that are tried; the
+#: second depth shows where the law's own error is larger than the noise.
+_DEPTHS, _SLOWER, _HOLDS = (1.0, 0.7), (0.6, 0.2), (0.25, 1.0, 4.0)
 #: Oscillation that is tried: over the depth [1], and cycles [1].
 _AMPLITUDE, _CYCLES = 0.05, 2
 #: Strain beyond which nobody presses unless it is allowed [1], usual largest speed [m/s], longest
@@ -260,7 +259,11 @@ class Search:
         hold = min(1.0, limits.time - 2.0 * self.depth / limits.speed)
         best = Motion(self.depth, limits.speed, hold, limits.speed)
         best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
-        best = min((replace(best, speed=part * limits.speed) for part in _SPEEDS), key=self.score)
+        for part in _SLOWER:
+            # Slower is worse, but for a touch that shows more of the surface.
+            if not self._hidden_share(best):
+                break
+            best = min([best, replace(best, speed=part * limits.speed)], key=self.score)
         best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
         depth = min(best.depth, self.depth / (1.0 + _AMPLITUDE))
         swing = replace(best, depth=depth, amplitude=_AMPLITUDE * depth, cycles=_CYCLES)
@@ -282,10 +285,13 @@ class Search:
 
         A median does not see how often one does.
         """
-        share = self.forecast.hidden_share(motion, self._draws[:_COUNTED])
+        share = self._hidden_share(motion)
         either = [[one.variances[0] + added for added in (one.seen, one.hidden)] for one in found]
         squares = np.sum(self.target.ratios(np.sqrt(either)) ** 2, axis=-1)
         return float(np.exp(0.5 * np.mean(np.log(squares) @ [1.0 - share, share])))
+
+    def _hidden_share(self, motion: Motion) -> float:
+        return self.forecast.hidden_share(motion, self._draws[:_COUNTED])
 
     def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
         if motion.seconds > self.limits.time + _SAME_TIME or motion.deepest > 1.001 * self.depth:
