@@ -14,8 +14,8 @@ one is the mixture over scales and modes, with a noise that is drawn.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,17 +27,16 @@ from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.estimation.maximum import Maximum, inverted
-from fden_ros.core.estimation.modes import follow_modes
-from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.maximum import inverted
+from fden_ros.core.estimation.modes import find_modes
+from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.estimation.scales import Scales, WeighedScales
+from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN, ORIGIN, Lifetime
 from fden_ros.planning.motion import Motion, Sensors, record, until
 from fden_ros.planning.tissue import TissueBelief
@@ -46,30 +45,41 @@ from fden_ros.planning.touch import Touch, touch_of, zero_sd
 #: Scales of the law's errors at which motions are compared, over the stated one [1]: of tissue
 #: that is all but the law's.
 _COMPARED = np.array([0.1, 0.1, 0.05])
-#: Places of the scales that stand for all [1]: of kernel and characteristic, and of the roughness.
-_SMOOTH, _ROUGH = ((0, 0), (2, 0), (2, 2)), (0, 1, 3)
 #: Standard deviation of the origin before a touch was simulated [1].
 _FIRST_ORIGIN_SD = 3e-3
 #: Standard deviations of the origin that a touch may be before its nominal place [1].
 _REACH = 6.0
-#: Added to the standard deviations where no contact is detected [1].
-_UNTOLD = 10.0
+#: Added to the variances where no contact is detected [1].
+_UNTOLD = 100.0
+#: Speed of a release that is not looked at [m/s].
+_AWAY = 1.0
 _LAW = slice(0, len(LAW))
 
 
 class Expected(NamedTuple):
     """What one motion tells of one tissue."""
 
-    #: Standard deviations of ln G, ln Gn and alpha [1] after each of such presses, (presses, 3).
-    deviations: Array
+    variances: Array  #: of ln G, ln Gn and alpha [1] after each of such presses, (presses, 3)
+    #: What thickness and a touch that shows the surface, or hides it, add to these, (3,).
+    seen: Array
+    hidden: Array
+    is_hidden: bool  #: by the touch of this tissue
     force: float  #: largest [N]
     is_left: bool  #: the tissue leaves the probe before the release
+
+    def deviations(self, wider: Array | float = 1.0) -> Array:
+        """Return the deviations that will be stated, where the law's are wider, (presses, 3)."""
+        result: Array = np.sqrt(
+            wider**2 * self.variances + (self.hidden if self.is_hidden else self.seen)
+        )
+        return result
 
 
 class Stated(NamedTuple):
     """What the estimator will state of one tissue."""
 
     deviations: Array  #: standard deviations of ln G, ln Gn and alpha [1], (3,)
+    variances: Array  #: of these, but for thickness and what a touch does not show, (3,)
     touch: Touch
     budget: Budget | None  #: of the first tissue alone
 
@@ -92,6 +102,7 @@ class Forecast:
         block = np.ix_(self._open, self._open)
         self._precision: Array = np.asarray(np.linalg.inv(tissue.covariance[block]), dtype=float)
         self._touches: dict[tuple[float, int], Touch] = {}
+        self._shares: dict[float, float] = {}
 
     def _setting(self, origin_sd: float) -> PressSetting:
         config = self.config.estimator
@@ -160,10 +171,25 @@ class Forecast:
                 covariances = _repeated(normal, prior, np.array(lasting), presses)
             except UNSOLVABLE:
                 continue
-            deviations = np.array([self._stated(c, touch) for c in covariances])
+            variances = np.array([c.diagonal()[_LAW] for c in covariances])
             force = float(evaluation.stress.max()) / self._scale
-            found.append(Expected(deviations, force, is_left))
+            seen, hidden = (self._unseen(touch._replace(is_hidden=h)) for h in (False, True))
+            found.append(Expected(variances, seen, hidden, touch.is_hidden, force, is_left))
         return found
+
+    def hidden_share(self, motion: Motion, tissues: Array) -> float:
+        """Return in which share of tissues (k, 3) noise hides the surface at a motion's touch."""
+        if motion.speed not in self._shares:
+            ramp = Motion(motion.depth, motion.speed, 0.0, _AWAY)
+            posterior = self._posterior(self._setting(self._origin_sd), ramp.deepest)
+            points = record(ramp, self.config.geometry, self.sensors, 0.0)
+            found = []
+            for seed, tissue in enumerate(tissues):
+                with contextlib.suppress(*UNSOLVABLE):
+                    response = posterior.model.response(points, self._state(posterior, tissue))
+                    found.append(self._touch(ramp, points, response, tissue, seed).is_hidden)
+            self._shares[motion.speed] = float(np.mean(found)) if found else 0.0
+        return self._shares[motion.speed]
 
     def _touch(
         self, motion: Motion, points: Points, found: Evaluation, tissue: Array, seed: int
@@ -176,15 +202,13 @@ class Forecast:
             )
         return self._touches[key]
 
-    def _stated(self, covariance: Array, touch: Touch) -> Array:
-        """Return the deviations that will be stated: with thickness, and a hidden surface."""
-        config, law = self.config.estimator, covariance[_LAW, _LAW].copy()
-        law[:2, :2] += config.uncertainty.thickness_sd**2
-        known = ParameterSet.ALL
-        log_g, log_gn, order = self.tissue.mean.tolist()
-        estimate = Estimate(log_g, log_gn, order, law, 0.0, 0.0, 1.0, known, known, 0)
-        estimate = reserved(config, estimate, Reservations(is_surface_hidden=touch.is_hidden))
-        return estimate.deviations + (0.0 if touch.is_told else _UNTOLD)
+    def _unseen(self, touch: Touch) -> Array:
+        """Return what is added to the variances: of the thickness, and of a hidden surface."""
+        config, known = self.config.estimator, ParameterSet.ALL
+        thickness = config.uncertainty.thickness_sd**2 * np.diag([1.0, 1.0, 0.0])
+        estimate = Estimate(0.0, 0.0, 0.0, thickness, 0.0, 0.0, 1.0, known, known, 0)
+        found = reserved(config, estimate, Reservations(is_surface_hidden=touch.is_hidden))
+        return found.covariance.diagonal() + (0.0 if touch.is_told else _UNTOLD)
 
     def stated(self, motion: Motion, tissues: Array) -> list[Stated]:
         """Return what the estimator will state of tissues (k, 3) after a motion."""
@@ -193,7 +217,6 @@ class Forecast:
         common = self._posterior(self._setting(self._origin_sd), motion.deepest)
         points = record(motion, geometry, self.sensors, _REACH * self._origin_sd)
         strain = geometry.strain(motion.deepest / length)
-        before: Solution | None = None
         for seed, tissue in enumerate(tissues):
             try:
                 response = common.model.response(points, self._state(common, tissue))
@@ -202,9 +225,8 @@ class Forecast:
                 posterior = self._posterior(setting, motion.deepest)
                 own = self._measured(motion, points, response, seed)
                 state = self._state(posterior, tissue)
-                posterior.grid, middle = _thinned(posterior.grid)
-                before = before or _linearised(posterior, own, state, middle)
-                modes = follow_modes(posterior, own, [(state, before)], strain)
+                scales = posterior.grid[len(posterior.grid) // 2].scales
+                modes = find_modes(posterior, own, [state], scales, (), strain, NEARLY_FOUND)
             except UNSOLVABLE:
                 continue
             _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)
@@ -213,7 +235,9 @@ class Forecast:
                 press = PressPosterior(setting, 0.0, 0.0, self.sensors.displacement_sd / length)
                 press.solved = Solved(posterior, modes, None, False)
                 budget = budget_of(press)
-            found.append(Stated(self._stated(covariance, touch), touch, budget))
+            variances = covariance.diagonal()[_LAW]
+            deviations = np.sqrt(variances + self._unseen(touch))
+            found.append(Stated(deviations, variances, touch, budget))
         return found
 
     def _measured(self, motion: Motion, points: Points, found: Evaluation, seed: int) -> Points:
@@ -245,31 +269,6 @@ def _kept(motion: Motion, points: Points, found: Evaluation) -> tuple[int, bool]
     if not away.size:
         return points.middles.size, False
     return int(away[0]), bool(points.middles[away[0]] < motion.held[1])
-
-
-def _thinned(grid: Sequence[WeighedScales]) -> tuple[Sequence[WeighedScales], Scales]:
-    """Return a part of a grid of scales that stands for all, and the one beside all of it.
-
-    The deviations are those of the whole grid within 8 % (test_planning).
-    """
-    each = [sorted({getattr(w.scales, name) for w in grid}) for name in Scales._fields]
-    if len(each[0]) == 1:
-        return grid, grid[0].scales
-    pairs = [(each[0][i], each[1][j]) for i, j in _SMOOTH]
-    rough = [each[2][k] for k in _ROUGH]
-    kept = [w for w in grid if w.scales[:2] in pairs and w.scales.roughness in rough]
-    return kept, Scales(*pairs[-1], rough[1], each[3][0])
-
-
-def _linearised(posterior: Posterior, points: Points, state: Array, scales: Scales) -> Solution:
-    """Return the posterior at a state and one place of the scales."""
-    found = posterior.evaluate(points, state)
-    errors = posterior.error_model.errors(points, state, found)
-    rows = np.column_stack([points.stresses - found.stress, found.jacobian])
-    white, _, walk = posterior.error_model.whitened(rows, errors, scales.roughness, scales.motion)
-    covariance = _inverse(white[:, 1:].T @ white[:, 1:] + posterior.precision(state, scales))
-    maximum = Maximum(state, found, errors, scales, True)
-    return Solution(maximum, state, covariance, {scales: 1.0}, 0.0, white[:, 0], walk)
 
 
 def _repeated(normal: Array, prior: Array, lasting: Array, presses: int) -> list[Array]:

@@ -3,9 +3,9 @@
 
 """The motion to make next: a search over depth, speed, hold and oscillation, and what to expect.
 
-A motion is judged by the deviations that are wanted: the median over tissues of the root of the
-summed squares of their ratios to the targets. Of the motions within 5 % of the best the shortest
-is chosen.
+A motion is judged by the deviations that are wanted: the geometric mean over tissues of the root
+of the summed squares of their ratios to the targets. Of the motions within 5 % of the best the
+shortest is chosen.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from fden_ros.planning.remedies import WORDS, Case, quantity, remedy, uncover
 from fden_ros.planning.tissue import TissueBelief
 
 #: Tissues by which motions are compared, of which the estimator's own deviations are found, for
-#: which the probability is stated, and for which forces are limited [1].
-_COMPARED, _STATED, _COUNTED, _LIMITED = 4, 4, 12, 24
+#: which the probability is stated and touches are counted that hide the surface, and for which
+#: forces are limited [1].
+_COMPARED, _STATED, _COUNTED, _LIMITED = 4, 1, 12, 24
 #: Presses that are planned at most [1].
 MOST_PRESSES = 3
 #: Part of the tissues in which a limit may be exceeded [1].
@@ -38,9 +39,9 @@ _AS_GOOD = 1.05
 POSSIBLE = 0.8
 #: A press is worth it from this probability of the target on [1].
 WORTH_IT = 0.25
-#: Depths over the largest, speeds over the largest [1], and holds [s] that are tried; the second
-#: depth shows where the law's own error is larger than the noise.
-_DEPTHS, _SPEEDS, _HOLDS = (1.0, 0.7), (1.0, 0.4), (0.25, 0.5, 1.0, 2.0, 4.0)
+#: Depths over the largest, slower speeds over the largest [1], and holds [s] that are tried; the
+#: second depth shows where the law's own error is larger than the noise.
+_DEPTHS, _SLOWER, _HOLDS = (1.0, 0.7), (0.6, 0.2), (0.25, 1.0, 4.0)
 #: Oscillation that is tried: over the depth [1], and cycles [1].
 _AMPLITUDE, _CYCLES = 0.05, 2
 #: Strain beyond which nobody presses unless it is allowed [1], usual largest speed [m/s], longest
@@ -232,9 +233,11 @@ class Search:
         known = self.forecast.compared(motion, self._draws[:_COUNTED], MOST_PRESSES)
         if not stated or not known:
             raise InputError("no tissue that may be there has a finite stress")
-        after = np.array([one.deviations for one in known])
-        own = np.array([one.deviations for one in stated])
-        after = after * np.median(own / after[: len(own), 0], axis=0)
+        pairs = zip(stated, known, strict=False)
+        wider = np.median(
+            [np.sqrt(one.variances / two.variances[0]) for one, two in pairs], axis=0
+        )
+        after = np.array([one.deviations(wider) for one in known])
         is_met = np.all(self.target.ratios(after) <= 1.0, axis=-1)
         likely = np.flatnonzero(is_met.mean(axis=0) >= POSSIBLE)
         return Plan(
@@ -256,11 +259,15 @@ class Search:
         hold = min(1.0, limits.time - 2.0 * self.depth / limits.speed)
         best = Motion(self.depth, limits.speed, hold, limits.speed)
         best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
-        best = min((replace(best, speed=part * limits.speed) for part in _SPEEDS), key=self.score)
+        for part in _SLOWER:
+            # Slower is worse, but for a touch that shows more of the surface.
+            if not self._hidden_share(best):
+                break
+            best = min([best, replace(best, speed=part * limits.speed)], key=self.score)
         best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
         depth = min(best.depth, self.depth / (1.0 + _AMPLITUDE))
         swing = replace(best, depth=depth, amplitude=_AMPLITUDE * depth, cycles=_CYCLES)
-        best = min([best, swing, replace(swing, hold=0.5 * swing.hold)], key=self.score)
+        best = min([best, swing], key=self.score)
         least = _AS_GOOD * self.scores[best]
         good = [motion for motion, score in self.scores.items() if score <= least]
         return min(good, key=lambda motion: motion.seconds)
@@ -270,12 +277,21 @@ class Search:
         if motion not in self.scores:
             found = self.compared(motion)
             is_allowed = found and self._is_allowed(motion, found)
-            self.scores[motion] = self._distance(found) if is_allowed else math.inf
+            self.scores[motion] = self._distance(motion, found) if is_allowed else math.inf
         return self.scores[motion]
 
-    def _distance(self, found: list[Expected]) -> float:
-        ratios = self.target.ratios(np.array([one.deviations[0] for one in found]))
-        return float(np.median(np.sqrt(np.sum(ratios**2, axis=-1))))
+    def _distance(self, motion: Motion, found: list[Expected]) -> float:
+        """Return the geometric mean over tissues, and over touches that hide the surface or not.
+
+        A median does not see how often one does.
+        """
+        share = self._hidden_share(motion)
+        either = [[one.variances[0] + added for added in (one.seen, one.hidden)] for one in found]
+        squares = np.sum(self.target.ratios(np.sqrt(either)) ** 2, axis=-1)
+        return float(np.exp(0.5 * np.mean(np.log(squares) @ [1.0 - share, share])))
+
+    def _hidden_share(self, motion: Motion) -> float:
+        return self.forecast.hidden_share(motion, self._draws[:_COUNTED])
 
     def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
         if motion.seconds > self.limits.time + _SAME_TIME or motion.deepest > 1.001 * self.depth:

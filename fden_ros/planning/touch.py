@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -19,15 +20,16 @@ from fden_ros.core.contact.detector import (
     MIN_EVIDENCE,
     Onset,
 )
-from fden_ros.core.contact.surface import FIRST_WINDOW, find_surface
+from fden_ros.core.contact.surface import FIRST_WINDOW, Surface, find_surface
 from fden_ros.core.site import hides_surface, origin_of
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 from fden_ros.planning.motion import Motion, Sensors
 
 #: Seconds in the air before the touch that its fit sees, and that tell the force's zero.
-_AIR, _ZERO_TIME = 1.0, 2.0
-#: First windows of the fit [s], where the force is clear and where it is not.
-_WINDOWS = FIRST_WINDOW, 1.0
+_AIR = 3.0
+#: As of the detector: first window of the fit where the force is not clear [s], how long a contact
+#: must have lasted there [s], and how much longer until it is looked at again [1].
+_WINDOW, _LASTING, _RETRY = 1.0, 0.15, 0.1
 _CHUNK = CHUNK_NS / NANOSECONDS
 
 
@@ -41,7 +43,7 @@ class Touch(NamedTuple):
 
 def zero_sd(sensors: Sensors) -> float:
     """Return the standard deviation of the force's zero, as the air has told it [N]."""
-    return sensors.force_sd / math.sqrt(_ZERO_TIME * sensors.rate)
+    return sensors.force_sd / math.sqrt(_AIR * sensors.rate)
 
 
 def touch_of(
@@ -67,24 +69,25 @@ def touch_of(
     """
     if config.strain_origin is not None:
         return Touch(0.0, True, False)
-    times, forces = course
-    seen = np.arange(-_AIR, float(times[-1]), 1.0 / sensors.rate)
-    force = np.interp(seen, times, forces) * (seen > 0.0)
-    threshold = max(CLEAR_DEVIATIONS * sensors.force_sd, config.contact.force_threshold)
-    end, is_clear, is_told = _detection(seen, force, threshold, sensors.force_sd)
-    seen, force = seen[:end], force[:end]
-    force += sensors.force_sd * np.random.default_rng(seed).standard_normal(end)
-    order = config.estimator.prior.fractional_order
-    window = _WINDOWS[0 if is_clear else 1]
-    surface = find_surface(seen, force, motion.depths(seen), order, 0.0, window)
-    last = (Pair(0, 1, value, 0.0, None) for value in force[-3:].tolist())
+    noise, threshold = sensors.force_sd, config.contact.force_threshold
+    seen = np.arange(-_AIR, motion.held[1], 1.0 / sensors.rate)
+    clean = np.interp(seen, *course) * (seen > 0.0)
+    forces = clean + noise * np.random.default_rng(seed).standard_normal(seen.size)
+    depths, order = motion.depths(seen), config.estimator.prior.fractional_order
+
+    def surface_of(end: int, window: float) -> Surface:
+        return find_surface(seen[:end], forces[:end], depths[:end], order, 0.0, window)
+
+    clear = max(CLEAR_DEVIATIONS * noise, threshold)
+    surface, end = _detected(surface_of, seen, clean, noise, clear)
+    last = (Pair(0, 1, value, 0.0, None) for value in forces[max(end - 3, 0) : end].tolist())
     onset = Onset(
         samples=tuple(last),
         bias=0.0,
         bias_sd=zero_sd(sensors),
         drift=0.0,
         drift_sd=0.0,
-        noise_sd=sensors.force_sd,
+        noise_sd=noise,
         displacement=surface.displacement,
         displacement_sd=surface.displacement_sd,
         rise=surface.rise,
@@ -93,25 +96,32 @@ def touch_of(
     )
     _, origin_sd = origin_of(onset, config)
     is_hidden = hides_surface(surface.rise, config.geometry, nonlinear_stiffness)
-    return Touch(origin_sd, is_told, is_hidden)
+    return Touch(origin_sd, surface.evidence >= MIN_EVIDENCE, is_hidden)
 
 
-def _detection(
-    times: Array, forces: Array, threshold: float, noise: float
-) -> tuple[int, bool, bool]:
-    """Return how many samples there are at the detection, whether it is clear, and whether told.
+def _detected(
+    surface_of: Callable[[int, float], Surface],
+    times: Array,
+    clean: Array,
+    noise: float,
+    threshold: float,
+) -> tuple[Surface, int]:
+    """Return the surface where the contact is detected, and how many samples there are by then.
 
-    The evidence is what a line in time leaves of the force, over the noise.
+    As the detector does: where the evidence is ample, looked for again when the contact has lasted
+    for a tenth longer; at the latest where the force is clear. Not looked for before the force
+    without noise has as large a chi-squared.
     """
-    clear = np.flatnonzero(forces > threshold)
-    count = np.arange(1.0, times.size + 1.0)
-    t = times - times[0]
-    st, stt = np.cumsum(t), np.cumsum(t * t)
-    sf, stf, sff = np.cumsum(forces), np.cumsum(t * forces), np.cumsum(forces**2)
-    spread = np.maximum(stt - st**2 / count, 1e-12)
-    left = sff - sf**2 / count - (stf - st * sf / count) ** 2 / spread
-    ample = np.flatnonzero(left > AMPLE_EVIDENCE * noise**2)
-    found = [indices[0] for indices in (clear, ample) if indices.size]
-    last = int(min(found)) if found else int(np.argmax(left))
-    end = min(last + 1 + round(_CHUNK / float(times[1] - times[0])), times.size)
-    return end, bool(clear.size and clear[0] == last), bool(left[last] > MIN_EVIDENCE * noise**2)
+    step = float(times[1] - times[0])
+    chunk = math.ceil(_CHUNK / step)
+    above = np.flatnonzero(clean > threshold)
+    latest = min(int(above[0]) + chunk, times.size) if above.size else times.size
+    ample = (np.cumsum(clean**2) > AMPLE_EVIDENCE * noise**2) & (times > _LASTING)
+    end = int(np.argmax(ample)) if ample.any() else latest
+    while end < latest:
+        surface = surface_of(end, _WINDOW)
+        if surface.evidence >= AMPLE_EVIDENCE:
+            return surface, end
+        lasting = float(times[end - 1] - times[min(surface.first, end - 1)])
+        end += max(round(_RETRY * lasting / step), chunk)
+    return surface_of(latest, FIRST_WINDOW if above.size else _WINDOW), latest

@@ -58,4 +58,4 @@ def _deviations(search: Search, motion: Motion) -> np.ndarray:
     found = search.compared(motion)
     if not found:
         return np.full(3, np.inf)
-    return np.median([one.deviations[0] for one in found], axis=0)
+    return np.median([one.deviations()[0] for one in found], axis=0)

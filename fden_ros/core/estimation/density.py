@@ -58,9 +58,17 @@ class Priors(NamedTuple):
     fields: tuple[FieldPrior, FieldPrior] | None
 
     def precision(self, scales: Scales) -> Array:
-        """Return its precision, (n, n)."""
+        """Return its precision, (n, n).
+
+        Raises
+        ------
+        FloatingPointError
+            If the scales give errors no size: those of an earlier press that had told them.
+        """
         if self.fields is None:
             return self.base
+        if not min(scales[:2]):
+            raise FloatingPointError("errors without a size have no prior")
         result = self.base.copy()
         places = self.model.kernel, self.model.characteristic
         for place, field, scale in zip(places, self.fields, scales[:2], strict=True):
