@@ -25,6 +25,7 @@ from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.unknowns import LOG_GN
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import SHORTEST_STEP, memory_weights
 from fden_ros.core.law.stress_memory import StressMemory
@@ -51,6 +52,8 @@ _DRAGGED = 2.0
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
+#: A mode of the estimate counts where one asks what it cannot rule out from this weight on [1].
+_LIKELY = 0.05
 
 
 class Learned(NamedTuple):
@@ -129,7 +132,9 @@ class _Finding:
         """Whether the touch did not show where the surface is."""
         if self._rise is None:
             return False
-        return hides_surface(self._rise, self._config.geometry, estimate.nonlinear_stiffness)
+        means = [mode.mean for mode in estimate.modes if mode.weight > _LIKELY]
+        stiffest = max(float(mean[LOG_GN]) for mean in means or [estimate.mean])
+        return hides_surface(self._rise, self._config.geometry, math.exp(stiffest))
 
 
 class _Lessons:
