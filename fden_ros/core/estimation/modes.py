@@ -29,6 +29,8 @@ from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_under
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
+#: Modes that are followed [1], so that a solution has a longest time: no recording had a fourth.
+_MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
 _SAME = 0.2
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
@@ -159,7 +161,7 @@ def _weighed(
     for k in np.argsort(-evidence):
         likely = float(evidence[k] - evidence.max())
         is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
-        if likely < -NEGLIGIBLE or (is_linear and has_linear):
+        if likely < -NEGLIGIBLE or len(kept) == _MOST or (is_linear and has_linear):
             continue
         if all(_are_apart(found[k], s) for _, s in kept):
             kept.append((math.exp(likely), found[k]))
