@@ -220,7 +220,9 @@ class PosteriorEstimator(Estimator):
         assert self.press is not None
         self._remember(block.stress)
         self._sample_count += block.size
-        return self.press.update(block.stress, block.compression, is_past=block.is_past)
+        innovation = self.press.update(block.stress, block.compression, is_past=block.is_past)
+        self._see_mismatch()
+        return innovation
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate of the newest press uncertain; None: not known."""
@@ -233,12 +235,13 @@ class PosteriorEstimator(Estimator):
 
     def finish(self) -> None:
         """Go on from what `begin_finish` has begun."""
-        press = self.press
-        if press is None:
-            return
-        press.go_on()
-        if press.solved is not None and press.solved.mismatch_probability is not None:
-            self._mismatch_probability = press.solved.mismatch_probability
+        if self.press is not None:
+            self.press.go_on()
+            self._see_mismatch()
+
+    def _see_mismatch(self) -> None:
+        if self._solved is not None and self._solved.mismatch_probability is not None:
+            self._mismatch_probability = self._solved.mismatch_probability
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""

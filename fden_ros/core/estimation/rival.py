@@ -30,6 +30,8 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 _SLOWEST, _FASTEST = 0.3, 60.0
 #: Prior of the part q that relaxes: mean and standard deviation [1].
 _PART, _PART_SD = 0.5, 0.3
+#: Precision with which the rig is held [1].
+_HELD = 1e6
 
 
 class _Maxwell(PressModel):
@@ -112,8 +114,7 @@ def _straight(posterior: Posterior, state: Array) -> Posterior:
     for k, unknown in enumerate(posterior.model.unknowns):
         if unknown.lifetime is Lifetime.RIG:
             belief.precision[k], belief.precision[:, k] = 0.0, 0.0
-            belief.precision[k, k], belief.mean[k] = 1.0, state[k]
-            posterior.known = np.append(posterior.known, k)
+            belief.precision[k, k], belief.mean[k] = _HELD, state[k]
     least = min(weighed.scales.kernel for weighed in posterior.grid)
     posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
     return posterior
