@@ -64,6 +64,11 @@ class PressSetting:
         """Whether the law may have errors."""
         return self.config.uncertainty.characteristic_sd > 0.0
 
+    @property
+    def can_tell_mismatch(self) -> bool:
+        """Whether a press can tell that the relaxation ends: the first, whose alpha is learned."""
+        return self.is_bent and self.carried is None and not self.config.is_order_given
+
     def origin(self, mean: Array) -> float:
         """Return the strain origin of a state, as compression [1]."""
         return self.origin_sd * float(mean[ORIGIN])

@@ -25,7 +25,7 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Starts of ln Gn, about the prior's mean in its standard deviations [1].
@@ -73,6 +73,7 @@ class Care(enum.IntEnum):
 
     TRACKED = enum.auto()  #: from the last maxima
     FROM_STARTS = enum.auto()  #: and from all starts
+    ASKED = enum.auto()  #: and it is asked whether the relaxation ends
     EXACT = enum.auto()  #: maxima are found to CONVERGED
     LAST = enum.auto()  #: the press is over
 
@@ -119,16 +120,8 @@ class Search:
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
     def _mismatch_probability(self, best: Solution) -> float | None:
-        """Return the probability of a relaxation that ends; None: it is not asked for.
-
-        Only the first press of a site whose alpha is learned can tell. While it lasts it is asked
-        where all starts are solved anyway, once alpha is known as well as one that has converged.
-        """
-        setting = self.setting
-        if setting.carried or setting.config.is_order_given or not setting.is_bent:
-            return None
-        is_known = best.covariance[ORDER, ORDER] <= setting.config.converged_order_sd**2
-        if self.care < (Care.FROM_STARTS if is_known else Care.LAST):
+        """Return the probability of a relaxation that ends; None: it is not asked for."""
+        if self.care < Care.ASKED or not self.setting.can_tell_mismatch:
             return None
         odds = mismatch_log_odds(self.points, best, self.posterior, self.made)
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
