@@ -218,7 +218,20 @@ def test_tissue_of_the_law_is_not_told_as_changed(number):
     assert [bool(c.flags & Flag.TISSUE_CHANGED) for c in outcome.contacts] == [False]
 
 
+def test_a_second_press_of_a_hidden_touch_states_no_stiffness_that_is_off():
+    outcome = exact.run_trial(270, exact.LARGEST_SAMPLES).outcome
+    assert len(outcome.contacts) >= 2
+    for contact in outcome.contacts:
+        assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
+
+
 # Other laws
+
+
+def test_a_relaxation_that_ends_is_told_before_a_prediction_is_off():
+    trial = laws.run_trial(("poroelastic_2", laws.RIGID), 0)
+    assert trial.mismatch == Share(1, 1)
+    assert all(p.refusal or p.inside > 0.9 for p in trial.predictions)
 
 
 def test_the_law_itself_is_predicted_within_its_interval(tmp_path, capsys):
