@@ -17,7 +17,10 @@ from fden_ros.core.contact.air import CHUNK_NS
 from fden_ros.core.contact.detector import (
     AMPLE_EVIDENCE,
     CLEAR_DEVIATIONS,
+    LASTING_TIME,
+    LONG_WINDOW,
     MIN_EVIDENCE,
+    RETRY,
     Onset,
 )
 from fden_ros.core.contact.surface import FIRST_WINDOW, Surface, find_surface
@@ -27,9 +30,6 @@ from fden_ros.planning.motion import Motion, Sensors
 
 #: Seconds in the air before the touch that its fit sees, and that tell the force's zero.
 _AIR = 3.0
-#: As of the detector: first window of the fit where the force is not clear [s], how long a contact
-#: must have lasted there [s], and how much longer until it is looked at again [1].
-_WINDOW, _LASTING, _RETRY = 1.0, 0.15, 0.1
 _CHUNK = CHUNK_NS / NANOSECONDS
 
 
@@ -116,12 +116,12 @@ def _detected(
     chunk = math.ceil(_CHUNK / step)
     above = np.flatnonzero(clean > threshold)
     latest = min(int(above[0]) + chunk, times.size) if above.size else times.size
-    ample = (np.cumsum(clean**2) > AMPLE_EVIDENCE * noise**2) & (times > _LASTING)
+    ample = (np.cumsum(clean**2) > AMPLE_EVIDENCE * noise**2) & (times > LASTING_TIME)
     end = int(np.argmax(ample)) if ample.any() else latest
     while end < latest:
-        surface = surface_of(end, _WINDOW)
+        surface = surface_of(end, LONG_WINDOW)
         if surface.evidence >= AMPLE_EVIDENCE:
             return surface, end
         lasting = float(times[end - 1] - times[min(surface.first, end - 1)])
-        end += max(round(_RETRY * lasting / step), chunk)
-    return surface_of(latest, FIRST_WINDOW if above.size else _WINDOW), latest
+        end += max(round(RETRY * lasting / step), chunk)
+    return surface_of(latest, FIRST_WINDOW if above.size else LONG_WINDOW), latest

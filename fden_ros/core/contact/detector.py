@@ -32,7 +32,7 @@ _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: present speed; before that a rise must last for 0.15 s from a tenth of its depth on: then one
 #: half of a vibration of 5 Hz is over.
 _MOTION_TIME, _MOTION_SHARE = 0.2, 0.3
-_LASTING_TIME, _SHALLOW = 0.15, 0.1
+LASTING_TIME, _SHALLOW = 0.15, 0.1
 #: The force rises by itself where a line in time explains it better than one in the way does, by
 #: this chi-squared.
 _BY_ITSELF = 4.0
@@ -96,8 +96,8 @@ class Approach(NamedTuple):
         if shallow.size:
             first += int(shallow[-1])
         lasting = float(time[-1] - time[first])
-        if lasting > _LASTING_TIME or not is_clear:
-            return lasting > _LASTING_TIME
+        if lasting > LASTING_TIME or not is_clear:
+            return lasting > LASTING_TIME
         instants = np.arange(time[first], time[0], -CHUNK_NS / NANOSECONDS)
         places = np.interp(instants, time, self.displacement)
         speed = abs(float(depth[-1] - depth[first])) / max(lasting, CHUNK_NS / NANOSECONDS)
@@ -160,7 +160,7 @@ _RELEASE_CHUNKS = 2
 #: longer tells the surface better.
 MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
 #: A rise is looked at again when it has lasted for a tenth longer, or has fallen by 30 %.
-_RETRY, _OVER = 0.1, 0.7
+RETRY, _OVER = 0.1, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and no contact has come of it
 #: within 1 s [ns].
 _DRIFT_CHUNKS, _DOUBT_NS = 2, 1_000_000_000
@@ -176,7 +176,7 @@ _FALL_NS = 60 * NANOSECONDS
 CLEAR_DEVIATIONS = 4.0
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
 #: at first.
-_COLOUR, _LONG_WINDOW = 1.5, 1.0
+_COLOUR, LONG_WINDOW = 1.5, 1.0
 #: The probe is off the tissue when it has retreated behind the surface by this share of its
 #: deepest penetration.
 _RETREAT = 0.2
@@ -291,7 +291,7 @@ class ContactDetector:
         if not self._config.measure_bias:
             return True
         rise, evidence = self._rise, approach.surface.evidence
-        rise.look_ns = now_ns + round(_RETRY * approach.lasting * NANOSECONDS)
+        rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
         if evidence < MIN_EVIDENCE:
             # A drift, which rises whatever the probe does; or the beginning of a contact that is
             # too faint to tell yet.
@@ -358,7 +358,7 @@ class ContactDetector:
         force -= self._drift_taken_off * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
-        window = FIRST_WINDOW if is_clear else _LONG_WINDOW
+        window = FIRST_WINDOW if is_clear else LONG_WINDOW
         surface = find_surface(time, force, displacement, self._order, 0.0, window)
         level = self._baseline.level(
             bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
@@ -366,7 +366,7 @@ class ContactDetector:
         if level.noise > _COLOUR * white:
             # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
             surface = find_surface(
-                time, force, displacement, self._order, level.noise, _LONG_WINDOW
+                time, force, displacement, self._order, level.noise, LONG_WINDOW
             )
         return Approach(time, force, displacement, surface)
 

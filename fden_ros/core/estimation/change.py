@@ -86,6 +86,7 @@ class _Comparison:
         self._without, self._with_event = without, with_event
         self._place = len(without.model.unknowns)
         self._alone: Solution | None = None
+        self._log_det_alone = math.nan
         self._seek_alone([(s.maximum.state, s) for s in solutions])
 
     @property
@@ -119,7 +120,7 @@ class _Comparison:
             return -math.inf
         if alone is None:
             return found.log_evidence + _BEYOND
-        smaller = self._log_det(alone, alone) - self._log_det(found, alone)
+        smaller = self._log_det_alone - self._log_det(found, alone)
         return found.log_evidence - alone.log_evidence - 0.5 * max(smaller, 0.0)
 
     def gain_by(self, unknown: Unknown) -> float:
@@ -134,7 +135,7 @@ class _Comparison:
         with contextlib.suppress(*UNSOLVABLE):
             found = follow_modes(self._without, self._points, states, self._strain).best
             if self._alone is None or found.log_evidence > self._alone.log_evidence:
-                self._alone = found
+                self._alone, self._log_det_alone = found, self._log_det(found, found)
 
     def _log_det(self, solution: Solution, scaled_as: Solution) -> float:
         """Return log det of the covariance of a solution's errors, at another's scales."""

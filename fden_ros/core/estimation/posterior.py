@@ -143,7 +143,8 @@ class Posterior(Density):
             scales = before.best_scales
             best = self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
             near = beside(self.grid, scales)
-            near += tuple(w for w in self.grid if w.scales in before.scales and w not in near)
+            others = before.scales.keys() - {w.scales for w in near}
+            near += tuple(w for w in self.grid if w.scales in others)
             found = averaged(self, points, best, near)
             if found.best_scales != scales or not best.is_solved:
                 # Under scales that no longer fit, steps are many and short.

@@ -147,10 +147,10 @@ class PressModel:
         rows = slopes[None]
         if self.is_bent:
             rows = np.ascontiguousarray(np.vstack([slopes, weights * KERNEL_HATS.T]))
-        design, lifted = self._design(points), self._lifted(points, state)
+        design, (surface, lifted) = self._design(points), self._surface(points, state)
         columns = Columns(self._kinds, design.motions, self._weight_of, rows, lifted)
         begun = going_on if going_on is not None else ResponseState(self.size)
-        found = self._evaluated(points, state, weights, columns, begun)
+        found = self._evaluated(points, state, weights, surface, columns, begun)
         if self._compliance is not None:
             found.jacobian[:, self._compliance] *= self._compliance_unit
         of_unknowns = found.jacobian[:, : self._adds_stress.size]
@@ -166,17 +166,24 @@ class PressModel:
             If the stress is beyond floating-point numbers.
         """
         weights, none = self._bent_relaxation(state)[0], Columns.none(points.times.size)
-        return self._evaluated(points, state, weights, none, ResponseState(0))
+        surface, _ = self._surface(points, state)
+        return self._evaluated(points, state, weights, surface, none, ResponseState(0))
 
     def _evaluated(
-        self, points: Points, state: Array, weights: Array, columns: Columns, begun: ResponseState
+        self,
+        points: Points,
+        state: Array,
+        weights: Array,
+        surface: Array | None,
+        columns: Columns,
+        begun: ResponseState,
     ) -> Evaluation:
         found = loops.respond(
             self._law(state, weights),
             RATES,
             (points.elapsed, points.moments),
             self.compressions(points, state),
-            self._surface(points, state),
+            surface,
             columns,
             begun,
         )
@@ -259,27 +266,23 @@ class PressModel:
         size = float(np.linalg.norm(result))
         return result / size if size else result
 
-    def _surface(self, points: Points, state: Array) -> Array | None:
-        """Return the free surface at the points; None: it is at 0."""
-        surface = None if self._free is None else self._creep(points, state)[0]
-        ratio = self._change(points, state)
-        if ratio is None:
-            return surface
-        added = ratio * self._elastic(points, state)[0]
-        return -added if surface is None else surface - added
+    def _surface(self, points: Points, state: Array) -> tuple[Array | None, Array | None]:
+        """Return the free surface at the points, and its derivatives, (size, points).
 
-    def _lifted(self, points: Points, state: Array) -> Array | None:
-        """Return the free surface's derivatives, (size, points); None: it is at 0."""
-        lifted = None if self._free is None else self._creep(points, state)[1]
+        None: it is at 0.
+        """
+        surface, lifted = (None, None) if self._free is None else self._creep(points, state)
         ratio = self._change(points, state)
         if ratio is None:
-            return lifted
+            return surface, lifted
         elastic, by_unknowns = self._elastic(points, state)
+        added = ratio * elastic
+        surface = -added if surface is None else surface - added
         lifted = -ratio * by_unknowns if lifted is None else lifted - ratio * by_unknowns
         for k, unknown in enumerate(self.unknowns):
             if unknown.since is not None:
                 lifted[k] -= elastic * (points.times > unknown.since)
-        return lifted
+        return surface, lifted
 
     def _creep(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the creep of earlier presses at the points, and its derivatives, (size, points).

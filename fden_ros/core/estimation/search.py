@@ -69,7 +69,7 @@ class Solved:
 
 
 class Care(enum.IntEnum):
-    """How carefully a solution is sought; each includes those before."""
+    """How carefully a solution is sought; each includes those before, but EXACT not the asking."""
 
     TRACKED = enum.auto()  #: from the last maxima
     FROM_STARTS = enum.auto()  #: and from all starts
@@ -121,7 +121,8 @@ class Search:
 
     def _mismatch_probability(self, best: Solution) -> float | None:
         """Return the probability of a relaxation that ends; None: it is not asked for."""
-        if self.care < Care.ASKED or not self.setting.can_tell_mismatch:
+        is_asked = self.care in (Care.ASKED, Care.LAST)
+        if not is_asked or not self.setting.can_tell_mismatch:
             return None
         odds = mismatch_log_odds(self.points, best, self.posterior, self.made)
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
