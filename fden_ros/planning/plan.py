@@ -230,7 +230,7 @@ class Search:
         """Return the best motion and what to expect."""
         motion = self._chosen()
         stated = self.forecast.stated(motion, self._draws[:_STATED])
-        known = self.forecast.compared(motion, self._draws[:_COUNTED], MOST_PRESSES)
+        known = self.counted(motion, MOST_PRESSES)
         if not stated or not known:
             raise InputError("no tissue that may be there has a finite stress")
         pairs = zip(stated, known, strict=False)
@@ -253,6 +253,10 @@ class Search:
     def compared(self, motion: Motion) -> list[Expected]:
         """Return what a motion tells of a few tissues."""
         return self.forecast.compared(motion, self._draws[:_COMPARED])
+
+    def counted(self, motion: Motion, presses: int = 1) -> list[Expected]:
+        """Return what a motion tells of the tissues for which a plan is stated."""
+        return self.forecast.compared(motion, self._draws[:_COUNTED], presses)
 
     def _chosen(self) -> Motion:
         limits = self.limits

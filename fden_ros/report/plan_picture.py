@@ -55,7 +55,7 @@ def draw_plan(figure: Figure, search: Search, plan: Plan) -> None:
 
 
 def _deviations(search: Search, motion: Motion) -> np.ndarray:
-    found = search.compared(motion)
+    found = search.counted(motion)
     if not found:
         return np.full(3, np.inf)
     return np.median([one.deviations()[0] for one in found], axis=0)
