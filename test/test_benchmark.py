@@ -218,6 +218,13 @@ def test_tissue_of_the_law_is_not_told_as_changed(number):
     assert [bool(c.flags & Flag.TISSUE_CHANGED) for c in outcome.contacts] == [False]
 
 
+@pytest.mark.parametrize("number", [119, 247])
+def test_tissue_of_the_law_is_at_no_moment_told_as_a_mismatch(number):
+    """Their priors are two deviations off, which is nothing that speaks against the law."""
+    outcome = exact.run_trial(number, exact.LARGEST_SAMPLES).outcome
+    assert not outcome.live & Flag.MODEL_MISMATCH
+
+
 def test_a_second_press_of_a_hidden_touch_states_no_stiffness_that_is_off():
     outcome = exact.run_trial(270, exact.LARGEST_SAMPLES).outcome
     assert len(outcome.contacts) >= 2

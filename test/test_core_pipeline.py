@@ -21,6 +21,7 @@ import pytest
 from fault_helpers import TISSUE, Outcome, is_wrong, outcome_of
 from pipeline_helpers import Item, items_of, parameters_of
 
+from fden_ros.core.input_warnings import Direction
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -31,6 +32,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.samples import Pair
 from simulation.scenario import DisplacementSensor, Site, ramp_scenario
 from simulation.simulate import simulate
 from simulation.trajectory import Approach, Palpation, RampHold, Trajectory
@@ -356,3 +358,11 @@ def test_counts_are_those_of_the_samples() -> None:
         least = sum(stamp <= summary.end_ns for stamp in stamps)
         most = sum(stamp <= summary.end_ns + RELEASE_NS for stamp in stamps)
         assert least <= summary.sample_count <= most
+
+
+def test_after_a_clock_that_jumped_back_no_samples_are_kept():
+    direction = Direction()
+    for begin in (100_000, 0):
+        for k in range(5000):
+            direction.add(Pair(0, (begin + k) * 1_000_000, 0.01 * k, 0.0, None))
+    assert len(pickle.dumps(direction)) < 5000

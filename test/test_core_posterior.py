@@ -23,7 +23,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Errors, Loading, No
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.posterior import Posterior
+from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample
 from fden_ros.core.estimation.scales import scales_of
@@ -182,9 +182,13 @@ def test_the_solution_is_the_maximum_that_an_independent_optimiser_finds(
         return float(np.sum(residuals(off) ** 2))
 
     start = np.random.default_rng(seed).normal(0.0, 0.3, maximum.state.size)
-    found = least_squares(residuals, start, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    # A touch at a sample is a kink, at which least squares may stop too early.
-    assert misfit(np.zeros(start.size)) < 2.0 * found.cost + 1e-3
+    # A touch at a sample is a kink, at which least squares may stop too early: from two starts.
+    tried = [
+        least_squares(residuals, begun, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        for begun in (start, np.zeros(start.size))
+    ]
+    found = min(tried, key=lambda one: one.cost)
+    assert misfit(np.zeros(start.size)) < 2.0 * found.cost + 2.0 * NEARLY_FOUND
     if uncertainty == EXACT:
         options = {"xatol": 1e-7, "fatol": 1e-10, "maxiter": 9000}
         best = minimize(misfit, 0.02 * start, method="Nelder-Mead", options=options).x
@@ -338,6 +342,30 @@ def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:
     assert sizes[2] - sizes[1] == pytest.approx(sizes[1] - sizes[0], abs=15)
 
 
+def test_the_way_before_a_touch_is_at_most_a_second_of_its_line() -> None:
+    record = Record(0.0, reach=0.5)
+    for k in range(20):
+        record.add(10.0 + 0.002 * k, 0.0002 * k, 100.0, is_observed=True)
+    # At 0.1/s the touch may have been five seconds before.
+    assert record.points().times[0] == pytest.approx(9.0)
+    assert record.points().compressions[0] == pytest.approx(-0.1)
+
+
+def test_the_way_that_was_seen_begins_the_record_in_a_few_blocks() -> None:
+    times = np.arange(0.0, 10.0, 0.002)
+    compressions = np.maximum(0.05 * (times - 10.0), -0.3)
+    record = Record(0.0, reach=0.2)
+    record.see_way(np.array([times, compressions, 0.0 * times]))
+    for k in range(20):
+        record.add(10.0 + 0.002 * k, 0.0001 * k, 100.0, is_observed=True)
+    points = record.points()
+    assert points.times[0] == pytest.approx(6.0, abs=0.2)
+    assert np.interp(points.times, times, compressions)[points.times < 10.0] == pytest.approx(
+        points.compressions[points.times < 10.0], abs=1e-4
+    )
+    assert points.times.size <= 20 + 24
+
+
 def test_blocks_that_follow_one_line_have_it_without_the_noise_of_each() -> None:
     press = pressed(5)
     points = points_of(press.jittered(2.5e-4))
@@ -403,7 +431,7 @@ def test_blocks_keep_the_line_of_their_motion() -> None:
     assert points.counts.sum() == press.times.size
 
 
-CLAIMED = Evidence(np.array([7.0, 2.0, 0.2]), np.array([0.05, 0.04, 0.02]), 1.0, True, 0.01)
+CLAIMED = Evidence(np.array([7.0, 2.0, 0.2]), np.array([0.05, 0.04, 0.02]), 1.0, True)
 
 
 @pytest.mark.parametrize(
@@ -411,12 +439,12 @@ CLAIMED = Evidence(np.array([7.0, 2.0, 0.2]), np.array([0.05, 0.04, 0.02]), 1.0,
     [
         (CLAIMED, ParameterSet.ALL),
         (CLAIMED._replace(is_solved=False), ParameterSet.NONE),
-        (CLAIMED._replace(origin_ambiguity=0.5), ParameterSet(6)),
+        (CLAIMED._replace(deviations=np.array([0.6, 0.04, 0.02])), ParameterSet(6)),
         (CLAIMED._replace(mean=np.array([7.0, 9.0, 0.2])), ParameterSet.NONE),
         (CLAIMED._replace(mean=np.array([7.0, 2.0, 0.005])), ParameterSet.NONE),
         (CLAIMED._replace(deviations=np.array([0.05, 0.2, 0.02])), ParameterSet(5)),
     ],
-    ids=["all", "not solved", "hidden origin", "edge of Gn", "no relaxation", "Gn wide"],
+    ids=["all", "not solved", "G wide", "edge of Gn", "no relaxation", "Gn wide"],
 )
 def test_claims_follow_from_the_reasons(evidence: Evidence, known: ParameterSet) -> None:
     assert claims_of(EstimatorConfig(), evidence).known == known

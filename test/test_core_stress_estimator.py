@@ -33,11 +33,12 @@ STATISTICS = pytest.mark.statistics
 
 
 def drawn(rng):
-    """Return G, Gn, alpha drawn from the prior."""
+    """Return G, Gn, alpha drawn from the prior, which ends at three standard deviations."""
+    log_g, log_gn, order = np.clip(rng.standard_normal(3), -2.9, 2.9).tolist()
     return (
-        520.0 * math.exp(0.3 * rng.standard_normal()),
-        8.4 * math.exp(0.2 * rng.standard_normal()),
-        float(np.clip(ORDER + ORDER_SD * rng.standard_normal(), 0.03, 0.55)),
+        520.0 * math.exp(0.3 * log_g),
+        8.4 * math.exp(0.2 * log_gn),
+        float(np.clip(ORDER + ORDER_SD * order, 0.03, 0.55)),
     )
 
 

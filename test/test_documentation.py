@@ -218,7 +218,7 @@ def test_a_geometry_that_is_not_stated_shows_as_the_readme_says():
     heard = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
     assert not any(heard.converged)
     assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in heard.summaries)
-    assert heard.stiffness[:, 0] == pytest.approx([1427.0, 2168.0], rel=0.01)
+    assert heard.stiffness[:, 0] == pytest.approx([1352.0, 1926.0], rel=0.01)
     # Where nothing is left open, the prior counts nothing beside the data.
     wrong = identified({"geometry.area": 1e-4, **EXACT}).stiffness[:, 0]
     assert wrong / identified(EXACT).stiffness[:, 0] == pytest.approx(3.14, rel=0.01)
@@ -248,7 +248,7 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says():
         assert not summary.converged and summary.flags & Flag.ESTIMATE_AT_EDGE
         assert summary.classes is None
         assert ParameterSet.NONLINEAR_STIFFNESS in estimate.at_edge
-    assert heard.stiffness[:, 1] == pytest.approx([10.9, 9.0], abs=0.1)
+    assert heard.stiffness[:, 1] == pytest.approx([11.2, 9.2], abs=0.1)
     states = [output for output in heard.outputs if isinstance(output, TissueState)]
     # One state of the first ramp, before the data contradict the prior.
     assert states and sum(state.status is Status.CONVERGED for state in states) <= 1
@@ -261,10 +261,9 @@ def test_a_prior_that_excludes_the_tissue_shows_as_the_readme_says():
 def test_a_delay_of_10_ms_shows_as_the_readme_says(delay):
     heard = identified({"displacement.delay": delay})
     assert not heard.converged[0]
-    late = Flag.MODEL_MISMATCH if delay > 0.0 else Flag.NONE
-    assert heard.summaries[0].flags == Flag.HYSTERESIS | late
+    assert heard.summaries[0].flags == Flag.HYSTERESIS
     # What the first has told of the rig is the second's prior.
-    assert heard.summaries[1].flags == (late or Flag.HYSTERESIS)
+    assert heard.summaries[1].flags == (Flag.NONE if delay > 0.0 else Flag.HYSTERESIS)
     assert np.all(heard.errors < 1.2)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary, estimate in zip(exact.summaries, exact.estimates, strict=True):

@@ -21,7 +21,6 @@ from rich.console import Console
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import SOURCES, Budget
-from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
@@ -225,7 +224,9 @@ def pressed(
     return contact, pipeline_config(check(parameters))
 
 
-def lacking(source: str, index: int, deviation: float, **more: Any) -> tuple[str, ContactSummary]:
+def lacking(
+    source: str, index: int, deviation: float, stress_noise: float = 160.0, **more: Any
+) -> tuple[str, ContactSummary]:
     """Return what is said where one source makes all of the variance of ln G or ln Gn."""
     covariance = np.diag([1e-4, 1e-4, 1e-4])
     covariance[index, index] = deviation**2
@@ -240,7 +241,7 @@ def lacking(source: str, index: int, deviation: float, **more: Any) -> tuple[str
         end_ns=1_000_000_000,
         start_ns=0,
         sample_count=100,
-        budget=Budget(variances, parts, stress_noise=160.0, surface_sd=0.02),
+        budget=Budget(variances, parts, stress_noise=stress_noise, surface_sd=0.02),
         **more,
     )
     rig = Uncertainty(
@@ -292,8 +293,13 @@ def test_the_largest_source_is_named_with_its_share_and_its_remedy(source, remed
 
 
 def test_what_is_as_uncertain_as_large_is_known_to_a_factor():
-    words, _ = lacking("noise", 0, 1.2)
+    words, _ = lacking("friction", 0, 1.2, stress_noise=1.0)
     assert words.startswith("G is known to a factor of 3.3 only")
+
+
+def test_noise_above_the_stress_at_the_boundary_is_why_g_is_open():
+    words, _ = lacking("noise", 0, 1.2)
+    assert words.startswith("50 mN of noise hide the linear part, so that G is not seen; it takes")
 
 
 def test_the_exit_line_the_remark_and_the_sentence_say_the_same():
@@ -305,14 +311,20 @@ def test_the_exit_line_the_remark_and_the_sentence_say_the_same():
 
 
 def test_a_hidden_surface_leaves_the_slope_of_the_force():
-    hidden = reserved(EstimatorConfig(), ESTIMATE, Reservations(is_surface_hidden=True))
+    # Along the ridge of a hidden origin ln G - Gn o is known.
+    gn, origin = ESTIMATE.nonlinear_stiffness, 0.4
+    along = np.array([gn * origin, 0.0, 0.0])
+    hidden = ESTIMATE._replace(
+        covariance=ESTIMATE.covariance + np.outer(along, along),
+        with_origin=tuple((along * origin).tolist()),
+        strain_origin_sd=origin,
+    )
     geometry = FlatPunch(math.pi * RADIUS**2, 0.02)
     seen, open_ = (apparent_stiffness_of(e, geometry, 0.3, 0.1) for e in (ESTIMATE, hidden))
     assert seen is not None and open_ is not None
     assert hidden.deviations[0] > 2.0
     assert open_.value == seen.value
-    # Gn times the stress: what is open of ln Gn, 0.23, counts once.
-    assert open_.sd / open_.value == pytest.approx(math.hypot(seen.sd / seen.value, 0.23))
+    assert open_.sd == pytest.approx(seen.sd)
     # Below 1/Gn the slope is that of G.
     shallow = apparent_stiffness_of(hidden, geometry, 0.1, 0.1)
     assert shallow is not None

@@ -34,7 +34,7 @@ class Direction:
     def add(self, pair: Pair) -> None:
         """Take a pair, in order of time."""
         block = self._block
-        if block and pair.stamp_ns - block[0].stamp_ns > _BLOCK_NS:
+        if block and not 0 <= pair.stamp_ns - block[0].stamp_ns <= _BLOCK_NS:
             self._close(
                 sum(one.force for one in block) / len(block),
                 sum(one.displacement for one in block) / len(block),

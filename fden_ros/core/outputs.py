@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import enum
-import math
 import traceback
 from dataclasses import dataclass, replace
 
@@ -251,18 +250,16 @@ def apparent_stiffness_of(
 ) -> ApparentStiffness | None:
     """Return the apparent stiffness about `compression` [1] for a motion of `time_scale` [s].
 
-    `compression` counts from the nominal origin. None while one of both is not known. Beyond 1/Gn
-    it is Gn times the stress: where no surface was seen it is known as well as these, whatever G.
+    `compression` counts from the nominal origin. None while one of both is not known.
     """
     if estimate is None or compression is None:
         return None
-    mean, covariance, of_gn = estimate.mean, estimate.covariance, 0.0
+    covariance = np.zeros((4, 4))
+    covariance[:3, :3] = estimate.covariance
+    covariance[3, :3] = covariance[:3, 3] = estimate.with_origin
+    covariance[3, 3] = estimate.strain_origin_sd**2
     depth = compression - estimate.strain_origin
-    if estimate.nonlinear_stiffness * geometry.strain(depth) > 1.0:
-        covariance = covariance - np.diag((*estimate.hidden, 0.0))
-        of_gn = estimate.hidden[1]
-    found = apparent_stiffness(mean, covariance, geometry, depth, time_scale)
-    return replace(found, sd=math.hypot(found.sd, found.value * math.sqrt(of_gn)))
+    return apparent_stiffness(estimate.mean, covariance, geometry, depth, time_scale)
 
 
 def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:

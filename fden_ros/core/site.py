@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 import math
+import sys
 from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
-from fden_ros.core.contact.surface import Rise
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.either_place import EitherPlace, Placed, Tissue
@@ -25,8 +26,6 @@ from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.estimation.unknowns import LOG_GN
-from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import SHORTEST_STEP, memory_weights
 from fden_ros.core.law.stress_memory import StressMemory
 from fden_ros.core.lift_off import KnownTissue, LiftOff
@@ -52,8 +51,6 @@ _DRAGGED = 2.0
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
-#: A mode of the estimate counts where one asks what it cannot rule out from this weight on [1].
-_LIKELY = 0.05
 
 
 class Learned(NamedTuple):
@@ -98,9 +95,8 @@ class _Whereabouts:
 class _Finding:
     """The estimate of a site's data, and what stands against it."""
 
-    def __init__(self, onset: Onset, config: PipelineConfig, flags: Flag) -> None:
+    def __init__(self, config: PipelineConfig, flags: Flag) -> None:
         self._config = config
-        self._rise = onset.rise if config.strain_origin is None else None
         self._own: Estimate | None = None
         self._variance_factor = 1.0
         self._is_withheld = bool(flags & WITHHELD)
@@ -122,19 +118,10 @@ class _Finding:
         if own is None:
             return
         found = Reservations(
-            is_surface_hidden=self._is_surface_hidden(own),
             variance_factor=self._variance_factor,
             is_withheld=self._is_withheld,
         )
         self.estimate = reserved(self._config.estimator, own, found)
-
-    def _is_surface_hidden(self, estimate: Estimate) -> bool:
-        """Whether the touch did not show where the surface is."""
-        if self._rise is None:
-            return False
-        means = [mode.mean for mode in estimate.modes if mode.weight > _LIKELY]
-        stiffest = max(float(mean[LOG_GN]) for mean in means or [estimate.mean])
-        return hides_surface(self._rise, self._config.geometry, math.exp(stiffest))
 
 
 class _Lessons:
@@ -221,7 +208,7 @@ class Site:
         self._config, self._maybe = config, maybe
         self._whereabouts = _Whereabouts(first, config.contact)
         self._lessons = _Lessons(config, rig)
-        self._finding = _Finding(onset, config, flags)
+        self._finding = _Finding(config, flags)
         self.origin, self.origin_sd = origin_of(onset, config)
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
@@ -315,22 +302,26 @@ class Site:
                 config, noise_sd, origin_sd, noise, self.known_rig, self._executor
             )
             maybe, self._maybe = self._maybe, None
-            self._estimator = maybe.or_else(new, first, self.origin) if maybe is not None else new
+            self._estimator = maybe.or_else(new, onset, self) if maybe is not None else new
         self._rest_until(first.stamp_ns)
         self._memory.begin_block()
         if self._estimator is not None:
-            self._estimator.begin_contact(onset.bias_sd * scale, onset.drift_sd * scale)
+            before, way, forces = onset.way
+            seen = (-before, (way - self.origin) / config.geometry.length, scale * forces)
+            self._estimator.begin_contact(
+                onset.bias_sd * scale, onset.drift_sd * scale, np.array(seen)
+            )
 
-    def or_else(self, new: Estimator, first: Pair, origin: float) -> Estimator:
-        """Return an estimator of either this tissue, pressed again from a sample on, or another.
+    def or_else(self, new: Estimator, onset: Onset, other: Site) -> Estimator:
+        """Return an estimator of either this tissue, pressed again from a touch on, or another.
 
         Parameters
         ----------
         new : Estimator
             Of tissue at rest.
-        first : Pair
-        origin : float
-            Nominal displacement at zero strain from which compressions count from now on [m].
+        onset : Onset
+        other : Site
+            From whose origin compressions count from now on.
         """
         own = self._estimator
         if isinstance(own, PosteriorEstimator):
@@ -342,10 +333,12 @@ class Site:
         placed, before = own.best, own.estimate()
         last = Tissue(before.mean, before.covariance)
         placed.estimator.go_on_beside(new)
-        self._rest_until(first.stamp_ns)
-        shift = placed.shift + (origin - self.origin) / self._config.geometry.length
+        self._rest_until(onset.samples[0].stamp_ns)
+        shift = placed.shift + (other.origin - self.origin) / self._config.geometry.length
         same = Placed(placed.estimator, shift, placed.estimator.change_count)
-        return EitherPlace(self._config.estimator, same, Placed(new, last=last))
+        found = _found_sd(onset, self._config)
+        wider = math.log(other.origin_sd / found) if found else 0.0
+        return EitherPlace(self._config.estimator, same, Placed(new, last=last, wider=wider))
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""
@@ -563,31 +556,37 @@ def _check_finite(*numbers: float) -> None:
         raise FloatingPointError(f"the estimate is not finite: {numbers}")
 
 
-def hides_surface(rise: Rise, geometry: Geometry, nonlinear_stiffness: float) -> bool:
-    """Whether the rise of the force at a touch does not show where tissue of a Gn [1] begins."""
-    depth = rise.depth / geometry.length
-    growth = nonlinear_stiffness * geometry.strain_slope(depth) * depth
-    return not rise.shows_surface(growth)
-
-
 def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
     """Return the displacement at zero strain [m] and its standard deviation as compression [1]."""
     if config.strain_origin is not None:
         return config.strain_origin, 0.0
-    found = ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
-    return onset.displacement, math.hypot(found, _hidden_strain(onset, config))
+    origin_sd = math.hypot(_found_sd(onset, config), _hidden_depth(onset, config))
+    return onset.displacement, origin_sd
 
 
-def _hidden_strain(onset: Onset, config: PipelineConfig) -> float:
-    """Return how much deeper than a line says the probe is where the force is found first [1].
+def _found_sd(onset: Onset, config: PipelineConfig) -> float:
+    """Return the deviation of the origin where the touch shows it, as compression [1]."""
+    if config.strain_origin is not None:
+        return 0.0
+    return ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
 
-    The surface is found by a line. Where the force rises out of the noise beyond the boundary
-    strain 1/Gn only, the line finds it by ln(stress Gn/G)/Gn too late.
+
+def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
+    """Return how much deeper than a line says a probe may be where the force is found first [1].
+
+    Where the force rises out of the noise beyond the boundary strain 1/Gn only, a line finds the
+    surface by ln(stress Gn/G)/Gn of strain too late: the root of its mean square, for a G of the
+    prior and where it is positive, as compression.
     """
-    if onset.rise.is_bent:
+    if onset.shows_surface:
         return 0.0
     prior = config.estimator.prior
-    gn = prior.nonlinear_stiffness
+    gn, sd = prior.nonlinear_stiffness, prior.linear_stiffness_log_sd
     force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias
-    stress = force * config.geometry.stress_per_force
-    return math.log(max(stress * gn / prior.linear_stiffness, 1.0)) / gn
+    stress = max(force * config.geometry.stress_per_force, sys.float_info.min)
+    above = math.log(stress * gn / prior.linear_stiffness)
+    square = max(above, 0.0) ** 2
+    if sd > 0.0:
+        density = math.exp(-0.5 * (above / sd) ** 2) / math.sqrt(2.0 * math.pi)
+        square = (above**2 + sd**2) * float(ndtr(above / sd)) + above * sd * density
+    return config.geometry.compression(math.sqrt(max(square, 0.0)) / gn)

@@ -55,9 +55,8 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
         return "begin 1 s in the air, and touch faster or with a larger face, for G and Gn"
     if estimate is None or not _is_open(summary):
         return ""
-    if budget is not None and any(estimate.hidden):
-        linear = estimate.linear_stiffness / estimate.nonlinear_stiffness
-        return uncover(budget, config.geometry, linear)
+    if budget is not None and _is_linear_part_hidden(estimate, budget):
+        return uncover(budget, config.geometry, estimate.boundary_stress)
     planned = next_press(summary, config)
     if planned is not None and planned.is_possible:
         return planned.line()
@@ -130,13 +129,18 @@ def _poor(estimate: Estimate, config: EstimatorConfig) -> list[int]:
     return [k for k, most in enumerate(_limits(config)) if estimate.deviations[k] > most]
 
 
+def _is_linear_part_hidden(estimate: Estimate, budget: Budget) -> bool:
+    """Whether G is open because the stress passes the noise beyond the boundary strain only."""
+    return not estimate.knows(0) and estimate.boundary_stress < budget.stress_noise
+
+
 def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
     estimate, budget = summary.estimate, summary.budget
     if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
         return "the touch was not seen, in the recording or above noise and drift"
     if estimate is None or not _is_open(summary):
         return ""
-    if budget is not None and any(estimate.hidden):
+    if budget is not None and _is_linear_part_hidden(estimate, budget):
         noise = quantity(budget.stress_noise / config.geometry.stress_per_force, "N")
         return f"{noise} of noise hide the linear part, so that G is not seen"
     poor = _poor(estimate, config.estimator)

@@ -14,8 +14,6 @@ one is the mixture over scales and modes, with a noise that is drawn.
 
 from __future__ import annotations
 
-import contextlib
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,9 +22,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget, budget_of
-from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.density import Belief
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.maximum import inverted
 from fden_ros.core.estimation.modes import find_modes
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
@@ -37,7 +33,7 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_GN, ORIGIN, Lifetime
+from fden_ros.core.estimation.unknowns import LAW, ORIGIN, Lifetime
 from fden_ros.planning.motion import Motion, Sensors, record, until
 from fden_ros.planning.tissue import TissueBelief
 from fden_ros.planning.touch import Touch, touch_of, zero_sd
@@ -60,18 +56,14 @@ class Expected(NamedTuple):
     """What one motion tells of one tissue."""
 
     variances: Array  #: of ln G, ln Gn and alpha [1] after each of such presses, (presses, 3)
-    #: What thickness and a touch that shows the surface, or hides it, add to these, (3,).
-    seen: Array
-    hidden: Array
-    is_hidden: bool  #: by the touch of this tissue
+    added: Array  #: what the thickness adds, and a contact that is not told, (3,)
+    is_hidden: bool  #: by noise is where the force begins
     force: float  #: largest [N]
     is_left: bool  #: the tissue leaves the probe before the release
 
     def deviations(self, wider: Array | float = 1.0) -> Array:
         """Return the deviations that will be stated, where the law's are wider, (presses, 3)."""
-        result: Array = np.sqrt(
-            wider**2 * self.variances + (self.hidden if self.is_hidden else self.seen)
-        )
+        result: Array = np.sqrt(wider**2 * self.variances + self.added)
         return result
 
 
@@ -79,7 +71,7 @@ class Stated(NamedTuple):
     """What the estimator will state of one tissue."""
 
     deviations: Array  #: standard deviations of ln G, ln Gn and alpha [1], (3,)
-    variances: Array  #: of these, but for thickness and what a touch does not show, (3,)
+    variances: Array  #: of these, but for the thickness, (3,)
     touch: Touch
     budget: Budget | None  #: of the first tissue alone
 
@@ -102,7 +94,6 @@ class Forecast:
         block = np.ix_(self._open, self._open)
         self._precision: Array = np.asarray(np.linalg.inv(tissue.covariance[block]), dtype=float)
         self._touches: dict[tuple[float, int], Touch] = {}
-        self._shares: dict[float, float] = {}
 
     def _setting(self, origin_sd: float) -> PressSetting:
         config = self.config.estimator
@@ -158,7 +149,7 @@ class Forecast:
             state = self._state(posterior, tissue)
             try:
                 evaluation = posterior.evaluate(points, state)
-                touch = self._touch(motion, points, evaluation, tissue, seed)
+                touch = self._touch(motion, points, evaluation, seed)
                 if setting.origin_sd:
                     evaluation.jacobian[:, ORIGIN] *= touch.origin_sd / setting.origin_sd
                 errors = posterior.error_model.errors(points, state, evaluation)
@@ -173,42 +164,21 @@ class Forecast:
                 continue
             variances = np.array([c.diagonal()[_LAW] for c in covariances])
             force = float(evaluation.stress.max()) / self._scale
-            seen, hidden = (self._unseen(touch._replace(is_hidden=h)) for h in (False, True))
-            found.append(Expected(variances, seen, hidden, touch.is_hidden, force, is_left))
+            found.append(Expected(variances, self._added(touch), touch.is_hidden, force, is_left))
         return found
 
-    def hidden_share(self, motion: Motion, tissues: Array) -> float:
-        """Return in which share of tissues (k, 3) noise hides the surface at a motion's touch."""
-        if motion.speed not in self._shares:
-            ramp = Motion(motion.depth, motion.speed, 0.0, _AWAY)
-            posterior = self._posterior(self._setting(self._origin_sd), ramp.deepest)
-            points = record(ramp, self.config.geometry, self.sensors, 0.0)
-            found = []
-            for seed, tissue in enumerate(tissues):
-                with contextlib.suppress(*UNSOLVABLE):
-                    response = posterior.model.response(points, self._state(posterior, tissue))
-                    found.append(self._touch(ramp, points, response, tissue, seed).is_hidden)
-            self._shares[motion.speed] = float(np.mean(found)) if found else 0.0
-        return self._shares[motion.speed]
-
-    def _touch(
-        self, motion: Motion, points: Points, found: Evaluation, tissue: Array, seed: int
-    ) -> Touch:
+    def _touch(self, motion: Motion, points: Points, found: Evaluation, seed: int) -> Touch:
         key = motion.speed, seed
         if key not in self._touches:
             course = points.middles, found.stress / self._scale
-            self._touches[key] = touch_of(
-                self.config, self.sensors, motion, course, math.exp(tissue[LOG_GN]), seed
-            )
+            self._touches[key] = touch_of(self.config, self.sensors, motion, course, seed)
         return self._touches[key]
 
-    def _unseen(self, touch: Touch) -> Array:
-        """Return what is added to the variances: of the thickness, and of a hidden surface."""
-        config, known = self.config.estimator, ParameterSet.ALL
-        thickness = config.uncertainty.thickness_sd**2 * np.diag([1.0, 1.0, 0.0])
-        estimate = Estimate(0.0, 0.0, 0.0, thickness, 0.0, 0.0, 1.0, known, known, 0)
-        found = reserved(config, estimate, Reservations(is_surface_hidden=touch.is_hidden))
-        return found.covariance.diagonal() + (0.0 if touch.is_told else _UNTOLD)
+    def _added(self, touch: Touch) -> Array:
+        """Return what is added to the variances."""
+        thickness = self.config.estimator.uncertainty.thickness_sd**2
+        untold = 0.0 if touch.is_told else _UNTOLD
+        return np.array([thickness + untold, thickness + untold, untold])
 
     def stated(self, motion: Motion, tissues: Array) -> list[Stated]:
         """Return what the estimator will state of tissues (k, 3) after a motion."""
@@ -220,7 +190,7 @@ class Forecast:
         for seed, tissue in enumerate(tissues):
             try:
                 response = common.model.response(points, self._state(common, tissue))
-                touch = self._touch(motion, points, response, tissue, seed)
+                touch = self._touch(motion, points, response, seed)
                 setting = self._setting(touch.origin_sd)
                 posterior = self._posterior(setting, motion.deepest)
                 own = self._measured(motion, points, response, seed)
@@ -236,7 +206,7 @@ class Forecast:
                 press.solved = Solved(posterior, modes, None, False)
                 budget = budget_of(press)
             variances = covariance.diagonal()[_LAW]
-            deviations = np.sqrt(variances + self._unseen(touch))
+            deviations = np.sqrt(variances + self._added(touch))
             found.append(Stated(deviations, variances, touch, budget))
         return found
 

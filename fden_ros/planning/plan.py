@@ -26,8 +26,7 @@ from fden_ros.planning.remedies import WORDS, Case, quantity, remedy, uncover
 from fden_ros.planning.tissue import TissueBelief
 
 #: Tissues by which motions are compared, of which the estimator's own deviations are found, for
-#: which the probability is stated and touches are counted that hide the surface, and for which
-#: forces are limited [1].
+#: which the probability is stated, and for which forces are limited [1].
 _COMPARED, _STATED, _COUNTED, _LIMITED = 4, 1, 12, 24
 #: Presses that are planned at most [1].
 MOST_PRESSES = 3
@@ -265,7 +264,7 @@ class Search:
         best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
         for part in _SLOWER:
             # Slower is worse, but for a touch that shows more of the surface.
-            if not self._hidden_share(best):
+            if not any(one.is_hidden for one in self.compared(best)):
                 break
             best = min([best, replace(best, speed=part * limits.speed)], key=self.score)
         best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
@@ -281,21 +280,14 @@ class Search:
         if motion not in self.scores:
             found = self.compared(motion)
             is_allowed = found and self._is_allowed(motion, found)
-            self.scores[motion] = self._distance(motion, found) if is_allowed else math.inf
+            self.scores[motion] = self._distance(found) if is_allowed else math.inf
         return self.scores[motion]
 
-    def _distance(self, motion: Motion, found: list[Expected]) -> float:
-        """Return the geometric mean over tissues, and over touches that hide the surface or not.
-
-        A median does not see how often one does.
-        """
-        share = self._hidden_share(motion)
-        either = [[one.variances[0] + added for added in (one.seen, one.hidden)] for one in found]
-        squares = np.sum(self.target.ratios(np.sqrt(either)) ** 2, axis=-1)
-        return float(np.exp(0.5 * np.mean(np.log(squares) @ [1.0 - share, share])))
-
-    def _hidden_share(self, motion: Motion) -> float:
-        return self.forecast.hidden_share(motion, self._draws[:_COUNTED])
+    def _distance(self, found: list[Expected]) -> float:
+        """Return the geometric mean over tissues."""
+        after = np.array([one.deviations()[0] for one in found])
+        squares = np.sum(self.target.ratios(after) ** 2, axis=-1)
+        return float(np.exp(0.5 * np.mean(np.log(squares))))
 
     def _is_allowed(self, motion: Motion, found: list[Expected]) -> bool:
         if motion.seconds > self.limits.time + _SAME_TIME or motion.deepest > 1.001 * self.depth:

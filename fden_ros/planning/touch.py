@@ -24,7 +24,7 @@ from fden_ros.core.contact.detector import (
     Onset,
 )
 from fden_ros.core.contact.surface import FIRST_WINDOW, Surface, find_surface
-from fden_ros.core.site import hides_surface, origin_of
+from fden_ros.core.site import origin_of
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 from fden_ros.planning.motion import Motion, Sensors
 
@@ -38,7 +38,7 @@ class Touch(NamedTuple):
 
     origin_sd: float  #: of the strain origin with which the estimator begins [1]
     is_told: bool  #: there is a contact
-    is_hidden: bool  #: noise hides the linear part, so that the surface is not seen
+    is_hidden: bool  #: by noise is where the force begins
 
 
 def zero_sd(sensors: Sensors) -> float:
@@ -51,7 +51,6 @@ def touch_of(
     sensors: Sensors,
     motion: Motion,
     course: tuple[Array, Array],
-    nonlinear_stiffness: float,
     seed: int,
 ) -> Touch:
     """Return what the touch of a motion shows, of seeded noise.
@@ -63,8 +62,6 @@ def touch_of(
     motion : Motion
     course : tuple of ndarray, shape (n,)
         Times from the touch [s] and forces without noise [N].
-    nonlinear_stiffness : float
-        Gn [1].
     seed : int
     """
     if config.strain_origin is not None:
@@ -83,6 +80,7 @@ def touch_of(
     last = (Pair(0, 1, value, 0.0, None) for value in forces[max(end - 3, 0) : end].tolist())
     onset = Onset(
         samples=tuple(last),
+        way=np.empty((3, 0)),
         bias=0.0,
         bias_sd=zero_sd(sensors),
         drift=0.0,
@@ -90,13 +88,12 @@ def touch_of(
         noise_sd=noise,
         displacement=surface.displacement,
         displacement_sd=surface.displacement_sd,
-        rise=surface.rise,
+        shows_surface=surface.is_seen,
         seen=True,
         air_seen=True,
     )
     _, origin_sd = origin_of(onset, config)
-    is_hidden = hides_surface(surface.rise, config.geometry, nonlinear_stiffness)
-    return Touch(origin_sd, surface.evidence >= MIN_EVIDENCE, is_hidden)
+    return Touch(origin_sd, surface.evidence >= MIN_EVIDENCE, not surface.is_seen)
 
 
 def _detected(

@@ -21,7 +21,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import CHUNK_NS, MIN_CHUNKS, Baseline, Chunk, Chunks, Excess
 from fden_ros.core.contact.air import ContactConfig as ContactConfig
-from fden_ros.core.contact.surface import FIRST_WINDOW, Rise, Surface, find_surface
+from fden_ros.core.contact.surface import FIRST_WINDOW, Surface, find_surface
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A probe has come to the surface through the air when its way there is more than this many
@@ -115,6 +115,9 @@ class Onset(NamedTuple):
     """The beginning of a contact."""
 
     samples: tuple[Pair, ...]  #: from just before the onset to the detection
+    #: The way of the probe before these: seconds until them, displacements [m], compliance
+    #: removed, and forces, less bias and drift [N]; shape (3, n).
+    way: Array
     bias: float  #: of the force, already subtracted from the samples [N]
     bias_sd: float  #: its standard deviation [N]
     drift: float  #: of the force in the air, where it is significant [N/s]
@@ -122,7 +125,7 @@ class Onset(NamedTuple):
     noise_sd: float  #: of the force, per sample [N]
     displacement: float  #: at the onset, compliance removed [m]
     displacement_sd: float  #: its standard deviation [m]
-    rise: Rise  #: of the force, until the detection
+    shows_surface: bool  #: noise does not hide where the force begins
     seen: bool  #: False: the force was there when the data began, so the origin is not known
     air_seen: bool  #: the data began in the air, even if the surface is not to be seen in them
 
@@ -390,8 +393,10 @@ class ContactDetector:
         seen = surface.first > 0 and air_seen and came
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
+        way = (approach.time[first] - approach.time, approach.displacement, approach.force)
         onset = Onset(
             samples=tuple(pairs)[first:],
+            way=np.array(way)[:, :first] + np.array([[0.0], [0.0], [bias - level.value]]),
             bias=level.value,
             bias_sd=level.sd,
             drift=level.slope,
@@ -399,7 +404,7 @@ class ContactDetector:
             noise_sd=level.noise,
             displacement=surface.displacement,
             displacement_sd=surface.displacement_sd,
-            rise=surface.rise,
+            shows_surface=surface.is_seen,
             seen=seen,
             air_seen=air_seen,
         )

@@ -7,8 +7,7 @@ And how the force rose: along a line from that surface, or exponentially.
 
 Below the boundary strain 1/Gn the law is linear, and a touch bends the force: there the surface
 is. Where noise hides that part, the force that is seen rises as :math:`e^{G_n x}` from nowhere,
-and a surface found by a line is where the noise ends, not where the tissue begins. Then the data
-tell Gn, and of G only :math:`G e^{-G_n o}`, with the strain origin o open: G is not determined.
+and a surface found by a line is where the noise ends, not where the tissue begins.
 """
 
 from __future__ import annotations
@@ -26,38 +25,12 @@ from fden_ros.core.arrays import Array
 #: Growths over the depth at which exponentials are compared with the line, a factor of the
 #: root of two apart: a line bends less than the first of them, and the steepest is beyond what
 #: the noise hides.
-GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
+_GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
-#: than the exponential of the tissue found does, which is what tells a touch from a drift. Of
-#: 60 simulated touches whose linear part was hidden none was above; of 99 whose linear part was
-#: seen at most 10 were below.
+#: than every exponential does, which is what tells a touch from a drift. Of 60 simulated touches
+#: whose linear part was hidden none was above; of 99 whose linear part was seen at most 10 were
+#: below.
 _LEAST_EVIDENCE = 20.0
-
-
-class Rise(NamedTuple):
-    """The rise of the force until a touch was detected."""
-
-    depth: float  #: of the probe behind the surface found, at the detection [m]
-    #: Chi-squared by which the line is better than an exponential, for each of :data:`GROWTHS`.
-    line_evidence: tuple[float, ...]
-
-    @property
-    def is_bent(self) -> bool:
-        """Whether the surface is seen however the force of the tissue grows."""
-        return min(self.line_evidence) >= _LEAST_EVIDENCE
-
-    def shows_surface(self, growth: float) -> bool:
-        """Whether the surface is seen if the force of the tissue grows exponentially.
-
-        Parameters
-        ----------
-        growth : float
-            Of the logarithm of the tissue's stress over the depth, beyond its boundary strain [1].
-        """
-        if growth < GROWTHS[0]:
-            return True
-        evidence = np.interp(math.log(growth), np.log(GROWTHS), self.line_evidence)
-        return bool(evidence >= _LEAST_EVIDENCE)
 
 
 class Surface(NamedTuple):
@@ -67,7 +40,7 @@ class Surface(NamedTuple):
     displacement: float  #: [m]
     displacement_sd: float  #: [m]
     evidence: float  #: chi-squared by which a contact explains the force better than a drift does
-    rise: Rise  #: how the force rose until the detection
+    is_seen: bool  #: the force rose along a line from there, not exponentially
 
 
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
@@ -133,7 +106,7 @@ def find_surface(
         surface,
         bins.deviation(onset_time, spacing, noise),
         bins.evidence(onset_time, noise),
-        bins.rise(onset_time),
+        bins.shows(onset_time),
     )
 
 
@@ -201,18 +174,17 @@ class _Bins:
         noise = max(noise, least_noise**2 / self.size)
         return (drift - contact) / noise
 
-    def rise(self, onset_time: float) -> Rise:
-        """Return how the force rose from the onset on."""
+    def shows(self, onset_time: float) -> bool:
+        """Whether the force rose along a line from the onset on, not exponentially."""
         detected = float(self.displacement[-1])
         depth = detected - float(np.interp(onset_time, self.time, self.displacement))
         if depth <= 0.0:
-            return Rise(0.0, (math.inf,) * len(GROWTHS))
+            return True
         behind = np.minimum((self.displacement - detected) / depth, 0.0)
-        exponential = self._misfit_of(np.exp(np.outer(behind, GROWTHS)))
+        exponential = float(self._misfit_of(np.exp(np.outer(behind, _GROWTHS))).min())
         line = float(self.misfit(np.array([onset_time]))[0])
-        noise = np.maximum(np.minimum(exponential, line), sys.float_info.min)
-        evidence = (exponential - line) / noise * max(self.time.size - 3, 1)
-        return Rise(depth, tuple(evidence.tolist()))
+        noise = max(min(exponential, line), sys.float_info.min) / max(self.time.size - 3, 1)
+        return exponential - line >= _LEAST_EVIDENCE * noise
 
     def deviation(self, onset_time: float, spacing: float, least_noise: float) -> float:
         """Return the standard deviation of the surface [m] from the curvature of the misfit.

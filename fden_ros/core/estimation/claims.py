@@ -16,7 +16,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 
 
 class Evidence(NamedTuple):
@@ -26,7 +26,6 @@ class Evidence(NamedTuple):
     deviations: Array  #: standard deviations of these, shape (3,)
     probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
     is_solved: bool  #: the posterior's maximum was found
-    origin_ambiguity: float  #: standard deviation of the origin times Gn [1]
     is_order_contradicted: bool = False  #: the relaxation is that of another alpha than is stated
 
 
@@ -41,7 +40,6 @@ class Claims(NamedTuple):
 class Reservations(NamedTuple):
     """What stands against an estimate beside its own data."""
 
-    is_surface_hidden: bool = False  #: the force did not show where the surface is
     variance_factor: float = 1.0  #: by which contradictions of the data widen the covariance
     is_withheld: bool = False  #: the units or the geometry cannot be right
     is_doubtful: bool = False  #: the newest data are not explained yet
@@ -50,16 +48,10 @@ class Reservations(NamedTuple):
 #: The data have determined ln G or alpha when its standard deviation is below this part of its
 #: prior's [1]: then they say three times as much as the prior.
 _LEARNED = 0.5
-#: Part of the prior's standard deviation of ln Gn that is added where the surface was not seen
-#: [1]: of 60 simulated touches two were 8 and 6 standard deviations off without it, by 0.12 and
-#: 0.52.
-_HIDDEN = 0.25
 #: Standard deviations of the prior beyond which an estimate contradicts it [1].
 EDGE = 3.0
 #: An order below this is that of a spring, not of the law [1].
 _LEAST_ORDER = 0.015
-#: The origin hides G where it is less certain than this part of the boundary strain [1].
-_AMBIGUOUS_ORIGIN = 0.2
 
 
 def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
@@ -70,7 +62,6 @@ def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
     reasons = (
         (bool(at_edge), ParameterSet.ALL),
         (not evidence.is_solved, ParameterSet.ALL),
-        (evidence.origin_ambiguity > _AMBIGUOUS_ORIGIN, ParameterSet.LINEAR_STIFFNESS),
         (evidence.is_order_contradicted, ParameterSet.FRACTIONAL_ORDER),
     )
     for holds, unknown in reasons:
@@ -81,8 +72,6 @@ def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
 
 def reserved(config: EstimatorConfig, estimate: Estimate, reservations: Reservations) -> Estimate:
     """Return an estimate of which no more is claimed than some reservations leave."""
-    if reservations.is_surface_hidden:
-        estimate = _without_surface(config.prior, estimate)
     if reservations.variance_factor != 1.0:
         estimate = _widened(config, estimate, reservations.variance_factor)
     if reservations.is_withheld or reservations.is_doubtful:
@@ -90,27 +79,13 @@ def reserved(config: EstimatorConfig, estimate: Estimate, reservations: Reservat
     return estimate
 
 
-def _without_surface(prior: Prior, estimate: Estimate) -> Estimate:
-    """Leave G open, and claim no Gn: the origin goes with both."""
-    covariance = estimate.covariance.copy()
-    hidden = (
-        prior.linear_stiffness_log_sd**2,
-        (_HIDDEN * prior.nonlinear_stiffness_log_sd) ** 2,
-    )
-    covariance[:2, :2] += np.diag(hidden)
-    return estimate._replace(
-        covariance=covariance,
-        hidden=hidden,
-        valid=estimate.valid & ~ParameterSet.LINEAR_STIFFNESS,
-        known=estimate.known & ~ParameterSet.STIFFNESS,
-    )
-
-
 def _widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Estimate:
     """Widen the covariance: what is still sharp enough stays known."""
-    log_g, log_gn = estimate.hidden
+    log_g, log_gn, order = estimate.with_origin
     wide = estimate._replace(
-        covariance=factor * estimate.covariance, hidden=(factor * log_g, factor * log_gn)
+        covariance=factor * estimate.covariance,
+        with_origin=(factor * log_g, factor * log_gn, factor * order),
+        strain_origin_sd=math.sqrt(factor) * estimate.strain_origin_sd,
     )
     return wide._replace(known=wide.known & converged(config, wide.deviations, wide.valid))
 

@@ -59,6 +59,9 @@ class Placed(NamedTuple):
     shift: float = 0.0  #: by which its compressions are larger than those it is given [1]
     changes: int = 0  #: of the tissue, found before
     last: Tissue | None = None  #: of another place, which this one's may be like; None: it is that
+    #: Logarithm of how much wider the origin's prior is than where the touch showed the surface:
+    #: that noise may hide it there makes this no less likely.
+    wider: float = 0.0
 
     @property
     def press(self) -> PressPosterior:
@@ -76,7 +79,7 @@ class Placed(NamedTuple):
         alike = self.last._replace(covariance=self.last.covariance + np.diag(_ALIKE**2))
         told = Tissue(estimate.mean, estimate.covariance)
         gain = log_ratio(prior, alike, told, learns_order=not config.is_order_given)
-        return found + float(np.logaddexp(0.0, gain)) - math.log(2.0)
+        return found + self.wider + float(np.logaddexp(0.0, gain)) - math.log(2.0)
 
     def estimate(self) -> Estimate:
         """Return its estimate, the origin in the compressions that it is given."""
@@ -155,10 +158,11 @@ class EitherPlace(Estimator):
         """Changes of the tissue under the probe that were found."""
         return self.likeliest.change_count - self.best.changes
 
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+    def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         for place in self._places:
-            place.estimator.begin_contact(bias_sd, drift_sd)
+            own = None if way is None else way + np.array([[0.0], [place.shift], [0.0]])
+            place.estimator.begin_contact(bias_sd, drift_sd, own)
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last."""

@@ -130,9 +130,9 @@ class Estimate(NamedTuple):
     at_edge: ParameterSet = ParameterSet.NONE
     #: Whether the relaxation contradicts the alpha that was stated.
     is_order_contradicted: bool = False
-    #: What the variances of ln G and ln Gn have because no surface was seen [1]: where the tissue
-    #: begins, on which the slope of the force does not depend.
-    hidden: tuple[float, float] = (0.0, 0.0)
+    #: Covariances of (ln G, ln Gn, alpha) with the origin [1]: a hidden one leaves open where the
+    #: tissue begins, and not the slope of the force.
+    with_origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: Modes of (ln G, ln Gn, alpha), of which `covariance` is that of all, with the thickness and
     #: what else stands against it; one: the posterior is a Gaussian. Empty: not known.
     modes: tuple[Member, ...] = ()
@@ -208,6 +208,11 @@ class Estimate(NamedTuple):
     def boundary_strain(self) -> float:
         """1/Gn at its median [1]."""
         return 1.0 / self.nonlinear_stiffness
+
+    @property
+    def boundary_stress(self) -> float:
+        """G/Gn, about the stress after a second at the boundary strain [Pa]."""
+        return self.linear_stiffness * self.boundary_strain
 
     @property
     def numbers(self) -> dict[str, float]:

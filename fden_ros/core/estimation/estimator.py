@@ -66,8 +66,12 @@ class Estimator:
         """Who knows the rig, the surface's motion and the budget; None: nobody."""
         return None
 
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
-        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own."""
+    def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
+        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own.
+
+        `way`: of the probe, before the first sample: times, counted from that [s], compressions
+        [1] and stresses [Pa], shape (3, n).
+        """
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.

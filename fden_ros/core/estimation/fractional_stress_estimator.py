@@ -145,7 +145,7 @@ class FractionalStressEstimator(Estimator):
         self._max_compression = 0.0
         self._sample_count = 0
 
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+    def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Let the bias [Pa] be as uncertain as that of the first contact; there is no drift."""
         if self._sample_count == 0:
             for member in self._members:

@@ -9,25 +9,29 @@ r"""A posterior of several modes.
   :math:`b = -\ln x_{max}`. With the likelihood L(b) of a linear law its weight is
 
 .. math:: L(b) \int_{-\infty}^{b} p(l)\, dl .
+
+- Beyond the boundary strain the stress grows as :math:`e^{G_n x}`. Where noise hides what comes
+  before, the data tell of the strain origin o and G only :math:`G e^{-G_n o}`, as far as the prior
+  of both goes. Along that ridge there are nodes; of each counts what the modes leave out there.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import expit, log_ndtr
+from scipy.special import expit, log_ndtr, ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Member, mixture
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_under
-from fden_ros.core.estimation.unknowns import LAW, LOG_GN
+from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_at, evidence_under
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORIGIN
 
 #: Modes that are followed [1], so that a solution has a longest time: no recording had a fourth.
 _MOST = 3
@@ -39,6 +43,13 @@ _NEAR, _BENT = 0.05, 0.3
 #: A linear law that is less likely than the bend by this logarithm after as many steps is not
 #: sought on [1].
 _HOPELESS, _FIRST_STEPS = 40.0, 2
+#: Nodes of a hidden origin on each side of the maximum [1], and their steps.
+_NODES, _NODE_STEPS = 12, 3
+#: A ridge that is less likely than this does not count [1]: its variance would widen an interval
+#: of which it is no part.
+_TAIL = 0.01
+#: An origin that is known to this part of the distance of two nodes is not hidden [1].
+_SEEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -152,9 +163,11 @@ def _weighed(
     """Return the modes that are apart, weighed by their evidence under the same errors."""
     found = sorted(found, key=lambda s: -s.log_evidence)
     if len(found) == 1:
-        return _with_linear(posterior, points, Modes((found[0],)), strain)
+        return _completed(posterior, points, Modes((found[0],)), strain)
     errors = found[0].maximum.errors
-    evidence = np.array([evidence_under(posterior, points, s, errors) for s in found])
+    evidence = np.array(
+        [evidence_under(posterior, points, s, errors, posterior.grid) for s in found]
+    )
     kept: list[tuple[float, Solution]] = []
     boundary = _boundary(strain)
     has_linear = False
@@ -170,6 +183,12 @@ def _weighed(
     others = tuple(Member(w / total, s.mean, s.covariance) for w, s in kept[1:])
     solutions = tuple(s for _, s in kept)
     modes = Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
+    return _completed(posterior, points, modes, strain)
+
+
+def _completed(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Modes:
+    """Return the modes with those that have no maximum."""
+    modes = _with_hidden_origin(posterior, points, modes, strain)
     return _with_linear(posterior, points, modes, strain)
 
 
@@ -182,6 +201,68 @@ def _are_apart(one: Solution, other: Solution) -> bool:
     law = slice(0, len(LAW))
     sd = np.sqrt(np.maximum(other.covariance.diagonal()[law], 1e-300))
     return bool(np.max(np.abs(one.mean - other.mean)[law] / sd) > _SAME)
+
+
+def _with_hidden_origin(
+    posterior: Posterior, points: Points, modes: Modes, strain: float
+) -> Modes:
+    """Return the modes with the ridge of an origin that noise hides."""
+    best, model = modes.best, posterior.model
+    if posterior.is_known(ORIGIN) or strain <= 0.0:
+        return modes
+    slope = model.geometry.strain_slope(model.geometry.compression(strain))
+    # So far from node to node that G is e times as large; in units of the origin's deviation.
+    step = 1.0 / (math.exp(float(best.mean[LOG_GN])) * slope * model.unknowns[ORIGIN].sd)
+    if math.sqrt(float(posterior.belief.variances()[ORIGIN])) < _SEEN * step:
+        return modes
+    there = posterior.evidence(points, replace(best.maximum, scales=best.best_scales))
+    width = step / math.sqrt(2.0 * math.pi)
+    found = []
+    for way in (-step, step):
+        for evidence, node in _nodes(posterior, points, best, way):
+            taken = _share_near(modes, float(node.mean[ORIGIN]), step) / modes.weight
+            left_out = width * math.exp(min(evidence - there, NEGLIGIBLE)) - taken
+            if left_out > 0.0:
+                found.append(node._replace(weight=left_out))
+    ridge = sum(node.weight for node in found)
+    if ridge * modes.weight < _TAIL:
+        return modes
+    total = 1.0 / modes.weight + ridge
+    others = [m._replace(weight=m.weight / modes.weight / total) for m in modes.others]
+    others += [node._replace(weight=node.weight / total) for node in found]
+    return Modes(modes.solutions, 1.0 / total, tuple(others), math.log(total))
+
+
+def _nodes(
+    posterior: Posterior, points: Points, best: Solution, way: float
+) -> Iterator[tuple[float, Member]]:
+    """Give the likely nodes of the ridge on one side of a maximum, with their log evidence."""
+    state, before, highest = best.maximum.state, best.mean, -math.inf
+    for _ in range(_NODES):
+        state = state.copy()
+        state[ORIGIN] += way
+        state[LOG_G] += math.copysign(1.0, way)
+        try:
+            node = posterior.given(ORIGIN, points, state, best.best_scales, _NODE_STEPS)
+            evidence = _under(posterior, points, node, best, ORIGIN)
+        except UNSOLVABLE:
+            return
+        highest = max(highest, evidence)
+        if evidence < highest - NEGLIGIBLE:
+            return
+        along = (node.mean - before) * (way / (node.mean[ORIGIN] - before[ORIGIN]))
+        yield evidence, Member(1.0, node.mean, node.covariance + np.outer(along, along) / 12.0)
+        state, before = node.maximum.state, node.mean
+
+
+def _share_near(modes: Modes, origin: float, width: float) -> float:
+    """Return the probability that modes give to origins about one, so wide."""
+    share = 0.0
+    for mode in modes.members(modes.best.mean, modes.best.covariance):
+        sd = math.sqrt(max(float(mode.covariance[ORIGIN, ORIGIN]), 1e-300))
+        places = (origin - float(mode.mean[ORIGIN]) + np.array([-0.5, 0.5]) * width) / sd
+        share += mode.weight * float(np.diff(ndtr(places))[0])
+    return share
 
 
 def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Modes:
@@ -197,8 +278,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     scales = best.best_scales
     linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS)
     if not linear.is_solved:
-        here = evidence_under(posterior, points, linear, best.maximum.errors, LOG_GN)
-        if here < best.log_evidence - _HOPELESS:
+        if _under(posterior, points, linear, best, LOG_GN) < best.log_evidence - _HOPELESS:
             return modes
         linear = posterior.given(LOG_GN, points, linear.maximum.state, scales)
     mean = float(posterior.belief.mean[LOG_GN])
@@ -206,7 +286,7 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
     there = posterior.evidence(points, replace(best.maximum, scales=scales))
-    here = evidence_under(posterior, points, linear, best.maximum.errors, LOG_GN)
+    here = _under(posterior, points, linear, best, LOG_GN)
     gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
     gain += math.log(width) + float(log_ndtr(place)) - float(log_ndtr(beyond))
     log_gain = float(np.logaddexp(modes.log_gain, gain))
@@ -224,3 +304,11 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     others = tuple(m._replace(weight=rest * m.weight) for m in modes.others)
     others = (*others, Member(weight, moments, covariance))
     return Modes(modes.solutions, rest * modes.weight, others, log_gain)
+
+
+def _under(
+    posterior: Posterior, points: Points, given: Solution, best: Solution, place: int
+) -> float:
+    """Return the log evidence, given the unknown at a place, under the errors of the best."""
+    maximum = replace(given.maximum, errors=best.maximum.errors)
+    return evidence_at(posterior, points, maximum, place)

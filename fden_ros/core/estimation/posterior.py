@@ -34,6 +34,8 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 #: Steps after which other scales are tried [1]; a growing record takes one to five.
 _FEW_STEPS = 12
+#: A moderate error [1].
+_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 #: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
 _SAME = 0.03
 
@@ -107,6 +109,16 @@ class Posterior(Density):
         return bool(np.any(self.known == place))
 
     @property
+    def moderate_scales(self) -> Scales:
+        """The scales of the grid that are nearest to those of a moderate error, to begin with."""
+
+        def off(scales: Scales) -> float:
+            pairs = zip(scales, _MODERATE, strict=True)
+            return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
+
+        return min((weighed.scales for weighed in self.grid), key=off)
+
+    @property
     def log_prior_density(self) -> float:
         """The log density of the prior at its mean, which no evidence counts.
 
@@ -148,10 +160,18 @@ class Posterior(Density):
             found = averaged(self, points, best, near)
             if found.best_scales != scales or not best.is_solved:
                 # Under scales that no longer fit, steps are many and short.
-                chosen = averaged(self, points, best, self.grid).best_scales
-                best = self.maximum(points, best.state, chosen, NEARLY_FOUND)
-                found = averaged(self, points, best, self.grid)
+                begun = [best]
+                if not best.is_solved:
+                    begun.append(self.maximum(points, state, self.moderate_scales, NEARLY_FOUND))
+                tried = [self._at_its_scales(points, one) for one in begun]
+                found = max(tried, key=lambda one: one.log_evidence)
         return self._considered(points, found)
+
+    def _at_its_scales(self, points: Points, begun: Maximum) -> Solution:
+        """Return the solution about the maximum at the scales that are best where it begins."""
+        chosen = averaged(self, points, begun, self.grid).best_scales
+        best = self.maximum(points, begun.state, chosen, NEARLY_FOUND)
+        return averaged(self, points, best, self.grid)
 
     def given(
         self, place: int, points: Points, state: Array, scales: Scales, most: int = MOST_STEPS

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
@@ -176,7 +177,7 @@ class PosteriorEstimator(Estimator):
         self._path_variance = new._path_variance
         new._compression_sd = self._compression_sd
 
-    def begin_contact(self, bias_sd: float, drift_sd: float) -> None:
+    def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         self._carry()
         setting = replace(
@@ -192,7 +193,7 @@ class PosteriorEstimator(Estimator):
             setting = replace(setting, free=FreeSurface(frozen, self._time))
         self._setting = setting
         self.press = PressPosterior(
-            setting, self._time, self._deepest, self._compression_sd, self._executor
+            setting, self._time, self._deepest, self._compression_sd, self._executor, way
         )
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:

@@ -17,7 +17,7 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 #: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
@@ -59,7 +59,6 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         deviations,
         beyond,
         solved.best.is_solved and not press.is_lost,
-        origin_sd * math.exp(float(mean[LOG_GN])),
         is_contradicted,
     )
     claims = claims_of(config, evidence)
@@ -79,6 +78,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         mismatch_probability=mismatch_probability,
         at_edge=claims.at_edge,
         is_order_contradicted=is_contradicted,
+        with_origin=tuple((setting.origin_sd * full[ORIGIN, :3]).tolist()),
         modes=_of_law(solved.model, modes),
     )
 
@@ -92,7 +92,7 @@ def prior_estimate(setting: PressSetting) -> Estimate:
         origin = setting.origin(carried.mean)
     covariance = _published(setting, full)
     deviations = np.sqrt(covariance.diagonal())
-    claims = claims_of(config, Evidence(mean, deviations, 0.0, False, 0.0))
+    claims = claims_of(config, Evidence(mean, deviations, 0.0, False))
     return Estimate(
         log_linear_stiffness=float(mean[LOG_G]),
         log_nonlinear_stiffness=float(mean[LOG_GN]),

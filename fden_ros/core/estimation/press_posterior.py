@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.beside import Pending
 from fden_ros.core.estimation.change import (
     LOOK_PERIOD,
@@ -80,6 +81,8 @@ class PressPosterior:
         Standard deviation of a sample's compression [1]; 0: not known yet.
     executor : Executor or None
         Where solutions are computed; None: here.
+    way : ndarray, shape (3, n), optional
+        Of the probe before the touch: times from it [s], compressions [1] and stresses [Pa].
 
     Attributes
     ----------
@@ -103,10 +106,13 @@ class PressPosterior:
         deepest: float = 0.0,
         compression_sd: float = 0.0,
         executor: Executor | None = None,
+        way: Array | None = None,
     ) -> None:
         self.setting, self._start, self._executor = setting, start, executor
         reach = _REACH * setting.origin_sd if setting.geometry.is_one_sided else 0.0
         self.record = Record(compression_sd, reach)
+        if way is not None and reach:
+            self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
         self.deepest, self.compression_sd = deepest, compression_sd
         self.solved: Solved | None = None
         self.filter: PressFilter | None = None

@@ -52,7 +52,9 @@ _SAME_TIME = 1e-6
 #: would else meet the noise of the motion in a hold, which makes them less than they are.
 _SLOPE_DEVIATIONS = 3.0
 #: A probe is taken to have come along its line for at most this time [s].
-_LONGEST_APPROACH = 1.0
+LONGEST_APPROACH = 1.0
+#: Its way before the touch is so many blocks at most [1].
+_BLOCKS_OF_WAY = 12
 #: Blocks of one press [1]; a record that is full takes no more. (A press of 0.3 of strain has 100
 #: to 600, each further decade of a hold 50.)
 MOST_BLOCKS = 2000
@@ -215,6 +217,7 @@ class Record:
 
     def __init__(self, noise_sd: float = 0.0, reach: float = 0.0) -> None:
         self.noise_sd, self._reach = noise_sd, reach
+        self._way: list[_Cell] = []
         self._cells: list[_Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest
         self._path: _Cell | None = None  # the newest line that blocks have followed
@@ -362,8 +365,35 @@ class Record:
             opened = [cell for cell in (self._end_of(self._path), *opened) if cell is not None]
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
         if self._reach:
-            rows = [cell.row() for cell in _approach(self._cells + opened, self._reach)] + rows
+            before = _approach(self._cells + opened, self._reach, self._way)
+            rows = [cell.row() for cell in before] + rows
         return _points(rows, self.noise_sd)
+
+    def see_way(self, way: Array) -> None:
+        """Take the way before the first sample, as far as the touch may be before that.
+
+        Parameters
+        ----------
+        way : ndarray, shape (3, n)
+            Times [s], compressions [1] and stresses [Pa].
+        """
+        if not way.size:
+            return
+        compressions = way[1]
+        behind = np.flatnonzero(compressions < compressions[-1] - self._reach)
+        first = int(behind[-1]) if behind.size else int(np.argmin(compressions))
+        times, compressions, _ = own = way[:, first:]
+        # Parts as long as each other, in time and in the way forward together.
+        forward = np.maximum.accumulate(compressions)
+        gone = (times - times[0]) / max(np.ptp(times), _SAME_TIME)
+        gone += (forward - forward[0]) / max(np.ptp(forward), _LINE_TOLERANCE)
+        places = np.searchsorted(gone, np.linspace(0.0, gone[-1], _BLOCKS_OF_WAY + 1)[1:-1])
+        for part in np.split(own, np.unique(places), axis=1):
+            if part.size:
+                cell = _Cell(float(part[0, 0]), True)
+                for sample in part.T.tolist():
+                    cell.add(*sample)
+                self._way.append(cell)
 
     def blocks(self, samples: Sequence[Sample]) -> list[Block]:
         """Return the newest samples as a block by itself, or as two where the motion changes."""
@@ -381,10 +411,11 @@ class Record:
         return _points(blocks, self.noise_sd, before)
 
 
-def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
+def _approach(cells: Sequence[_Cell], reach: float, way: Sequence[_Cell]) -> list[_Cell]:
     """Return the motion before the first block where the touch may have been before that one.
 
-    The probe comes as it goes on: along the line of the blocks near the touch.
+    The probe comes as it goes on, along the line of the blocks near the touch; where that is
+    longer than these, as it was seen to come.
     """
     near = [c for k, c in enumerate(cells) if k < 3 or c.start - cells[0].start < TOUCH_TIME]
     if len(near) < 2:
@@ -393,9 +424,11 @@ def _approach(cells: Sequence[_Cell], reach: float) -> list[_Cell]:
     times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
     speed, first = np.polyfit(times, compressions, 1).tolist()
     # Tissue that has not recovered from an earlier press is met where the record begins.
-    missing = min(first, 0.0) + reach
-    if speed <= 0.0 or not 0.0 < missing < _LONGEST_APPROACH * speed:
+    missing = min(min(first, 0.0) + reach, LONGEST_APPROACH * speed)
+    if missing <= 0.0:
         return []
+    if way and missing > TOUCH_TIME * speed:
+        return list(way)
     before = _Cell(float(lines[0, 0]) - missing / speed, False)
     before.add(before.start, first - missing, 0.0)
     return [before]

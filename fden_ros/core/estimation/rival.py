@@ -28,8 +28,10 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
 #: one that is long over.
 _SLOWEST, _FASTEST = 0.3, 60.0
-#: Prior of the part q that relaxes: mean and standard deviation [1].
-_PART, _PART_SD = 0.5, 0.3
+#: Prior of the part q that relaxes, and of the law's order beside it: mean and standard deviation
+#: [1]. That of ln G is as wide as this for both, about what the record says [1]: what is stated of
+#: a tissue must not decide between two laws.
+_PART, _PART_SD, _LOG_G_SD = 0.5, 0.3, 1.0
 #: Precision with which the rig is held [1].
 _HELD = 1e6
 
@@ -73,10 +75,12 @@ def mismatch_log_odds(
     elapsed = float(points.times[-1] - points.times[0])
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
-    law = _solution(_straight(made(PressModel), start), points, start)
+    first = solution.best_scales._replace(kernel=_least_kernel(posterior))
+    law = _solution(_straight(made(PressModel), start), points, start, first)
     if law is None:
         return -math.inf
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
+    errors = law.maximum.errors
     # The stress after the time seen is about the same.
     now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
     at, scales = start.copy(), law.best_scales
@@ -84,14 +88,12 @@ def mismatch_log_odds(
     at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
     rivals = []
     for rate in wanted.tolist():
-        rival = _straight(made(_Maxwell), start)
+        rival = _straight(made(_Maxwell), at)
         assert isinstance(rival.model, _Maxwell)
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
-        rival.belief.mean[ORDER] = _PART
-        rival.belief.precision[ORDER, ORDER] = 1.0 / _PART_SD**2
         found = _solution(rival, points, at, scales)
         if found is not None:
-            rivals.append(evidence_under(rival, points, found, law.maximum.errors))
+            rivals.append(evidence_under(rival, points, found, errors, rival.grid))
             at, scales = found.maximum.state, found.best_scales
     if not rivals:
         return -math.inf
@@ -111,21 +113,27 @@ def _straight(posterior: Posterior, state: Array) -> Posterior:
     standard deviations it explained one of the law itself.
     """
     belief = posterior.belief
+    known = {LOG_G: (state[LOG_G], _LOG_G_SD**-2), ORDER: (_PART, _PART_SD**-2)}
     for k, unknown in enumerate(posterior.model.unknowns):
         if unknown.lifetime is Lifetime.RIG:
-            belief.precision[k], belief.precision[:, k] = 0.0, 0.0
-            belief.precision[k, k], belief.mean[k] = _HELD, state[k]
-    least = min(weighed.scales.kernel for weighed in posterior.grid)
+            known[k] = state[k], _HELD
+    for k, (mean, precision) in known.items():
+        belief.precision[k], belief.precision[:, k] = 0.0, 0.0
+        belief.precision[k, k], belief.mean[k] = precision, mean
+    least = _least_kernel(posterior)
     posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
     return posterior
 
 
+def _least_kernel(posterior: Posterior) -> float:
+    return min(weighed.scales.kernel for weighed in posterior.grid)
+
+
 def _solution(
-    posterior: Posterior, points: Points, start: Array, scales: Scales | None = None
+    posterior: Posterior, points: Points, start: Array, scales: Scales
 ) -> Solution | None:
     """Return the posterior about the maximum near a start; None: there is none."""
     try:
-        scales = scales or posterior.grid[len(posterior.grid) // 2].scales
         return posterior.solutions(points, [start], scales, NEARLY_FOUND)[0]
     except UNSOLVABLE:
         return None

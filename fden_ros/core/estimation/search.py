@@ -23,7 +23,6 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rival import mismatch_log_odds
-from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
 from fden_ros.core.estimation.whiteness import contradicts
@@ -32,8 +31,6 @@ from fden_ros.core.estimation.whiteness import contradicts
 _STARTS = (-0.8, 0.8)
 #: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
 _ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
-#: Scales to begin with [1]: of a moderate error.
-_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 
 
 @dataclass(frozen=True)
@@ -143,9 +140,8 @@ class Search:
                 return follow_modes(posterior, points, tracked, strain)
             except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
-        scales = _first_scales(posterior)
-        starts = self._starts()
-        return find_modes(posterior, points, starts, scales, tracked, strain, converged)
+        first, starts = posterior.moderate_scales, self._starts()
+        return find_modes(posterior, points, starts, first, tracked, strain, converged)
 
     def _starts(self) -> list[Array]:
         posterior, points = self.posterior, self.points
@@ -176,13 +172,3 @@ class Search:
             off = points.stresses - posterior.model.response(points, start).stress
             found.append((float(off @ off), start))
         return min(found, key=lambda tried: tried[0])[1]
-
-
-def _first_scales(posterior: Posterior) -> Scales:
-    """Return the scales of the grid that are nearest to those of a moderate error."""
-
-    def off(scales: Scales) -> float:
-        pairs = zip(scales, _MODERATE, strict=True)
-        return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
-
-    return min((g.scales for g in posterior.grid), key=off)

@@ -127,7 +127,7 @@ def averaged(
             best, about_best = float(evidence.max()), about
     if about_best is None:
         raise FloatingPointError("no scale of the errors has a finite evidence")
-    members = [m for m in members if m.log_evidence > best - NEGLIGIBLE]
+    members = [m for m in members if m.log_evidence >= best - NEGLIGIBLE]
     return _mixture(density, maximum, members, best, about_best)
 
 
@@ -168,16 +168,12 @@ def evidence_under(
     points: Points,
     solution: Solution,
     errors: Errors,
-    held: int | None = None,
+    grid: Sequence[WeighedScales],
 ) -> float:
-    """Return the log evidence of a solution as it is under other errors.
+    """Return the log evidence of a solution as it is under other errors, over a grid of scales.
 
     Where solutions are compared the errors are the same: each has its own at its stiffness, and
-    where more is stated of them than there is the softer tissue would win. `held` is that of
-    `averaged`.
+    where more is stated of them than there is the softer tissue would win. Under the errors of
+    another the same scales need not be best.
     """
-    maximum = solution.maximum
-    if errors is maximum.errors:
-        return solution.log_evidence
-    there = evidence_at(density, points, replace(maximum, errors=errors), held)
-    return solution.log_evidence + there - evidence_at(density, points, maximum, held)
+    return averaged(density, points, replace(solution.maximum, errors=errors), grid).log_evidence

@@ -49,11 +49,14 @@ def apparent_stiffness(
 ) -> ApparentStiffness:
     """Return dF/dd and its deviation to first order.
 
+    Beyond 1/Gn it is Gn times the stress, and known as well as these are, whatever G and origin.
+
     Parameters
     ----------
     mean : ndarray, shape (3,)
         Of (ln G, ln Gn, alpha).
-    covariance : ndarray, shape (3, 3)
+    covariance : ndarray, shape (4, 4)
+        Of these and the strain origin.
     geometry : Geometry
     compression : float
         u, from the strain origin [1].
@@ -61,8 +64,14 @@ def apparent_stiffness(
         tau [s].
     """
     strain = geometry.strain(compression)
-    log_value, variance = log_stiffness(mean, covariance, strain, time_scale)
-    per_strain = geometry.strain_slope(compression) / (geometry.stress_per_force * geometry.length)
+    slope = geometry.strain_slope(compression)
+    # ln E depends on the strain through Gn x.
+    by_origin = np.zeros((4, 3))
+    by_origin[:3] = np.eye(3)
+    by_origin[3, 1] = -slope / strain if strain > 0.0 else 0.0
+    own: Array = by_origin.T @ covariance @ by_origin
+    log_value, variance = log_stiffness(mean, own, strain, time_scale)
+    per_strain = slope / (geometry.stress_per_force * geometry.length)
     value = math.exp(min(float(log_value), _LARGEST_LOG)) * per_strain
     return ApparentStiffness(value, value * math.sqrt(float(variance)), time_scale)
 
