@@ -306,8 +306,8 @@ class Site:
         self._rest_until(first.stamp_ns)
         self._memory.begin_block()
         if self._estimator is not None:
-            before, way, forces = onset.way
-            seen = (-before, (way - self.origin) / config.geometry.length, scale * forces)
+            times, way, forces = onset.way
+            seen = (times, (way - self.origin) / config.geometry.length, scale * forces)
             self._estimator.begin_contact(
                 onset.bias_sd * scale, onset.drift_sd * scale, np.array(seen)
             )
@@ -337,7 +337,7 @@ class Site:
         shift = placed.shift + (other.origin - self.origin) / self._config.geometry.length
         same = Placed(placed.estimator, shift, placed.estimator.change_count)
         found = _found_sd(onset, self._config)
-        wider = math.log(other.origin_sd / found) if found else 0.0
+        wider = math.log(other.origin_sd / found) if other.origin_sd and found else 0.0
         return EitherPlace(self._config.estimator, same, Placed(new, last=last, wider=wider))
 
     def _rest_until(self, stamp_ns: int) -> None:
@@ -566,8 +566,6 @@ def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
 
 def _found_sd(onset: Onset, config: PipelineConfig) -> float:
     """Return the deviation of the origin where the touch shows it, as compression [1]."""
-    if config.strain_origin is not None:
-        return 0.0
     return ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
 
 

@@ -215,6 +215,8 @@ class Search:
         self.forecast = Forecast(config, sensors, known)
         #: Of each motion that was tried how far it is from the target [1]; infinite: not allowed.
         self.scores: dict[Motion, float] = {}
+        #: Whether noise hides the surface of a tissue that it was compared on.
+        self._hides: dict[Motion, bool] = {}
         fastest = Motion(self.limits.depth, self.limits.speed, 0.0, self.limits.speed)
         depths = self.forecast.depth_of_force(fastest, self.limits.force, self._draws)
         self._depth_in_time = 0.5 * self.limits.speed * (self.limits.time - _HOLDS[0])
@@ -264,7 +266,7 @@ class Search:
         best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
         for part in _SLOWER:
             # Slower is worse, but for a touch that shows more of the surface.
-            if not any(one.is_hidden for one in self.compared(best)):
+            if not self._hides[best]:
                 break
             best = min([best, replace(best, speed=part * limits.speed)], key=self.score)
         best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
@@ -279,6 +281,7 @@ class Search:
         """Return how far a motion is from the target [1]; infinite: it is not allowed."""
         if motion not in self.scores:
             found = self.compared(motion)
+            self._hides[motion] = any(one.is_hidden for one in found)
             is_allowed = found and self._is_allowed(motion, found)
             self.scores[motion] = self._distance(found) if is_allowed else math.inf
         return self.scores[motion]

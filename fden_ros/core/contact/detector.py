@@ -115,8 +115,8 @@ class Onset(NamedTuple):
     """The beginning of a contact."""
 
     samples: tuple[Pair, ...]  #: from just before the onset to the detection
-    #: The way of the probe before these: seconds until them, displacements [m], compliance
-    #: removed, and forces, less bias and drift [N]; shape (3, n).
+    #: The way of the probe before these: times, counted from the first of them [s], displacements
+    #: [m], compliance removed, and forces, less bias and drift [N]; shape (3, n).
     way: Array
     bias: float  #: of the force, already subtracted from the samples [N]
     bias_sd: float  #: its standard deviation [N]
@@ -393,7 +393,7 @@ class ContactDetector:
         seen = surface.first > 0 and air_seen and came
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
-        way = (approach.time[first] - approach.time, approach.displacement, approach.force)
+        way = (approach.time - approach.time[first], approach.displacement, approach.force)
         onset = Onset(
             samples=tuple(pairs)[first:],
             way=np.array(way)[:, :first] + np.array([[0.0], [0.0], [bias - level.value]]),

@@ -52,8 +52,8 @@ _SAME_TIME = 1e-6
 #: would else meet the noise of the motion in a hold, which makes them less than they are.
 _SLOPE_DEVIATIONS = 3.0
 #: A probe is taken to have come along its line for at most this time [s].
-LONGEST_APPROACH = 1.0
-#: Its way before the touch is so many blocks at most [1].
+_LONGEST_APPROACH = 1.0
+#: The way of the probe that was seen before the touch makes at most 12 blocks [1].
 _BLOCKS_OF_WAY = 12
 #: Blocks of one press [1]; a record that is full takes no more. (A press of 0.3 of strain has 100
 #: to 600, each further decade of a hold 50.)
@@ -424,7 +424,7 @@ def _approach(cells: Sequence[_Cell], reach: float, way: Sequence[_Cell]) -> lis
     times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
     speed, first = np.polyfit(times, compressions, 1).tolist()
     # Tissue that has not recovered from an earlier press is met where the record begins.
-    missing = min(min(first, 0.0) + reach, LONGEST_APPROACH * speed)
+    missing = min(min(first, 0.0) + reach, _LONGEST_APPROACH * speed)
     if missing <= 0.0:
         return []
     if way and missing > TOUCH_TIME * speed:
