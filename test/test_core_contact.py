@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections import Counter
 from dataclasses import replace
 
@@ -268,3 +269,14 @@ def test_force_that_rises_while_the_probe_rests_is_air_that_drifts():
     force += 1e-5 * np.arange(3000) + 0.01 * rng.standard_normal(3000)
     (onset,) = onsets(events_of(made(force, depth))[1])
     assert onset.seen and onset.drift > 0.0
+
+
+def test_air_that_a_clock_which_jumped_back_has_left_ahead_is_forgotten():
+    rng = np.random.default_rng(3)
+    air = made(0.01 * rng.standard_normal(3000), np.zeros(3000))
+    detector, _ = events_of(air)
+    before = len(pickle.dumps(detector))
+    for shift in range(1, 6):
+        for pair in air:
+            detector.add(pair._replace(stamp_ns=pair.stamp_ns - 10_000 * MS * shift))
+    assert len(pickle.dumps(detector)) < 1.2 * before

@@ -444,3 +444,44 @@ def test_a_stated_alpha_is_told_as_wrong_where_it_is(number, learn):
     assert wrong.estimate is not None and wrong.estimate.law_error is not None
     assert not wrong.estimate.knows(StateIndex.FRACTIONAL_ORDER)
     assert wrong.estimate.law_error.order == pytest.approx(order, abs=0.02)
+
+
+# A testing machine: few samples a second, no way through the air, the origin given
+
+#: Of the time between two samples, from one to where the motion begins.
+BEGIN = 0.35
+
+
+def machine_press(rate: float, seed: int, way_noise: float = 0.0) -> Estimate:
+    """Return the estimate of G 1.5 N s^alpha, Gn 11.5 and alpha .3 from a slow machine's press.
+
+    `way_noise`: of the displacement [m].
+    """
+    begin, ramp, depth, thickness = (2.0 + BEGIN) / rate, 2.2, 0.25, 0.013
+    times = np.arange(0.0, 12.0, 1.0 / rate)
+    generator = np.random.default_rng(seed)
+    strains = np.clip((times - begin) / ramp, 0.0, 1.0) * depth
+    forces = generator.normal(0.0, 1e-3, times.size)
+    forces += stress_of_piecewise_linear_strain(
+        [0.0, begin, begin + ramp], [0.0, 0.0, depth], times, FdenModel(1.5, 11.5, 0.3)
+    )
+    moved = thickness * strains + generator.normal(0.0, way_noise, times.size)
+    test = Measured("made", "made", times, forces, moved, thickness)
+    summary = identify_measured(test)[2]
+    assert summary is not None and summary.estimate is not None
+    return summary.estimate
+
+
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+@pytest.mark.parametrize("rate", [5.0, 10.0])
+def test_a_press_on_a_given_origin_that_is_found_late_begins_at_the_origin(rate, seed):
+    found = machine_press(rate, seed)
+    off = (found.mean - [math.log(1.5), math.log(11.5), 0.3]) / found.deviations
+    assert np.abs(off).max() < 3.0
+    assert found.deviations[2] < 0.02
+
+
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+def test_a_tenth_of_a_micrometre_about_a_given_origin_moves_nothing(seed):
+    plain, noisy = machine_press(10.0, seed), machine_press(10.0, seed, 1e-7)
+    assert np.abs((noisy.mean - plain.mean) / plain.deviations).max() < 0.3

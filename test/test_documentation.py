@@ -264,7 +264,7 @@ def test_a_delay_of_10_ms_shows_as_the_readme_says(delay):
     assert heard.summaries[0].flags == Flag.HYSTERESIS
     # What the first has told of the rig is the second's prior.
     assert heard.summaries[1].flags == (Flag.NONE if delay > 0.0 else Flag.HYSTERESIS)
-    assert np.all(heard.errors < 1.2)
+    assert np.all(heard.errors < 1.25)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary, estimate in zip(exact.summaries, exact.estimates, strict=True):
         assert not summary.converged

@@ -302,6 +302,8 @@ class Baseline:
     def keep(self, chunk: Chunk) -> None:
         """Take a chunk in the air."""
         chunks = self._chunks
+        while chunks and chunks[-1].start_ns >= chunk.start_ns:
+            chunks.pop()  # the clock has jumped back
         if chunks and chunk.start_ns - chunks[-1].end_ns <= chunk.end_ns - chunk.start_ns:
             self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)

@@ -251,6 +251,8 @@ class ContactDetector:
 
     def _remember(self, pair: Pair) -> None:
         samples = self._samples
+        while samples and samples[-1].stamp_ns > pair.stamp_ns:
+            samples.pop()  # the clock has jumped back
         samples.append(pair)
         oldest_allowed = pair.stamp_ns - self._baseline.reach_ns
         while samples[0].stamp_ns < oldest_allowed:

@@ -22,7 +22,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.modes import follow_modes
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.solution import Solution
+from fden_ros.core.estimation.solution import Solution, evidence_under
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
@@ -86,7 +86,6 @@ class _Comparison:
         self._without, self._with_event = without, with_event
         self._place = len(without.model.unknowns)
         self._alone: Solution | None = None
-        self._log_det_alone = math.nan
         self._seek_alone([(s.maximum.state, s) for s in solutions])
 
     @property
@@ -113,15 +112,19 @@ class _Comparison:
     def gain(self, found: Solution | None) -> float:
         """Return what a solution with an event gains in log evidence.
 
-        That its tissue is softer, and so has smaller errors, does not count.
+        Both are held to the errors there: softer tissue has smaller ones, stiffer tissue larger.
         """
         alone = self._alone
         if found is None:
             return -math.inf
         if alone is None:
             return found.log_evidence + _BEYOND
-        smaller = self._log_det_alone - self._log_det(found, alone)
-        return found.log_evidence - alone.log_evidence - 0.5 * max(smaller, 0.0)
+        errors = found.maximum.errors
+        with contextlib.suppress(*UNSOLVABLE):
+            return found.log_evidence - evidence_under(
+                self._without, self._points, alone, errors, self._without.grid
+            )
+        return -math.inf
 
     def gain_by(self, unknown: Unknown) -> float:
         """Return what an event gains in log evidence."""
@@ -135,13 +138,7 @@ class _Comparison:
         with contextlib.suppress(*UNSOLVABLE):
             found = follow_modes(self._without, self._points, states, self._strain).best
             if self._alone is None or found.log_evidence > self._alone.log_evidence:
-                self._alone, self._log_det_alone = found, self._log_det(found, found)
-
-    def _log_det(self, solution: Solution, scaled_as: Solution) -> float:
-        """Return log det of the covariance of a solution's errors, at another's scales."""
-        errors, scales = solution.maximum.errors, scaled_as.best_scales
-        whitened, none = self._without.error_model.whitened, np.empty((errors.noise.size, 0))
-        return whitened(none, errors, scales.roughness, scales.motion)[1]
+                self._alone = found
 
 
 def change_of(

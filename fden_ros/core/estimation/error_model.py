@@ -112,7 +112,9 @@ class ErrorModel:
             fast = stiffness * factor * np.maximum(points.durations, _SHORTEST) ** -order
             noise = noise + (fast * self._noise.compression) ** 2 / points.counts
         step = np.maximum(points.steps, _SHORTEST)
-        corner = (_CORNER * points.bends * points.steps * slope * factor * step**-order) ** 2
+        # Where the motion bends at the touch, the slope is that of the step behind it.
+        steepest = np.maximum(slope, np.append(slope[1:], 0.0))
+        corner = (_CORNER * points.bends * points.steps * steepest * factor * step**-order) ** 2
         by_block = np.maximum.reduceat(corner, points.met)
         by_block[1:] += by_block[:-1].copy()
         for value, unknown in zip(state, self._model.unknowns, strict=False):

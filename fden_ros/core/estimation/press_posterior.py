@@ -109,9 +109,11 @@ class PressPosterior:
         way: Array | None = None,
     ) -> None:
         self.setting, self._start, self._executor = setting, start, executor
-        reach = _REACH * setting.origin_sd if setting.geometry.is_one_sided else 0.0
-        self.record = Record(compression_sd, reach)
-        if way is not None and reach:
+        is_one_sided = setting.geometry.is_one_sided
+        reach = _REACH * setting.origin_sd if is_one_sided else 0.0
+        is_at_rest = is_one_sided and setting.carried is None
+        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest)
+        if way is not None and (reach or is_at_rest):
             self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
         self.deepest, self.compression_sd = deepest, compression_sd
         self.solved: Solved | None = None

@@ -213,10 +213,15 @@ class Record:
         Standard deviation of the compression of a sample [1].
     reach : float
         How far before its nominal place the touch may be, as compression [1]; 0: it is known.
+    is_at_rest : bool
+        That place is where the compression is 0; else the tissue may be met first where the
+        record begins.
     """
 
-    def __init__(self, noise_sd: float = 0.0, reach: float = 0.0) -> None:
-        self.noise_sd, self._reach = noise_sd, reach
+    def __init__(
+        self, noise_sd: float = 0.0, reach: float = 0.0, *, is_at_rest: bool = False
+    ) -> None:
+        self.noise_sd, self._reach, self._is_at_rest = noise_sd, reach, is_at_rest
         self._way: list[_Cell] = []
         self._cells: list[_Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest
@@ -364,10 +369,32 @@ class Record:
         if path is None and self._path is not None and opened:
             opened = [cell for cell in (self._end_of(self._path), *opened) if cell is not None]
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
-        if self._reach:
-            before = _approach(self._cells + opened, self._reach, self._way)
-            rows = [cell.row() for cell in before] + rows
+        if self._reach or self._is_at_rest:
+            rows = [cell.row() for cell in self._approach(self._cells + opened)] + rows
         return _points(rows, self.noise_sd)
+
+    def _approach(self, cells: Sequence[_Cell]) -> list[_Cell]:
+        """Return the motion before the first block where the touch may have been before that one.
+
+        The probe comes as it goes on, along the line of the blocks near the touch; where that is
+        longer than these, as it was seen to come.
+        """
+        near = [c for k, c in enumerate(cells) if k < 3 or c.start - cells[0].start < TOUCH_TIME]
+        if len(near) < 2:
+            return []
+        lines = np.array([cell.line()[::2] for cell in near])
+        times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
+        speed, first = np.polyfit(times, compressions, 1).tolist()
+        # Tissue that has not recovered from an earlier press is met where the record begins.
+        gone = first if self._is_at_rest else min(first, 0.0)
+        missing = min(gone + self._reach, _LONGEST_APPROACH * speed)
+        if missing <= 0.0:
+            return []
+        if self._way and missing > TOUCH_TIME * speed:
+            return self._way
+        before = _Cell(float(lines[0, 0]) - missing / speed, False)
+        before.add(before.start, first - missing, 0.0)
+        return [before]
 
     def see_way(self, way: Array) -> None:
         """Take the way before the first sample, as far as the touch may be before that.
@@ -380,7 +407,8 @@ class Record:
         if not way.size:
             return
         compressions = way[1]
-        behind = np.flatnonzero(compressions < compressions[-1] - self._reach)
+        nominal = 0.0 if self._is_at_rest else compressions[-1]
+        behind = np.flatnonzero(compressions < nominal - self._reach)
         first = int(behind[-1]) if behind.size else int(np.argmin(compressions))
         times, compressions, _ = own = way[:, first:]
         # Parts as long as each other, in time and in the way forward together.
@@ -409,29 +437,6 @@ class Record:
     def points_after(self, blocks: Sequence[Block], before: float) -> Points:
         """Return blocks as a record that goes on after the time `before` [s]."""
         return _points(blocks, self.noise_sd, before)
-
-
-def _approach(cells: Sequence[_Cell], reach: float, way: Sequence[_Cell]) -> list[_Cell]:
-    """Return the motion before the first block where the touch may have been before that one.
-
-    The probe comes as it goes on, along the line of the blocks near the touch; where that is
-    longer than these, as it was seen to come.
-    """
-    near = [c for k, c in enumerate(cells) if k < 3 or c.start - cells[0].start < TOUCH_TIME]
-    if len(near) < 2:
-        return []
-    lines = np.array([cell.line()[::2] for cell in near])
-    times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
-    speed, first = np.polyfit(times, compressions, 1).tolist()
-    # Tissue that has not recovered from an earlier press is met where the record begins.
-    missing = min(min(first, 0.0) + reach, _LONGEST_APPROACH * speed)
-    if missing <= 0.0:
-        return []
-    if way and missing > TOUCH_TIME * speed:
-        return list(way)
-    before = _Cell(float(lines[0, 0]) - missing / speed, False)
-    before.add(before.start, first - missing, 0.0)
-    return [before]
 
 
 def _block_of(samples: Sequence[Sample], path: _Cell | None) -> Block:
