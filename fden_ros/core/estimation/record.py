@@ -408,7 +408,7 @@ class Record:
             return
         compressions = way[1]
         nominal = 0.0 if self._is_at_rest else compressions[-1]
-        behind = np.flatnonzero(compressions < nominal - self._reach)
+        behind = np.flatnonzero(compressions < nominal - self._reach + self._tolerance(1.0))
         first = int(behind[-1]) if behind.size else int(np.argmin(compressions))
         times, compressions, _ = own = way[:, first:]
         # Parts as long as each other, in time and in the way forward together.
