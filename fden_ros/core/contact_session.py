@@ -92,7 +92,8 @@ class ContactSession:
     def forget(self, *, keeps_contact: bool = False) -> None:
         """Forget what was learned but of the rig, and the air's force; ids are kept.
 
-        `keeps_contact`: a detector in contact waits for the release, and keeps the air's force.
+        `keeps_contact`: a detector in contact waits for the release, and keeps the air's force
+        until there is air again.
         """
         self._site: Site | None = None
         self._press: Press | None = None

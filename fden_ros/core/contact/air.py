@@ -302,8 +302,8 @@ class Baseline:
     def keep(self, chunk: Chunk) -> None:
         """Take a chunk in the air."""
         chunks = self._chunks
-        while chunks and chunks[-1].start_ns >= chunk.start_ns:
-            chunks.pop()  # the clock has jumped back
+        # A clock that jumped back has left chunks ahead.
+        self._drop_since(chunk.start_ns)
         if chunks and chunk.start_ns - chunks[-1].end_ns <= chunk.end_ns - chunk.start_ns:
             self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)
@@ -424,10 +424,13 @@ class Baseline:
 
     def forget_since(self, stamp_ns: int) -> None:
         """Drop the chunks that reach into a contact that began at `stamp_ns`."""
+        self._drop_since(stamp_ns)
+        self._air = None
+
+    def _drop_since(self, stamp_ns: int) -> None:
         chunks = self._chunks
         while chunks and chunks[-1].end_ns >= stamp_ns:
             chunks.pop()
-        self._air = None
 
     def forget_all_but(self, count: int) -> None:
         """Drop all chunks but the newest `count`, and what was learned against a false bias."""
