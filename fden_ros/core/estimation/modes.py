@@ -219,7 +219,7 @@ def _with_hidden_origin(
     width = step / math.sqrt(2.0 * math.pi)
     found = []
     for way in (-step, step):
-        for evidence, node in _nodes(posterior, points, best, way):
+        for evidence, node in _nodes(posterior, points, best, way, there):
             taken = _share_near(modes, float(node.mean[ORIGIN]), step) / modes.weight
             left_out = width * math.exp(min(evidence - there, NEGLIGIBLE)) - taken
             if left_out > 0.0:
@@ -234,10 +234,13 @@ def _with_hidden_origin(
 
 
 def _nodes(
-    posterior: Posterior, points: Points, best: Solution, way: float
+    posterior: Posterior, points: Points, best: Solution, way: float, there: float
 ) -> Iterator[tuple[float, Member]]:
-    """Give the likely nodes of the ridge on one side of a maximum, with their log evidence."""
-    state, before, highest = best.maximum.state, best.mean, -math.inf
+    """Give the likely nodes of the ridge on one side of a maximum, with their log evidence.
+
+    `there`: that of the maximum. The ridge ends at the first node that is negligible beside it.
+    """
+    state, before, highest = best.maximum.state, best.mean, there
     for _ in range(_NODES):
         state = state.copy()
         state[ORIGIN] += way
