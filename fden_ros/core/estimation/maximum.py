@@ -111,8 +111,10 @@ class MaximumSearch:
         self._density, self._points, self._scales = density, points, scales
         self._converged, self._held, self._most = converged, held, most
 
-    def from_start(self, start: Array) -> Maximum:
+    def from_start(self, start: Array, known: Evaluation | None = None) -> Maximum:
         """Return the maximum that a start leads to.
+
+        `known`: the density's evaluation at the start; None: it is not known yet.
 
         Raises
         ------
@@ -122,7 +124,7 @@ class MaximumSearch:
         model, converged = self._density.model, self._converged
         state, damping = start.copy(), _DAMPING
         at = start  # where the variances are taken; it follows the state
-        found = self._density.evaluate(self._points, state)
+        found = known if known is not None else self._density.evaluate(self._points, state)
         is_solved = is_at_kink = False
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
@@ -143,8 +145,8 @@ class MaximumSearch:
                 searches -= 1
                 before = state
                 state = self._along_kink(state, free.normal, metric)
-                found = self._density.evaluate(self._points, state)
                 if state is not before:
+                    found = self._density.evaluate(self._points, state)
                     continue
             if left < converged:
                 is_solved = True

@@ -28,6 +28,7 @@ from scipy.special import expit, log_ndtr, ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Member, mixture
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_at, evidence_under
@@ -281,14 +282,18 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
     beyond = (float(best.mean[LOG_GN]) - boundary) / sd
     if beyond > _FAR_BEYOND:
         return modes
-    state = best.maximum.state.copy()
-    state[LOG_GN] = min(float(state[LOG_GN]), boundary)
+    state = best.maximum.state
+    known: Evaluation | None = best.maximum.evaluation
+    if state[LOG_GN] > boundary:
+        state, known = state.copy(), None
+        state[LOG_GN] = boundary
     scales = best.best_scales
-    linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS)
+    linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS, known)
     if not linear.is_solved:
         if _under(posterior, points, linear, best, LOG_GN) < best.log_evidence - _HOPELESS:
             return modes
-        linear = posterior.given(LOG_GN, points, linear.maximum.state, scales)
+        begun = linear.maximum
+        linear = posterior.given(LOG_GN, points, begun.state, scales, known=begun.evaluation)
     mean = float(posterior.belief.mean[LOG_GN])
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))

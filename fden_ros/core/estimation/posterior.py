@@ -24,7 +24,7 @@ from fden_ros.core.estimation.maximum import (
     MaximumSearch,
     solved,
 )
-from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
 from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, averaged, evidence_at
@@ -76,9 +76,11 @@ class Posterior(Density):
         converged: float = CONVERGED,
         most: int = MOST_STEPS,
         held: int | None = None,
+        known: Evaluation | None = None,
     ) -> Maximum:
         """Return the maximum that a start leads to: see :class:`MaximumSearch`."""
-        return MaximumSearch(self, points, scales, converged, held, most).from_start(start)
+        search = MaximumSearch(self, points, scales, converged, held, most)
+        return search.from_start(start, known)
 
     def solutions(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
@@ -136,7 +138,7 @@ class Posterior(Density):
         found = averaged(self, points, best, self.grid)
         while found.best_scales not in seen:
             seen.append(found.best_scales)
-            best = self.maximum(points, best.state, found.best_scales, converged)
+            best = self._again(points, best, found.best_scales, converged)
             found = averaged(self, points, best, self.grid)
         return self._considered(points, found)
 
@@ -170,15 +172,25 @@ class Posterior(Density):
     def _at_its_scales(self, points: Points, begun: Maximum) -> Solution:
         """Return the solution about the maximum at the scales that are best where it begins."""
         chosen = averaged(self, points, begun, self.grid).best_scales
-        best = self.maximum(points, begun.state, chosen, NEARLY_FOUND)
+        best = self._again(points, begun, chosen, NEARLY_FOUND)
         return averaged(self, points, best, self.grid)
 
+    def _again(self, points: Points, begun: Maximum, scales: Scales, converged: float) -> Maximum:
+        """Return the maximum at other scales, from that of some."""
+        return self.maximum(points, begun.state, scales, converged, known=begun.evaluation)
+
     def given(
-        self, place: int, points: Points, state: Array, scales: Scales, most: int = MOST_STEPS
+        self,
+        place: int,
+        points: Points,
+        state: Array,
+        scales: Scales,
+        most: int = MOST_STEPS,
+        known: Evaluation | None = None,
     ) -> Solution:
         """Return the posterior given the unknown at a place, at one place of the grid.
 
-        `most`: steps at most.
+        `most`: steps at most; `known`: the evaluation at the state.
 
         Raises
         ------
@@ -186,7 +198,7 @@ class Posterior(Density):
             If the stress is not finite at the state.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            best = self.maximum(points, state, scales, NEARLY_FOUND, most, place)
+            best = self.maximum(points, state, scales, NEARLY_FOUND, most, place, known)
             return averaged(self, points, best, (WeighedScales(scales, 0.0),), place)
 
     def _considered(self, points: Points, found: Solution) -> Solution:
