@@ -165,7 +165,7 @@ def _weighed(
     posterior: Posterior, points: Points, found: Sequence[Solution], strain: float
 ) -> Modes:
     """Return the modes that are apart, weighed by their evidence under the same errors."""
-    found = sorted(found, key=lambda s: -s.log_evidence)
+    found = _different(sorted(found, key=lambda s: -s.log_evidence))
     if len(found) == 1:
         return _completed(posterior, points, Modes((found[0],)), strain)
     errors = found[0].maximum.errors
@@ -199,6 +199,18 @@ def _completed(posterior: Posterior, points: Points, modes: Modes, strain: float
 def _boundary(strain: float) -> float:
     """Return ln Gn of a law that is just linear up to a largest strain [1]."""
     return -math.log(strain) if strain > 0.0 else math.inf
+
+
+def _different(found: Sequence[Solution]) -> list[Solution]:
+    """Return the solutions without those about the maximum of one before them.
+
+    To weigh one takes as long as five steps.
+    """
+    result: list[Solution] = []
+    for one in found:
+        if all(_are_apart(one, other) for other in result):
+            result.append(one)
+    return result
 
 
 def _are_apart(one: Solution, other: Solution) -> bool:
