@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.modes import follow_modes
+from fden_ros.core.estimation.modes import follow_maxima
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution, evidence_under
@@ -136,7 +136,7 @@ class _Comparison:
 
     def _seek_alone(self, states: Sequence[tuple[Array, Solution]]) -> None:
         with contextlib.suppress(*UNSOLVABLE):
-            found = follow_modes(self._without, self._points, states, self._strain).best
+            found = follow_maxima(self._without, self._points, states, self._strain).best
             if self._alone is None or found.log_evidence > self._alone.log_evidence:
                 self._alone = found
 

@@ -118,7 +118,7 @@ def find_modes(
     """
     found = posterior.solutions(points, starts, scales, converged)
     found += _followed(posterior, points, before, strain)
-    return _weighed(posterior, points, found, strain)
+    return _completed(posterior, points, _weighed(posterior, points, found, strain), strain)
 
 
 def follow_modes(
@@ -128,6 +128,23 @@ def follow_modes(
     strain: float,
 ) -> Modes:
     """Return the modes that those of a shorter record, with their states by now, lead to.
+
+    Raises
+    ------
+    FloatingPointError
+        If the stress is not finite at any of them.
+    """
+    modes = follow_maxima(posterior, points, before, strain)
+    return _completed(posterior, points, modes, strain)
+
+
+def follow_maxima(
+    posterior: Posterior,
+    points: Points,
+    before: Sequence[tuple[Array, Solution]],
+    strain: float,
+) -> Modes:
+    """Return the modes of :func:`follow_modes` that have a maximum.
 
     Raises
     ------
@@ -167,7 +184,7 @@ def _weighed(
     """Return the modes that are apart, weighed by their evidence under the same errors."""
     found = _different(sorted(found, key=lambda s: -s.log_evidence))
     if len(found) == 1:
-        return _completed(posterior, points, Modes((found[0],)), strain)
+        return Modes((found[0],))
     errors = found[0].maximum.errors
     evidence = np.array(
         [evidence_under(posterior, points, s, errors, posterior.grid) for s in found]
@@ -186,8 +203,7 @@ def _weighed(
     total = sum(weight for weight, _ in kept)
     others = tuple(Member(w / total, s.mean, s.covariance) for w, s in kept[1:])
     solutions = tuple(s for _, s in kept)
-    modes = Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
-    return _completed(posterior, points, modes, strain)
+    return Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
 
 
 def _completed(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Modes:
