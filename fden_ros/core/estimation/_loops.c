@@ -163,28 +163,28 @@ static int is_active(const Law *law, const Elastic *at, double compression, doub
     return compression > 0.0 && !(at->value <= surface);
 }
 
-/* Exponentials go in groups of eight. */
-#define GROUPS (RATES / 8)
-typedef double Group __attribute__((vector_size(64), aligned(8), may_alias));
+/* Exponentials go in groups of eight: sums have eight parts, whatever the width of the vectors. */
+#define GROUP 8
 #define INLINE inline __attribute__((always_inline))
 
-static INLINE double dot(const double *a, const double *b)
+static INLINE double dot(const double *restrict a, const double *restrict b)
 {
-    const Group *x = (const Group *)a, *y = (const Group *)b;
-    Group sum = x[0] * y[0];
-    for (int i = 1; i < GROUPS; i++)
-        sum += x[i] * y[i];
+    double sum[GROUP];
+    for (int j = 0; j < GROUP; j++)
+        sum[j] = a[j] * b[j];
+    for (int i = GROUP; i < RATES; i += GROUP)
+        for (int j = 0; j < GROUP; j++)
+            sum[j] += a[i + j] * b[i + j];
     return ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
 }
 
 /* Bring exponentials to the end of a step. */
-static INLINE void advance(double *own, const double moments[4][RATES], const double *parts)
+static INLINE void advance(double *restrict own, const double moments[4][RATES], const double *parts)
 {
-    Group *to = (Group *)own;
-    const Group *decay = (const Group *)moments[0], *m0 = (const Group *)moments[1];
-    const Group *m1 = (const Group *)moments[2], *m2 = (const Group *)moments[3];
-    for (int i = 0; i < GROUPS; i++)
-        to[i] = to[i] * decay[i] + parts[0] * m0[i] + parts[1] * m1[i] + parts[2] * m2[i];
+    double p0 = parts[0], p1 = parts[1], p2 = parts[2];
+    for (int i = 0; i < RATES; i++)
+        own[i] = own[i] * moments[0][i] + p0 * moments[1][i] + p1 * moments[2][i]
+                 + p2 * moments[3][i];
 }
 
 /* One step: which part of it is active, and what its values weigh at its end. */
