@@ -98,7 +98,10 @@ def averaged(
     """
     priors = density.priors(maximum.state)
     off = density.belief.mean - maximum.state
-    precisions = {w.scales[:2]: priors.precision(w.scales) for w in grid}
+    # Scales of roughness and motion have the same prior.
+    fields = {w.scales[:2]: w.scales for w in grid}
+    precisions = {place: priors.precision(scales) for place, scales in fields.items()}
+    determinants = {place: priors.log_determinant(scales) for place, scales in fields.items()}
     groups: dict[tuple[float, float], list[WeighedScales]] = {}
     for weighed in grid:
         groups.setdefault(weighed.scales[2:], []).append(weighed)
@@ -118,7 +121,7 @@ def averaged(
         factors = equations.copy()
         loops.eliminate(factors)
         volumes = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
-        log_priors = [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in group]
+        log_priors = [w.log_prior + 0.5 * determinants[w.scales[:2]] for w in group]
         square = float(about.residuals @ about.residuals) + about.log_determinant + tails
         evidence = log_priors - volumes
         evidence += 0.5 * (np.sum(factors[:, :, -1] ** 2, axis=1) - square - pulls @ off)
