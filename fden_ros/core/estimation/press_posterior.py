@@ -129,6 +129,7 @@ class PressPosterior:
         self._begun: _Begun | None = None
         self._is_placed = True
         self._looked_at, self._asked_at = -math.inf, 0.0
+        self._size_at_look = 0
         self._suspected_at: float | None = None
 
     @property
@@ -208,6 +209,10 @@ class PressPosterior:
 
     def _suspect(self, since: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""
+        if self.record.is_full and self.record.size == self._size_at_look:
+            # It takes no more, and shows what it has shown.
+            self._suspected_at = None
+            return
         elapsed = self._now - since
         if elapsed < SUSPECTED and self._now - self._looked_at < LOOK_PERIOD:
             return
@@ -339,7 +344,7 @@ class PressPosterior:
 
     def _look_for_change(self) -> Look:
         """Look whether the tissue has changed under the probe; a change is an unknown more."""
-        self._looked_at = self._now
+        self._looked_at, self._size_at_look = self._now, self.record.size
         if self.solved is None or not self._is_placed:
             return Look(None, -math.inf)
         origin = self.setting.origin(self.solved.best.mean)
