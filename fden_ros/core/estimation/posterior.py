@@ -162,10 +162,10 @@ class Posterior(Density):
             found = averaged(self, points, best, near)
             if found.best_scales != scales or not best.is_solved:
                 # Under scales that no longer fit, steps are many and short.
-                begun = [best]
-                if not best.is_solved:
-                    begun.append(self.maximum(points, state, self.moderate_scales, NEARLY_FOUND))
-                tried = [self._at_its_scales(points, one) for one in begun]
+                found = self._at_its_scales(points, best)
+            if not found.is_solved:
+                begun = self.maximum(points, state, self.moderate_scales, NEARLY_FOUND)
+                tried = [found, self._at_its_scales(points, begun)]
                 found = max(tried, key=lambda one: one.log_evidence)
         return self._considered(points, found)
 
