@@ -26,6 +26,7 @@ from __future__ import annotations
 import ctypes
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,7 +213,7 @@ def eliminate(systems: Array) -> None:
         raise np.linalg.LinAlgError("a matrix is not positive definite")
 
 
-def _at(array: Array | NDArray[np.int32] | None) -> ctypes.c_void_p | None:
+def _at(array: Array | NDArray[np.int32] | None) -> Any:
     """Return the address of an array's numbers, which lie one behind the other.
 
     It keeps the array: one that was made for the call alone would else be freed before it.
@@ -221,6 +222,10 @@ def _at(array: Array | NDArray[np.int32] | None) -> ctypes.c_void_p | None:
         return None
     if not array.flags.c_contiguous or array.dtype.char not in "di":
         raise ValueError("the compiled loops take contiguous arrays of float64 and int32")
-    address = ctypes.c_void_p(array.__array_interface__["data"][0])
-    address.array = array  # type: ignore[attr-defined]
-    return address
+    try:
+        return ctypes.byref(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        # It is not to be written, or has no numbers.
+        address = ctypes.c_void_p(array.__array_interface__["data"][0])
+        address.array = array  # type: ignore[attr-defined]
+        return address
