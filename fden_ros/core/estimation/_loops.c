@@ -67,18 +67,19 @@ static Elastic elastic_of(const Law *law, double compression)
         /* Quadratic splines, evenly spaced in ln(1 + strain / (last_knot / 10)). */
         double near = 0.1 * law->last_knot, cells = law->knots - 2;
         double per_place = cells / log(11.0), at = per_place * log1p(strain / near);
-        int k = at < cells ? (int)at : law->knots - 3;
-        double p = at < cells ? at - k : 1.0;
-        double by_strain_of_at = at < cells ? per_place / (near + strain) : 0.0;
+        int is_inside = at < cells, k = is_inside ? (int)at : law->knots - 3;
+        double p = at - k, by_strain_of_at = per_place / (near + strain);
         const double *bends = law->bend + k;
         result.knot = k;
-        result.weights[0] = 0.5 * (1.0 - p) * (1.0 - p);
-        result.weights[1] = 0.5 + p * (1.0 - p);
-        result.weights[2] = 0.5 * p * p;
+        /* Beyond the last knot they go on straight: a kink there would hold a solution up. */
+        result.weights[0] = is_inside ? 0.5 * (1.0 - p) * (1.0 - p) : 0.0;
+        result.weights[1] = is_inside ? 0.5 + p * (1.0 - p) : 1.5 - p;
+        result.weights[2] = is_inside ? 0.5 * p * p : p - 0.5;
+        double q = is_inside ? p : 1.0;
         for (int j = 0; j < 3; j++)
             bend += result.weights[j] * bends[j];
         tilt = by_strain_of_at
-               * ((p - 1.0) * bends[0] + (1.0 - 2.0 * p) * bends[1] + p * bends[2]);
+               * ((q - 1.0) * bends[0] + (1.0 - 2.0 * q) * bends[1] + q * bends[2]);
     }
     if (excess <= 0.0) {
         ratio = scaled;

@@ -182,9 +182,9 @@ def _elastic(law: LawState, compression: Array) -> _Elastic:
 def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
     """Return the values of the characteristic's splines at strains from 0 on, and their slopes.
 
-    Of shape (strains, knots). They are quadratic, evenly spaced in ln(1 + x / x0), and constant
-    beyond the last knot: so they can follow the law's own bend at 1/Gn. With hat functions ln Gn
-    has false maxima 0.15 apart.
+    Of shape (strains, knots). They are quadratic, evenly spaced in ln(1 + x / x0), and straight
+    beyond the last knot, where a kink would hold a solution up: so they can follow the law's own
+    bend at 1/Gn. With hat functions ln Gn has false maxima 0.15 apart.
     """
     values, slopes = np.zeros((strain.size, knots)), np.zeros((strain.size, knots))
     if not knots:
@@ -194,11 +194,13 @@ def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
     place = per_place * np.log1p(strain / near)
     is_inside = place < cells
     cell = np.where(is_inside, place, cells - 1).astype(np.intp)
-    p = np.where(is_inside, place - cell, 1.0)
+    p = place - cell
     at = np.arange(strain.size)[:, None], cell[:, None] + np.arange(3)
-    values[at] = np.transpose([0.5 * (1.0 - p) ** 2, 0.5 + p * (1.0 - p), 0.5 * p**2])
-    tilt = np.where(is_inside, per_place / (near + strain), 0.0)
-    slopes[at] = np.transpose([tilt * (p - 1.0), tilt * (1.0 - 2.0 * p), tilt * p])
+    curved = 0.5 * (1.0 - p) ** 2, 0.5 + p * (1.0 - p), 0.5 * p**2
+    straight = np.zeros_like(p), 1.5 - p, p - 0.5
+    values[at] = np.where(is_inside, curved, straight).T
+    tilt, q = per_place / (near + strain), np.where(is_inside, p, 1.0)
+    slopes[at] = np.transpose([tilt * (q - 1.0), tilt * (1.0 - 2.0 * q), tilt * q])
     return values, slopes
 
 
