@@ -52,6 +52,8 @@ _MOST_SEARCHES, _REACH = 2, 0.5
 _LARGEST_STEP = np.array([3.0, 0.7, 0.15])
 #: Damping at first [1], and by which factors it falls and rises.
 _DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
+#: A step leads too far where the misfit is lowest before this part of it [1].
+_TOO_FAR = 0.6
 #: Damping from which on a step is held up by a kink [1].
 _KINK_DAMPING = 0.1
 
@@ -226,10 +228,32 @@ class MaximumSearch:
         for tries in range(1, _MOST_TRIES + 1):
             normal = equations.normal + damping * np.diag(equations.damped)
             taken = self._try(state, solved(normal, equations.towards), metric)
+            if taken is not None:
+                taken = self._shortened(state, taken, equations, metric)
             if taken is not None and taken[2] <= equations.misfit:
                 return taken[:2], damping, tries
             damping = max(damping, _DAMPING) * _DAMPED
         return None, damping, _MOST_TRIES
+
+    def _shortened(
+        self,
+        state: Array,
+        taken: tuple[Array, Evaluation, float],
+        equations: _Equations,
+        metric: _Metric,
+    ) -> tuple[Array, Evaluation, float]:
+        """Return where the misfit is lowest along a step that leads too far, or where it leads.
+
+        Where residuals are large the misfit is more curved than the normal equations say, and
+        steps would go to and fro.
+        """
+        step = taken[0] - state
+        gain = float(equations.towards @ step)
+        curved = taken[2] - equations.misfit + 2.0 * gain
+        if not 0.0 < gain < _TOO_FAR * curved:
+            return taken
+        shorter = self._try(state, gain / curved * step, metric)
+        return shorter if shorter is not None and shorter[2] < taken[2] else taken
 
     def _try(
         self, state: Array, step: Array, metric: _Metric
