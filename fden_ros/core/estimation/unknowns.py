@@ -162,6 +162,7 @@ def kernel_prior() -> FieldPrior:
     return _constrained(KERNEL_KNOTS, KERNEL_LENGTH, zero / zero.sum())
 
 
+@functools.lru_cache(maxsize=16)
 def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
     """Return the prior of the characteristic's error; at the strain 0.1 it is 0."""
     place = np.log(phi(characteristic_knots(last), 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
