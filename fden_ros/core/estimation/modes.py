@@ -244,7 +244,10 @@ def _with_hidden_origin(
         return modes
     slope = model.geometry.strain_slope(model.geometry.compression(strain))
     # So far from node to node that G is e times as large; in units of the origin's deviation.
-    step = 1.0 / (math.exp(float(best.mean[LOG_GN])) * slope * model.unknowns[ORIGIN].sd)
+    growth = math.exp(float(best.mean[LOG_GN])) * slope * model.unknowns[ORIGIN].sd
+    if growth == 0.0:
+        return modes
+    step = 1.0 / growth
     if math.sqrt(float(posterior.belief.variances()[ORIGIN])) < _SEEN * step:
         return modes
     there = posterior.evidence(points, replace(best.maximum, scales=best.best_scales))
