@@ -25,6 +25,7 @@ from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.maximum import inverted
 from fden_ros.core.estimation.modes import find_modes
+from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_posterior import PressPosterior
@@ -196,7 +197,8 @@ class Forecast:
                 own = self._measured(motion, points, response, seed)
                 state = self._state(posterior, tissue)
                 scales = posterior.grid[len(posterior.grid) // 2].scales
-                modes = find_modes(posterior, own, [state], scales, (), strain, NEARLY_FOUND)
+                parts = find_modes(posterior, own, [state], scales, (), strain, NEARLY_FOUND)
+                modes = ended(parts)
             except UNSOLVABLE:
                 continue
             _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)

@@ -20,6 +20,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.modes import follow_maxima
+from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution, evidence_under
@@ -136,7 +137,8 @@ class _Comparison:
 
     def _seek_alone(self, states: Sequence[tuple[Array, Solution]]) -> None:
         with contextlib.suppress(*UNSOLVABLE):
-            found = follow_maxima(self._without, self._points, states, self._strain).best
+            modes = ended(follow_maxima(self._without, self._points, states, self._strain))
+            found = modes.best
             if self._alone is None or found.log_evidence > self._alone.log_evidence:
                 self._alone = found
 

@@ -24,6 +24,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Density
 from fden_ros.core.estimation.error_model import Errors
+from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
@@ -113,8 +114,8 @@ class MaximumSearch:
         self._density, self._points, self._scales = density, points, scales
         self._converged, self._held, self._most = converged, held, most
 
-    def from_start(self, start: Array, known: Evaluation | None = None) -> Maximum:
-        """Return the maximum that a start leads to.
+    def from_start(self, start: Array, known: Evaluation | None = None) -> Parts[Maximum]:
+        """Return the maximum that a start leads to; a part is a step.
 
         `known`: the density's evaluation at the start; None: it is not known yet.
 
@@ -130,6 +131,9 @@ class MaximumSearch:
         is_solved = is_at_kink = False
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
+        cost = self._points.times.size
+        if known is None:
+            yield cost
         for count in range(self._most):
             part = _FOLLOWING * min(1.0, _PATIENCE / max(count, 1))
             at = state if count < _QUICK_STEPS else at + part * (state - at)
@@ -147,6 +151,7 @@ class MaximumSearch:
                 searches -= 1
                 before = state
                 state = self._along_kink(state, free.normal, metric)
+                yield 10 * cost
                 if state is not before:
                     found = self._density.evaluate(self._points, state)
                     continue
@@ -160,6 +165,7 @@ class MaximumSearch:
             equations = free._replace(normal=normal)
             taken, damping, tries = self._step(state, equations, damping, metric)
             tried += tries
+            yield tries * cost
             if taken is None:
                 # A sample at the surface: its stress begins there, and so does its derivative.
                 if is_at_kink and left < NEARLY_FOUND:

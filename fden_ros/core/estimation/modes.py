@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,11 +27,18 @@ from scipy.special import expit, log_ndtr, ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Member, mixture
+from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, evidence_at, evidence_under
+from fden_ros.core.estimation.solution import (
+    NEGLIGIBLE,
+    Solution,
+    cost_of,
+    evidence_at,
+    evidence_under,
+)
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORIGIN
 
 #: Modes that are followed [1], so that a solution has a longest time: no recording had a fourth.
@@ -93,7 +100,7 @@ def find_modes(
     before: Sequence[tuple[Array, Solution]],
     strain: float,
     converged: float,
-) -> Modes:
+) -> Parts[Modes]:
     """Return the modes that starts lead to, and those of a shorter record.
 
     Parameters
@@ -116,9 +123,10 @@ def find_modes(
     FloatingPointError
         If the stress is not finite at any start.
     """
-    found = posterior.solutions(points, starts, scales, converged)
-    found += _followed(posterior, points, before, strain)
-    return _completed(posterior, points, _weighed(posterior, points, found, strain), strain)
+    found = yield from posterior.solutions_in_parts(points, starts, scales, converged)
+    found += yield from _followed(posterior, points, before, strain)
+    modes = yield from _weighed(posterior, points, found, strain)
+    return (yield from _completed(posterior, points, modes, strain))
 
 
 def follow_modes(
@@ -126,7 +134,7 @@ def follow_modes(
     points: Points,
     before: Sequence[tuple[Array, Solution]],
     strain: float,
-) -> Modes:
+) -> Parts[Modes]:
     """Return the modes that those of a shorter record, with their states by now, lead to.
 
     Raises
@@ -134,8 +142,8 @@ def follow_modes(
     FloatingPointError
         If the stress is not finite at any of them.
     """
-    modes = follow_maxima(posterior, points, before, strain)
-    return _completed(posterior, points, modes, strain)
+    modes = yield from follow_maxima(posterior, points, before, strain)
+    return (yield from _completed(posterior, points, modes, strain))
 
 
 def follow_maxima(
@@ -143,7 +151,7 @@ def follow_maxima(
     points: Points,
     before: Sequence[tuple[Array, Solution]],
     strain: float,
-) -> Modes:
+) -> Parts[Modes]:
     """Return the modes of :func:`follow_modes` that have a maximum.
 
     Raises
@@ -151,10 +159,10 @@ def follow_maxima(
     FloatingPointError
         If the stress is not finite at any of them.
     """
-    found = _followed(posterior, points, before, strain)
+    found = yield from _followed(posterior, points, before, strain)
     if not found:
         raise FloatingPointError("the stress is not finite at any mode")
-    return _weighed(posterior, points, found, strain)
+    return (yield from _weighed(posterior, points, found, strain))
 
 
 def _followed(
@@ -162,7 +170,7 @@ def _followed(
     points: Points,
     before: Sequence[tuple[Array, Solution]],
     strain: float,
-) -> list[Solution]:
+) -> Parts[list[Solution]]:
     boundary = _boundary(strain)
     found = []
     for state, solution in before:
@@ -174,21 +182,22 @@ def _followed(
             begun.append(bent)
         for one in begun:
             with contextlib.suppress(*UNSOLVABLE):
-                found.append(posterior.tracked(points, one, solution))
+                found.append((yield from posterior.tracked_in_parts(points, one, solution)))
     return found
 
 
 def _weighed(
     posterior: Posterior, points: Points, found: Sequence[Solution], strain: float
-) -> Modes:
+) -> Parts[Modes]:
     """Return the modes that are apart, weighed by their evidence under the same errors."""
     found = _different(sorted(found, key=lambda s: -s.log_evidence))
     if len(found) == 1:
         return Modes((found[0],))
     errors = found[0].maximum.errors
-    evidence = np.array(
-        [evidence_under(posterior, points, s, errors, posterior.grid) for s in found]
-    )
+    evidence = np.empty(len(found))
+    for k, one in enumerate(found):
+        evidence[k] = evidence_under(posterior, points, one, errors, posterior.grid)
+        yield cost_of(points, posterior.grid)
     kept: list[tuple[float, Solution]] = []
     boundary = _boundary(strain)
     has_linear = False
@@ -206,10 +215,10 @@ def _weighed(
     return Modes(solutions, kept[0][0] / total, others, math.log(total / kept[0][0]))
 
 
-def _completed(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Modes:
+def _completed(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Parts[Modes]:
     """Return the modes with those that have no maximum."""
-    modes = _with_hidden_origin(posterior, points, modes, strain)
-    return _with_linear(posterior, points, modes, strain)
+    modes = yield from _with_hidden_origin(posterior, points, modes, strain)
+    return (yield from _with_linear(posterior, points, modes, strain))
 
 
 def _boundary(strain: float) -> float:
@@ -237,7 +246,7 @@ def _are_apart(one: Solution, other: Solution) -> bool:
 
 def _with_hidden_origin(
     posterior: Posterior, points: Points, modes: Modes, strain: float
-) -> Modes:
+) -> Parts[Modes]:
     """Return the modes with the ridge of an origin that noise hides."""
     best, model = modes.best, posterior.model
     if posterior.is_known(ORIGIN) or strain <= 0.0:
@@ -254,7 +263,8 @@ def _with_hidden_origin(
     width = step / math.sqrt(2.0 * math.pi)
     found = []
     for way in (-step, step):
-        for evidence, node in _nodes(posterior, points, best, way, there):
+        nodes = yield from _nodes(posterior, points, best, way, there)
+        for evidence, node in nodes:
             taken = _share_near(modes, float(node.mean[ORIGIN]), step) / modes.weight
             left_out = width * math.exp(min(evidence - there, NEGLIGIBLE)) - taken
             if left_out > 0.0:
@@ -270,27 +280,31 @@ def _with_hidden_origin(
 
 def _nodes(
     posterior: Posterior, points: Points, best: Solution, way: float, there: float
-) -> Iterator[tuple[float, Member]]:
-    """Give the likely nodes of the ridge on one side of a maximum, with their log evidence.
+) -> Parts[list[tuple[float, Member]]]:
+    """Return the likely nodes of the ridge on one side of a maximum, with their log evidence.
 
     `there`: that of the maximum. The ridge ends at the first node that is negligible beside it.
     """
     state, before, highest = best.maximum.state, best.mean, there
+    found: list[tuple[float, Member]] = []
     for _ in range(_NODES):
         state = state.copy()
         state[ORIGIN] += way
         state[LOG_G] += math.copysign(1.0, way)
         try:
-            node = posterior.given(ORIGIN, points, state, best.best_scales, _NODE_STEPS)
+            scales = best.best_scales
+            node = yield from posterior.given(ORIGIN, points, state, scales, _NODE_STEPS)
             evidence = _under(posterior, points, node, best, ORIGIN)
         except UNSOLVABLE:
-            return
+            break
         highest = max(highest, evidence)
         if evidence < highest - NEGLIGIBLE:
-            return
+            break
         along = (node.mean - before) * (way / (node.mean[ORIGIN] - before[ORIGIN]))
-        yield evidence, Member(1.0, node.mean, node.covariance + np.outer(along, along) / 12.0)
+        covariance = node.covariance + np.outer(along, along) / 12.0
+        found.append((evidence, Member(1.0, node.mean, covariance)))
         state, before = node.maximum.state, node.mean
+    return found
 
 
 def _share_near(modes: Modes, origin: float, width: float) -> float:
@@ -303,7 +317,9 @@ def _share_near(modes: Modes, origin: float, width: float) -> float:
     return share
 
 
-def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: float) -> Modes:
+def _with_linear(
+    posterior: Posterior, points: Points, modes: Modes, strain: float
+) -> Parts[Modes]:
     """Return the modes with that of a law that is linear over the record."""
     best = modes.best
     sd = math.sqrt(max(float(best.covariance[LOG_GN, LOG_GN]), 0.0))
@@ -319,12 +335,13 @@ def _with_linear(posterior: Posterior, points: Points, modes: Modes, strain: flo
         state, known = state.copy(), None
         state[LOG_GN] = boundary
     scales = best.best_scales
-    linear = posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS, known)
+    linear = yield from posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS, known)
     if not linear.is_solved:
         if _under(posterior, points, linear, best, LOG_GN) < best.log_evidence - _HOPELESS:
             return modes
         begun = linear.maximum
-        linear = posterior.given(LOG_GN, points, begun.state, scales, known=begun.evaluation)
+        known = begun.evaluation
+        linear = yield from posterior.given(LOG_GN, points, begun.state, scales, known=known)
     mean = float(posterior.belief.mean[LOG_GN])
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))

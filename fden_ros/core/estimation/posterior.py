@@ -24,10 +24,17 @@ from fden_ros.core.estimation.maximum import (
     MaximumSearch,
     solved,
 )
+from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
-from fden_ros.core.estimation.solution import NEGLIGIBLE, Solution, averaged, evidence_at
+from fden_ros.core.estimation.solution import (
+    NEGLIGIBLE,
+    Solution,
+    averaged,
+    cost_of,
+    evidence_at,
+)
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them.
@@ -77,14 +84,42 @@ class Posterior(Density):
         most: int = MOST_STEPS,
         held: int | None = None,
         known: Evaluation | None = None,
-    ) -> Maximum:
+    ) -> Parts[Maximum]:
         """Return the maximum that a start leads to: see :class:`MaximumSearch`."""
         search = MaximumSearch(self, points, scales, converged, held, most)
-        return search.from_start(start, known)
+        # What overflows between two parts is for whoever goes on between them.
+        parts = search.from_start(start, known)
+        while True:
+            try:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    cost = next(parts)
+            except StopIteration as end:
+                found: Maximum = end.value
+                return found
+            yield cost
+
+    def averaged(
+        self,
+        points: Points,
+        best: Maximum,
+        grid: Sequence[WeighedScales],
+        held: int | None = None,
+    ) -> Parts[Solution]:
+        """Return the mixture over a grid of scales: see :func:`averaged`."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = averaged(self, points, best, grid, held)
+        yield cost_of(points, grid)
+        return found
 
     def solutions(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
     ) -> list[Solution]:
+        """Return what `solutions_in_parts` does, all of it now."""
+        return ended(self.solutions_in_parts(points, starts, scales, converged))
+
+    def solutions_in_parts(
+        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
+    ) -> Parts[list[Solution]]:
         """Return the posterior about each of the maxima that the starts lead to, the best first.
 
         Raises
@@ -93,15 +128,15 @@ class Posterior(Density):
             If no start has a finite stress.
         """
         found: list[Solution] = []
-        with np.errstate(over="ignore", invalid="ignore"):
-            # Roughly: most starts lead to the same maximum, which is then refined once.
-            seen: list[Maximum] = []
-            for maximum in self._maxima(points, starts, scales):
-                if any(_are_one(maximum, other) for other in seen):
-                    continue
-                seen.append(maximum)
-                with contextlib.suppress(*UNSOLVABLE):
-                    found.append(self._refined(points, maximum, converged))
+        # Roughly: most starts lead to the same maximum, which is then refined once.
+        seen: list[Maximum] = []
+        maxima = yield from self._maxima(points, starts, scales)
+        for maximum in maxima:
+            if any(_are_one(maximum, other) for other in seen):
+                continue
+            seen.append(maximum)
+            with contextlib.suppress(*UNSOLVABLE):
+                found.append((yield from self._refined(points, maximum, converged)))
         if not found:
             raise FloatingPointError("no start leads to a maximum with a finite evidence")
         return found
@@ -132,17 +167,21 @@ class Posterior(Density):
         of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
         return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
 
-    def _refined(self, points: Points, best: Maximum, converged: float) -> Solution:
+    def _refined(self, points: Points, best: Maximum, converged: float) -> Parts[Solution]:
         """Return the solution about a maximum that is nearly found, at the scales best there."""
         seen = [] if converged < NEARLY_FOUND else [best.scales]
-        found = averaged(self, points, best, self.grid)
+        found = yield from self.averaged(points, best, self.grid)
         while found.best_scales not in seen:
             seen.append(found.best_scales)
-            best = self._again(points, best, found.best_scales, converged)
-            found = averaged(self, points, best, self.grid)
+            best = yield from self._again(points, best, found.best_scales, converged)
+            found = yield from self.averaged(points, best, self.grid)
         return self._considered(points, found)
 
     def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
+        """Return what `tracked_in_parts` does, all of it now."""
+        return ended(self.tracked_in_parts(points, state, before))
+
+    def tracked_in_parts(self, points: Points, state: Array, before: Solution) -> Parts[Solution]:
         """Return the posterior from the state of one of a shorter record, in less time.
 
         The maximum is nearly found, and only the scales beside the best one before are weighed;
@@ -153,29 +192,30 @@ class Posterior(Density):
         FloatingPointError
             If the stress is not finite at the state.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
-            scales = before.best_scales
-            best = self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
-            near = beside(self.grid, scales)
-            others = before.scales.keys() - {w.scales for w in near}
-            near += tuple(w for w in self.grid if w.scales in others)
-            found = averaged(self, points, best, near)
-            if found.best_scales != scales or not best.is_solved:
-                # Under scales that no longer fit, steps are many and short.
-                found = self._at_its_scales(points, best)
-            if not found.is_solved:
-                begun = self.maximum(points, state, self.moderate_scales, NEARLY_FOUND)
-                tried = [found, self._at_its_scales(points, begun)]
-                found = max(tried, key=lambda one: one.log_evidence)
+        scales = before.best_scales
+        best = yield from self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
+        near = beside(self.grid, scales)
+        others = before.scales.keys() - {w.scales for w in near}
+        near += tuple(w for w in self.grid if w.scales in others)
+        found = yield from self.averaged(points, best, near)
+        if found.best_scales != scales or not best.is_solved:
+            # Under scales that no longer fit, steps are many and short.
+            found = yield from self._at_its_scales(points, best)
+        if not found.is_solved:
+            begun = yield from self.maximum(points, state, self.moderate_scales, NEARLY_FOUND)
+            tried = [found, (yield from self._at_its_scales(points, begun))]
+            found = max(tried, key=lambda one: one.log_evidence)
         return self._considered(points, found)
 
-    def _at_its_scales(self, points: Points, begun: Maximum) -> Solution:
+    def _at_its_scales(self, points: Points, begun: Maximum) -> Parts[Solution]:
         """Return the solution about the maximum at the scales that are best where it begins."""
-        chosen = averaged(self, points, begun, self.grid).best_scales
-        best = self._again(points, begun, chosen, NEARLY_FOUND)
-        return averaged(self, points, best, self.grid)
+        chosen = (yield from self.averaged(points, begun, self.grid)).best_scales
+        best = yield from self._again(points, begun, chosen, NEARLY_FOUND)
+        return (yield from self.averaged(points, best, self.grid))
 
-    def _again(self, points: Points, begun: Maximum, scales: Scales, converged: float) -> Maximum:
+    def _again(
+        self, points: Points, begun: Maximum, scales: Scales, converged: float
+    ) -> Parts[Maximum]:
         """Return the maximum at other scales, from that of some."""
         return self.maximum(points, begun.state, scales, converged, known=begun.evaluation)
 
@@ -187,7 +227,7 @@ class Posterior(Density):
         scales: Scales,
         most: int = MOST_STEPS,
         known: Evaluation | None = None,
-    ) -> Solution:
+    ) -> Parts[Solution]:
         """Return the posterior given the unknown at a place, at one place of the grid.
 
         `most`: steps at most; `known`: the evaluation at the state.
@@ -197,9 +237,8 @@ class Posterior(Density):
         FloatingPointError
             If the stress is not finite at the state.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
-            best = self.maximum(points, state, scales, NEARLY_FOUND, most, place, known)
-            return averaged(self, points, best, (WeighedScales(scales, 0.0),), place)
+        best = yield from self.maximum(points, state, scales, NEARLY_FOUND, most, place, known)
+        return (yield from self.averaged(points, best, (WeighedScales(scales, 0.0),), place))
 
     def _considered(self, points: Points, found: Solution) -> Solution:
         """Return a solution with the covariance that the order's own adds (Schmidt and Kalman)."""
@@ -217,12 +256,14 @@ class Posterior(Density):
         shift[ORDER] = 1.0
         return replace(found, considered=self._order_sd**2 * np.outer(shift, shift))
 
-    def _maxima(self, points: Points, starts: Sequence[Array], scales: Scales) -> list[Maximum]:
+    def _maxima(
+        self, points: Points, starts: Sequence[Array], scales: Scales
+    ) -> Parts[list[Maximum]]:
         """Return the maxima that are likely, best first; they are compared by the same errors."""
         maxima = []
         for start in starts:
             with contextlib.suppress(*UNSOLVABLE):
-                maxima.append(self.maximum(points, start, scales, NEARLY_FOUND))
+                maxima.append((yield from self.maximum(points, start, scales, NEARLY_FOUND)))
         for _ in range(len(maxima) if len(maxima) > 1 else 0):
             best = maxima[0]
             compared = [replace(m, errors=best.errors) for m in maxima]

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.beside import Pending
 from fden_ros.core.estimation.change import (
     LOOK_PERIOD,
     PROMISING,
@@ -32,6 +31,7 @@ from fden_ros.core.estimation.change import (
 )
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -45,10 +45,9 @@ from fden_ros.core.law.characteristic import elastic_response
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: A solution is used so long after its record has ended [s]: it takes up to 40 ms. At 10 Hz that
-#: is with the next sample. Where it is asked whether the relaxation ends it is twice as long: that
-#: takes up to 130 ms.
-SOLUTION_TIME = 0.095
+#: A solution goes on by so many points evaluated at each block, and is used at the block in which
+#: it ends.
+BUDGET = 2000
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -63,7 +62,7 @@ class _Begun(NamedTuple):
 
     search: Search
     compression: float  #: largest of its record [1]
-    found: Pending[Solved]
+    found: Advanced[Solved]
     since: list[Block]  #: the blocks after its record
 
 
@@ -192,9 +191,7 @@ class PressPosterior:
             innovation = self._filtered(self.filter, blocks, compression)
         if self._begun is not None:
             self._begun.since.extend(blocks)
-            search = self._begun.search
-            patience = SOLUTION_TIME * (2 if search.care == Care.ASKED else 1)
-            if self._now - self._start - search.elapsed > patience:
+            if self._begun.found.advance(BUDGET):
                 self.go_on()
         self._samples = []
         self._blocks += 1
@@ -307,7 +304,7 @@ class PressPosterior:
             self._blocks_at_starts = self._blocks
         made, elapsed = self._made(self.events), self._now - self._start
         search = Search(self.setting, made, points, self.solved, elapsed, self.deepest, care)
-        found = Pending(search.solved, self._executor)
+        found = Advanced(search.in_parts)
         self._begun = _Begun(search, self.record.max_compression, found, [])
         self.begun_at = self._blocks
 

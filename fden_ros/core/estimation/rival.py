@@ -17,11 +17,12 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.maximum import NEARLY_FOUND
+from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.solution import Solution, evidence_under
+from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
@@ -59,7 +60,7 @@ def mismatch_log_odds(
     solution: Solution,
     posterior: Posterior,
     made: Callable[[type[PressModel]], Posterior],
-) -> float:
+) -> Parts[float]:
     """Return the log evidence of the rival over that of the power law.
 
     Parameters
@@ -76,7 +77,7 @@ def mismatch_log_odds(
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
     first = solution.best_scales._replace(kernel=_least_kernel(posterior))
-    law = _solution(_straight(made(PressModel), start), points, start, first)
+    law = yield from _solution(_straight(made(PressModel), start), points, start, first)
     if law is None:
         return -math.inf
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
@@ -91,9 +92,10 @@ def mismatch_log_odds(
         rival = _straight(made(_Maxwell), at)
         assert isinstance(rival.model, _Maxwell)
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
-        found = _solution(rival, points, at, scales)
+        found = yield from _solution(rival, points, at, scales)
         if found is not None:
             rivals.append(evidence_under(rival, points, found, errors, rival.grid))
+            yield cost_of(points, rival.grid)
             at, scales = found.maximum.state, found.best_scales
     if not rivals:
         return -math.inf
@@ -131,9 +133,10 @@ def _least_kernel(posterior: Posterior) -> float:
 
 def _solution(
     posterior: Posterior, points: Points, start: Array, scales: Scales
-) -> Solution | None:
+) -> Parts[Solution | None]:
     """Return the posterior about the maximum near a start; None: there is none."""
     try:
-        return posterior.solutions(points, [start], scales, NEARLY_FOUND)[0]
+        found = yield from posterior.solutions_in_parts(points, [start], scales, NEARLY_FOUND)
+        return found[0]
     except UNSOLVABLE:
         return None

@@ -18,6 +18,7 @@ from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.maximum import CONVERGED, NEARLY_FOUND
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
+from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -94,20 +95,25 @@ class Search:
         return self.made(PressModel)
 
     def solved(self) -> Solved:
-        """Return the solution.
+        """Return the solution, all of it now."""
+        return ended(self.in_parts())
+
+    def in_parts(self) -> Parts[Solved]:
+        """Return the solution in parts.
 
         Raises
         ------
         FloatingPointError, OverflowError, numpy.linalg.LinAlgError
             If there is none.
         """
-        modes = self._modes()
+        modes = yield from self._modes()
+        mismatch = yield from self._mismatch_probability(modes.best)
         return Solved(
             self.posterior,
             modes,
             self._law_error(modes.best),
             contradicts(modes.best.residuals),
-            self._mismatch_probability(modes.best),
+            mismatch,
         )
 
     def _law_error(self, best: Solution) -> LawError | None:
@@ -116,18 +122,18 @@ class Search:
             return None
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
-    def _mismatch_probability(self, best: Solution) -> float | None:
+    def _mismatch_probability(self, best: Solution) -> Parts[float | None]:
         """Return the probability of a relaxation that ends; None: it is not asked for."""
         is_asked = self.care in (Care.ASKED, Care.LAST)
         if not is_asked or not self.setting.can_tell_mismatch:
             return None
-        odds = mismatch_log_odds(self.points, best, self.posterior, self.made)
+        odds = yield from mismatch_log_odds(self.points, best, self.posterior, self.made)
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)
 
-    def _modes(self) -> Modes:
+    def _modes(self) -> Parts[Modes]:
         posterior, points, before = self.posterior, self.points, self.before
         tracked: list[tuple[Array, Solution]] = []
         strain = self._strain(0.0)
@@ -137,11 +143,13 @@ class Search:
         converged = CONVERGED if self.care >= Care.EXACT else NEARLY_FOUND
         if tracked and self.care < Care.FROM_STARTS:
             try:
-                return follow_modes(posterior, points, tracked, strain)
+                return (yield from follow_modes(posterior, points, tracked, strain))
             except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         first, starts = posterior.moderate_scales, self._starts()
-        return find_modes(posterior, points, starts, first, tracked, strain, converged)
+        return (
+            yield from find_modes(posterior, points, starts, first, tracked, strain, converged)
+        )
 
     def _starts(self) -> list[Array]:
         posterior, points = self.posterior, self.points

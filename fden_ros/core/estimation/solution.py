@@ -73,6 +73,15 @@ class _Member(NamedTuple):
     equations: Array  #: the normal equations, and the gradient behind them
 
 
+#: What a place of the grid costs, in points evaluated [1].
+_PLACE_COST = 10
+
+
+def cost_of(points: Points, grid: Sequence[WeighedScales]) -> int:
+    """Return what a mixture over a grid costs, in points evaluated."""
+    return points.times.size + _PLACE_COST * len(grid)
+
+
 def averaged(
     density: Density,
     points: Points,
