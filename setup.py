@@ -6,6 +6,25 @@
 from glob import glob
 
 from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CCompilerError, ExecError
+
+COMPILED = "fden_ros/core/estimation/compiled"
+
+
+class BuildLoops(build_ext):
+    """Compile, or say in one line what is missing."""
+
+    def build_extension(self, ext):
+        """Build an extension."""
+        try:
+            super().build_extension(ext)
+        except (CCompilerError, ExecError, OSError) as error:
+            raise SystemExit(
+                f"fden_ros needs a C compiler and Python's headers ({error}): "
+                "sudo apt-get install build-essential python3-dev"
+            ) from None
+
 
 setup(
     name="fden_ros",
@@ -26,16 +45,15 @@ setup(
         ("share/fden_ros/config/robots", sorted(glob("config/robots/*.yaml"))),
         ("share/fden_ros/bags", sorted(glob("bags/*.yaml"))),
     ],
-    # A plain library without Python in it, for ctypes; without a compiler numpy stands in for it.
     ext_modules=[
         Extension(
             "fden_ros.core.estimation._loops",
-            ["fden_ros/core/estimation/_loops.c"],
-            depends=["setup.py"],
-            extra_compile_args=["-O3", "-ffp-contract=off"],
-            optional=True,
+            [f"{COMPILED}/{name}.c" for name in ("module", "response", "linear")],
+            depends=["setup.py", f"{COMPILED}/loops.h"],
+            extra_compile_args=["-O3", "-ffp-contract=off", "-fno-loop-interchange", "-fno-wrapv"],
         )
     ],
+    cmdclass={"build_ext": BuildLoops},
     zip_safe=False,
     # The lower bounds are what Ubuntu 24.04, the platform of ROS 2 Jazzy, has.
     install_requires=[

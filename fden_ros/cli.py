@@ -48,24 +48,12 @@ Identify soft tissue from force and displacement with the FDEN model.
 """
 
 
-class _Version(argparse.Action):
-    """Print the version, and where the estimator is not compiled, that."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from fden_ros.core.estimation import loops
-
-        print(f"fden {__version__}")
-        if slow := loops.notice():
-            print(slow)
-        parser.exit()
-
-
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of ``fden`` with every subcommand."""
     parser = Parser(
         prog="fden", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    parser.add_argument("--version", action="version", version=f"fden {__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         module = importlib.import_module(f"fden_ros.commands.{name}")

@@ -5,36 +5,36 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import loops_in_numpy
 import numpy as np
 import pytest
 
-from fden_ros import cli
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops, loops_in_numpy
-from fden_ros.core.estimation.loop_arguments import (
+from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.loops import (
     BY_COMPLIANCE,
     BY_FIRST_KNOT,
     BY_LOG_G,
     BY_LOG_GN,
     BY_NOTHING,
-    RATES,
     Columns,
     LawState,
     Response,
     ResponseState,
+    Steps,
     WalkState,
 )
+from fden_ros.core.law.relaxation import COUNT as RATES
 from fden_ros.simulation.model import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 
 SPACING = 0.77
 RATES_OF_KERNEL = np.exp(np.log(1e-6) + SPACING * np.arange(RATES))
 KNOTS = 7
-
-needs_compiled = pytest.mark.skipif(loops.notice() is not None, reason="not compiled")
 
 
 def weights_of(alpha: float) -> Array:
@@ -75,9 +75,9 @@ def stacked(columns: list[Column], part: slice, size: int) -> Columns:
         return np.array([np.zeros(width) if g is None else g for g in given]).reshape(-1, width)
 
     return Columns(
-        np.array([c.kind for c in columns], dtype=np.int32),
+        np.array([c.kind for c in columns], dtype=np.int64),
         np.ascontiguousarray(rows("motion", size)[:, part]),
-        np.arange(len(columns), dtype=np.int32),
+        np.arange(len(columns), dtype=np.int64),
         rows("weights", RATES + 2),
         np.ascontiguousarray(rows("surface", size)[:, part]),
     )
@@ -155,15 +155,6 @@ CASES = {
 by_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 
 
-@pytest.fixture(params=["compiled", "numpy"])
-def either(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both kinds of loops, one after the other."""
-    if request.param == "numpy":
-        monkeypatch.setattr(loops, "_COMPILED", None)
-    elif loops.notice() is not None:
-        pytest.skip("not compiled")
-
-
 def response(
     case: Case,
     columns: list[Column],
@@ -176,13 +167,14 @@ def response(
     """
     state = ResponseState(len(columns))
     size = case.durations.size
-    by_step = loops_in_numpy.moments(case.durations, RATES_OF_KERNEL)
+    by_step = Steps.of(case.durations)
     results = []
     for part in (slice(0, cut), slice(cut, None)):
-        steps = case.durations[part], by_step[part]
+        places = np.arange(case.durations[part].size)
+        steps = Steps(case.durations[part], by_step.moments[part], places, places)
         surface = None if case.surface is None else case.surface[part]
         own, motion = stacked(columns, part, size), case.compressions[part]
-        results.append(respond(case.law, RATES_OF_KERNEL, steps, motion, surface, own, state))
+        results.append(respond(case.law, steps, motion, surface, own, state))
     found = np.hstack([[r.stress, r.elastic, r.slope] for r in results])
     return found, np.concatenate([r.jacobian for r in results]).T, state
 
@@ -199,24 +191,24 @@ def assert_rows_agree(found: Array, expected: Array, tolerance: float) -> None:
     assert (np.abs(found - expected) <= tolerance * peaks).all()
 
 
-@needs_compiled
 def test_compiled_moments_are_those_of_numpy():
     durations = np.array([0.0, 1e-6, 1e-3, 0.02, 1.0, 1e3])
-    found = loops.moments(durations, RATES_OF_KERNEL)
+    found = loops.moments(durations)
     expected = loops_in_numpy.moments(durations, RATES_OF_KERNEL)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-300)
 
 
-@needs_compiled
 @by_case
 @pytest.mark.parametrize("cut", [0, 1, 60])
 def test_the_compiled_response_is_that_of_numpy(case, cut):
     compiled = response(case, case.columns(), cut=cut)
     found, jacobian, state = response(case, case.columns(), loops_in_numpy.respond, cut)
     assert np.ptp(found, axis=1).all()
-    assert_rows_agree(compiled[0], found, 1e-12)
-    assert_rows_agree(compiled[1], jacobian, 1e-12)
-    assert_rows_agree(compiled[2].values, state.values, 1e-12)
+    assert_rows_agree(compiled[0][:2], found[:2], 1e-10)
+    # Newton's method leaves 1e-9 of the compression, of which no derivative is made good.
+    assert_rows_agree(compiled[0][2:], found[2:], 1e-7)
+    assert_rows_agree(compiled[1], jacobian, 1e-7)
+    assert_rows_agree(compiled[2].values, state.values, 1e-7)
 
 
 def moved(case: Case, column: Column, change: float) -> Case:
@@ -254,7 +246,7 @@ def test_derivatives_are_central_differences(case):
     assert_rows_agree(jacobian, np.array(differences) / (2.0 * step), tolerance)
 
 
-def test_the_slope_at_a_touch_does_not_depend_on_rounding(either):
+def test_the_slope_at_a_touch_does_not_depend_on_rounding():
     law = replace(BASE, compliance=0.05)
     for start in np.linspace(-0.02, -0.01, 40):
         case = Case(law, np.array([0.0, 0.01, 0.01]), np.array([start, 0.01, 0.02]))
@@ -264,7 +256,7 @@ def test_the_slope_at_a_touch_does_not_depend_on_rounding(either):
         assert_rows_agree(jacobian[0], (up - down) / 2e-6, 1e-6)
 
 
-def test_a_step_that_newton_first_takes_for_a_release_is_whole(either):
+def test_a_step_that_newton_first_takes_for_a_release_is_whole():
     law = replace(BASE, compliance=0.2)
     motion = np.array([0.0, 0.1, 0.3, 0.05, 0.05])
     case = Case(law, np.array([0.0, 0.01, 0.01, 0.01, 0.01]), motion)
@@ -276,7 +268,7 @@ def test_a_step_that_newton_first_takes_for_a_release_is_whole(either):
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_response_that_is_no_number_is_refused(number, either):
+def test_a_response_that_is_no_number_is_refused(number):
     durations, motion = motion_of(-0.01, 0.2)
     bent = replace(BASE, bend=BEND)
     for law, bad in ((bent, 20), (replace(BASE, linear_stiffness=number), None)):
@@ -288,7 +280,7 @@ def test_a_response_that_is_no_number_is_refused(number, either):
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.15, 0.4])
-def test_ramp_and_hold_are_those_of_the_closed_form(alpha, either):
+def test_ramp_and_hold_are_those_of_the_closed_form(alpha):
     times = np.unique([*np.linspace(0.0, 1.0, 201), *(1.0 + np.geomspace(1e-3, 100.0, 60))])
     motion = 0.3 * np.minimum(times, 1.0)
     law = replace(BASE, weights=weights_of(alpha))
@@ -299,22 +291,27 @@ def test_ramp_and_hold_are_those_of_the_closed_form(alpha, either):
     np.testing.assert_allclose(stress, truth, atol=1e-5 * truth.max())
 
 
-def walked_rows() -> tuple[Array, Array, Array, tuple[Array, Array], WalkState]:
-    """Rows, variances of their noise, gains, variances of the walks, and their state before."""
+def walked_rows() -> tuple[Array, Array, WalkState]:
+    """Rows, errors of their blocks, and the walks before."""
     random = np.random.default_rng(7)
-    noise, *walks = random.uniform(0.5, 2.0, (3, 60))
+    errors = random.uniform(0.5, 2.0, (5, 60))
+    errors[1] = random.normal(size=60)
     state = WalkState(np.array([0.8, 0.1, 0.3]), np.zeros((2, 5)))
-    return random.normal(size=(60, 5)), noise, random.normal(size=60), (walks[0], walks[1]), state
+    return random.normal(size=(60, 5)), errors, state
 
 
-def test_whitening_is_that_by_the_covariance_of_all_measurements(either):
-    rows, noise, gain, walks, state = walked_rows()
+ROUGHNESS, MOTION = 0.7, 1.3
+
+
+def test_whitening_is_that_by_the_covariance_of_all_measurements():
+    rows, errors, state = walked_rows()
+    noise, gain, rough, drift, motion = errors
     stress, both, surface = state.covariance
     first = np.minimum.outer(np.arange(60), np.arange(60))
     covariance = (
         np.diag(noise)
-        + (stress + np.cumsum(walks[0]))[first]
-        + np.outer(gain, gain) * (surface + np.cumsum(walks[1]))[first]
+        + (stress + np.cumsum(ROUGHNESS**2 * rough + drift))[first]
+        + np.outer(gain, gain) * (surface + np.cumsum(MOTION**2 * motion))[first]
         + both * np.add.outer(gain, gain)
     )
     root = np.linalg.cholesky(covariance)
@@ -322,13 +319,22 @@ def test_whitening_is_that_by_the_covariance_of_all_measurements(either):
     log_determinant = 0.0
     # In two parts that continue each other.
     for part in (slice(0, 25), slice(25, 60)):
-        own = noise[part], gain[part], (walks[0][part], walks[1][part])
-        log_determinant += loops.whiten(rows[part], *own, state)
+        own = np.ascontiguousarray(errors[:, part])
+        log_determinant += loops.whiten(rows[part], own, ROUGHNESS, MOTION, state)
     np.testing.assert_allclose(rows, expected, atol=1e-12)
     assert log_determinant == pytest.approx(2.0 * np.log(np.diag(root)).sum(), rel=1e-13)
 
 
-@needs_compiled
+def test_products_are_those_of_whitened_rows():
+    rows, errors, state = walked_rows()
+    whitened, copy = rows.copy(), WalkState(state.covariance.copy(), state.means.copy())
+    expected = loops.whiten(whitened, errors, ROUGHNESS, MOTION, copy)
+    products, found = loops.equations(rows, errors, ROUGHNESS, MOTION, state)
+    assert found == expected
+    np.testing.assert_array_equal(rows, whitened)
+    np.testing.assert_allclose(products, whitened.T @ whitened, rtol=1e-12, atol=1e-12)
+
+
 def test_the_compiled_age_of_a_loading_is_that_of_numpy():
     random = np.random.default_rng(5)
     loaded, seconds = random.uniform(0.1, 2.0, 50), random.uniform(0.01, 0.5, 50)
@@ -339,22 +345,70 @@ def test_the_compiled_age_of_a_loading_is_that_of_numpy():
     np.testing.assert_allclose(*states, rtol=1e-12)
 
 
-def test_systems_are_eliminated_by_cholesky(either):
+def normal_equations(held: int) -> tuple[loops.Scaled, Array]:
+    """Of nine unknowns, the last three and the three before with priors of scales; these."""
     random = np.random.default_rng(6)
-    roots = random.normal(size=(3, 9, 6))
-    matrices, sides = roots.transpose(0, 2, 1) @ roots, random.normal(size=(3, 6, 2))
-    systems = np.concatenate([matrices, sides], axis=2)
-    loops.eliminate(systems)
-    upper, below = np.triu(systems[:, :, :6]), systems[:, :, 6:]
-    np.testing.assert_allclose(upper.transpose(0, 2, 1) @ upper, matrices, atol=1e-12)
-    np.testing.assert_allclose(upper.transpose(0, 2, 1) @ below, sides, atol=1e-12)
+    roots = random.normal(size=(4, 9, 9))
+    normal, base, kernel, characteristic = roots.transpose(0, 2, 1) @ roots
+    base[3:], base[:, 3:] = 0.0, 0.0
+    own = np.ascontiguousarray
+    fields = own(kernel[:3, :3]), own(characteristic[:3, :3])
+    towards, off = random.normal(size=(2, 9))
+    places = np.array([[a, b] for a in (0.5, 2.0) for b in (0.1, 1.0, 3.0)])
+    return loops.Scaled(towards, normal, base, off, 3, 6, held, *fields), places
+
+
+def system_at(scaled: loops.Scaled, place: Array) -> tuple[Array, Array, float]:
+    """A, g, and the square of the pull, by numpy."""
+    prior = scaled.base.copy()
+    assert scaled.kernel_prior is not None and scaled.characteristic_prior is not None
+    prior[3:6, 3:6] += place[0] * scaled.kernel_prior
+    prior[6:, 6:] += place[1] * scaled.characteristic_prior
+    matrix, side = scaled.normal + prior, scaled.towards + prior @ scaled.off
+    if scaled.held >= 0:
+        matrix[scaled.held], matrix[:, scaled.held] = 0.0, 0.0
+        matrix[scaled.held, scaled.held], side[scaled.held] = 1.0, 0.0
+    return matrix, side, float(scaled.off @ prior @ scaled.off)
+
+
+@pytest.mark.parametrize("held", [-1, 1])
+def test_places_of_the_scales_are_weighed_and_mixed_as_by_numpy(held):
+    scaled, places = normal_equations(held)
+    weights = np.linspace(0.1, 1.0, len(places))
+    mean, second = np.zeros(9), np.zeros((9, 9))
+    gains = loops.weigh(scaled, places)
+    loops.mix(scaled, places, weights, mean, second)
+    expected = []
+    expected_mean, expected_second = np.zeros(9), np.zeros((9, 9))
+    for place, weight in zip(places, weights, strict=True):
+        matrix, side, pull = system_at(scaled, place)
+        step = np.linalg.solve(matrix, side)
+        expected.append(0.5 * (side @ step - pull - np.linalg.slogdet(matrix)[1]))
+        expected_mean += weight * step
+        expected_second += weight * (np.linalg.inv(matrix) + np.outer(step, step))
+    np.testing.assert_allclose(gains, expected, rtol=1e-11)
+    np.testing.assert_allclose(mean, expected_mean, rtol=1e-10)
+    np.testing.assert_allclose(second, expected_second, rtol=1e-9, atol=1e-12)
+
+
+def test_normal_equations_are_solved_and_indefinite_ones_refused():
+    scaled, places = normal_equations(-1)
+    matrix, side, _ = system_at(scaled, places[0])
+    np.testing.assert_allclose(loops.solve(matrix, side), np.linalg.solve(matrix, side), rtol=1e-9)
     with pytest.raises(np.linalg.LinAlgError):
-        loops.eliminate(-systems)
+        loops.solve(-matrix, side)
+    with pytest.raises(np.linalg.LinAlgError):
+        loops.weigh(scaled._replace(normal=-1e3 * scaled.normal), places)
 
 
-def test_without_compiled_loops_a_line_says_so(monkeypatch, capsys):
-    monkeypatch.setattr(loops, "_COMPILED", None)
-    assert "without its compiled part" in (loops.notice() or "")
-    with pytest.raises(SystemExit):
-        cli.main(["--version"])
-    assert loops.notice() in capsys.readouterr().out
+def test_what_does_not_fit_the_compiled_loops_is_refused():
+    with pytest.raises(ValueError, match="contiguous array of float64"):
+        loops.solve(np.eye(3, dtype=np.float32), np.ones(3))
+    with pytest.raises(ValueError, match="9 of them"):
+        loops.solve(np.eye(2), np.ones(3))
+
+
+def test_another_version_of_the_compiled_part_is_refused(monkeypatch):
+    monkeypatch.setattr(loops._compiled, "VERSION", -1)
+    with pytest.raises(ImportError, match="build-essential"):
+        importlib.reload(loops)

@@ -173,7 +173,7 @@ def test_the_solution_is_the_maximum_that_an_independent_optimiser_finds(
     def residuals(off: Array) -> Array:
         state = maximum.state + off * sd
         rows = (points.stresses - posterior.model.response(points, state).stress)[:, None]
-        white, _, _ = posterior.error_model.whitened(
+        white = posterior.error_model.whitened(
             rows, maximum.errors, maximum.scales.roughness, maximum.scales.motion
         )
         return np.concatenate([white[:, 0], root @ (state - posterior.belief.mean)])
@@ -278,8 +278,8 @@ def test_the_filter_is_where_the_next_solution_is(motion_noise: float) -> None:
 
 
 def test_the_walks_gain_variance_by_the_square_of_their_scales() -> None:
-    one = np.ones(3)
-    errors = Errors(one, one, one, 2.0 * one, one, Loading(0.0, 1.0, 1.0))
+    rows = np.array([1.0, 1.0, 1.0, 2.0, 1.0])[:, None] * np.ones(3)
+    errors = Errors(rows, Loading(0.0, 1.0, 1.0))
     stress, surface = errors.walks(0.5, 3.0)
     assert np.all(stress == 0.25 + 2.0) and np.all(surface == 9.0)
 

@@ -62,15 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay and print; return the exit code."""
-    from fden_ros.core.estimation import loops
     from fden_ros.offline.replay import replay
 
     if args.output is None and args.force:
         args.parser.error("--force is about OUT: give -o OUT too")
     parameters, selection = parameters_of(args), selection_of(args)
     progress = sys.stderr.isatty()
-    if slow := loops.notice():
-        print(f"fden: {slow}", file=sys.stderr)
     if args.output is None:
         result = replay(args.bag, parameters, selection, progress=progress)
         return _shown(result, parameters, args.json)

@@ -14,14 +14,13 @@ from fden_ros.control.left_out import Hold, Point, Slope
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.loop_arguments import Columns, LawState, ResponseState
+from fden_ros.core.estimation.loops import LawState, ResponseState, Steps
 from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
-    RATES,
     SHORTEST_STEP,
     StressMoments,
     creep_weights,
@@ -144,10 +143,9 @@ class TissueMemory:
         if not times.size:
             return np.zeros(0)
         steps = np.diff(times, prepend=times[0] if begin is None else begin)
-        by_step = steps, loops.moments(steps, RATES)
         surface = self._free.at(times) @ creep_weights(order)
-        none, compressions = Columns.none(times.size), np.ascontiguousarray(compressions)
-        found = loops.respond(law, RATES, by_step, compressions, surface, none, state)
+        own = Steps.of(steps)
+        found = loops.respond(law, own, np.ascontiguousarray(compressions), surface, None, state)
         return found.stress
 
     def slope(self, age: float) -> Slope | None:

@@ -26,7 +26,6 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.service import Service
 from std_srvs.srv import Trigger
 
-from fden_ros.core.estimation import loops
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.descriptors import descriptor_of
@@ -186,8 +185,6 @@ class Identifier(LifecycleNode):
             )
         ]
         self._is_configured = True
-        if slow := loops.notice():
-            self.get_logger().warning(slow)
         self.get_logger().info(f"configured: silent until it is activated{self._by('activate')}")
 
     def _activate(self) -> None:

@@ -23,7 +23,6 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.density import Belief
-from fden_ros.core.estimation.maximum import inverted
 from fden_ros.core.estimation.modes import find_modes
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
@@ -154,7 +153,7 @@ class Forecast:
                 if setting.origin_sd:
                     evaluation.jacobian[:, ORIGIN] *= touch.origin_sd / setting.origin_sd
                 errors = posterior.error_model.errors(points, state, evaluation)
-                white, _, _ = posterior.error_model.whitened(
+                white = posterior.error_model.whitened(
                     evaluation.jacobian, errors, scales.roughness, scales.motion
                 )
                 kept, is_left = _kept(motion, points, evaluation)
@@ -256,6 +255,6 @@ def _repeated(normal: Array, prior: Array, lasting: Array, presses: int) -> list
 
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a precision."""
-    root = inverted(np.column_stack([matrix, np.zeros(len(matrix))])[None])[0][0]
+    root = np.linalg.inv(np.linalg.cholesky(matrix))
     result: Array = root.T @ root
     return result

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
-from fden_ros.core.estimation.maximum import solved
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN
@@ -34,9 +34,13 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
     "thickness": (),
     "prior": LAW,
 }
-#: What is left of the variances of errors that are known [1]: with no noise there would be nothing
-#: to weigh by.
-_LEFT: Mapping[str, float] = {"noise": 1e-8, "drift": 0.0, "motion": 0.0}
+#: Rows of the errors, and what is left of their variances where they are known [1]: with no noise
+#: there would be nothing to weigh by.
+_LEFT: Mapping[str, tuple[int, float]] = {
+    "noise": (0, 1e-8),
+    "drift": (3, 0.0),
+    "motion": (4, 0.0),
+}
 
 
 @dataclass(frozen=True)
@@ -103,12 +107,15 @@ class _Press:
         """Return the variances of ln G and ln Gn, shape (2,), with a source known."""
         errors, noise = self._errors, self._noise
         if source in _LEFT:
-            errors = replace(errors, **{source: _LEFT[source] * getattr(errors, source)})
+            row, left = _LEFT[source]
+            rows = errors.rows.copy()
+            rows[row] *= left
+            errors = replace(errors, rows=rows)
         if source == "drift":
             noise = replace(noise, zero=0.0)
         roughness = 0.0 if source == "law" else self._scales.roughness
         error_model = ErrorModel(self._model, self._uncertainty, noise)
-        white, _, _ = error_model.whitened(self._rows, errors, roughness, self._scales.motion)
+        white = error_model.whitened(self._rows, errors, roughness, self._scales.motion)
         normal = white.T @ white + self._precision
         return np.array([self._variance(normal, k, source) for k in (LOG_G, LOG_GN)])
 
@@ -122,4 +129,4 @@ class _Press:
         if place not in free:
             return 0.0
         towards = np.array([float(k == place) for k in free])
-        return float(towards @ solved(normal[np.ix_(free, free)], towards))
+        return float(towards @ loops.solve(normal[np.ix_(free, free)], towards))

@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.error_model import ErrorModel, Errors
-from fden_ros.core.estimation.loop_arguments import WalkState
+from fden_ros.core.estimation.loops import WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
@@ -75,6 +77,35 @@ class Priors(NamedTuple):
             result[place, place] = field.precision / scale**2
         return result
 
+    def equations(self, about: Linear, off: Array, held: int | None) -> loops.Scaled:
+        """Return the normal equations about a state, whose prior depends on the scales.
+
+        `off`: the prior's mean from there; `held`: an unknown that stays; None: none.
+        """
+        kernel, characteristic = None, None
+        if self.fields is not None:
+            kernel, characteristic = (field.precision for field in self.fields)
+        places = self.model.kernel.start, self.model.characteristic.start
+        stays = -1 if held is None else held
+        normal = about.towards, about.normal, self.base, off
+        return loops.Scaled(*normal, *places, stays, kernel, characteristic)
+
+    def inverse_squares(self, places: Sequence[Scales]) -> Array:
+        """Return those of the scales of kernel and characteristic, (places, 2).
+
+        Raises
+        ------
+        FloatingPointError
+            If the scales give errors no size: those of an earlier press that had told them.
+        """
+        scales = np.array([place[:2] for place in places])
+        if self.fields is None:
+            return np.zeros_like(scales)
+        if not scales.all():
+            raise FloatingPointError("errors without a size have no prior")
+        result: Array = scales**-2.0
+        return result
+
     def log_determinant(self, scales: Scales) -> float:
         """Return the logarithm of the precision's determinant, but for what is the same to all."""
         if self.fields is None:
@@ -89,21 +120,11 @@ class Linear(NamedTuple):
     """A record about one state, whitened: independent and of variance 1."""
 
     residuals: Array  #: (m,)
-    jacobian: Array  #: of the model, (m, n)
+    normal: Array  #: J^T S^-1 J, (n, n)
+    towards: Array  #: J^T S^-1 r, (n,)
+    square: float  #: r^T S^-1 r
     log_determinant: float  #: of the residuals' covariance
     walk: WalkState  #: the walks at the end of the record
-
-    @property
-    def normal(self) -> Array:
-        """J^T S^-1 J, (n, n)."""
-        result: Array = self.jacobian.T @ self.jacobian
-        return result
-
-    @property
-    def towards(self) -> Array:
-        """J^T S^-1 r, (n,)."""
-        result: Array = self.jacobian.T @ self.residuals
-        return result
 
 
 class Density:
@@ -179,9 +200,14 @@ class Density:
         self, points: Points, found: Evaluation, errors: Errors, roughness: float, motion: float
     ) -> Linear:
         """Return the record about a state, with errors of given roughness and motion."""
-        rows = np.column_stack([points.stresses - found.stress, found.jacobian])
-        white, log_determinant, walk = self.error_model.whitened(rows, errors, roughness, motion)
-        return Linear(white[:, 0], white[:, 1:], log_determinant, walk)
+        rows = np.empty((found.stress.size, 1 + found.jacobian.shape[1]))
+        np.subtract(points.stresses, found.stress, out=rows[:, 0])
+        rows[:, 1:] = found.jacobian
+        walk = self.error_model.walk(rows.shape[1])
+        products, log_determinant = loops.equations(rows, errors.rows, roughness, motion, walk)
+        normal, towards = products[1:, 1:].copy(), products[0, 1:].copy()
+        square = float(products[0, 0])
+        return Linear(rows[:, 0], normal, towards, square, log_determinant, walk)
 
 
 def _weights(off: Array) -> Array:

@@ -29,7 +29,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.estimator_config import Uncertainty
-from fden_ros.core.estimation.loop_arguments import WalkState
+from fden_ros.core.estimation.loops import WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
@@ -65,19 +65,28 @@ class Loading(NamedTuple):
 
 @dataclass(frozen=True)
 class Errors:
-    """The error processes of a record at one state, per block, each of shape (m,)."""
+    """The error processes of a record at one state."""
 
-    noise: Array  #: variances of the blocks [Pa^2]
-    gain: Array  #: stress per compression of the surface [Pa]
-    rough: Array  #: variance of the walk at rho = 1 [Pa^2]
-    #: Variances that drift and surface gain [Pa^2, 1].
-    drift: Array
-    motion: Array
+    #: Of each block: variance of the noise [Pa^2], stress per compression of the surface [Pa],
+    #: variance of the walk at rho = 1 [Pa^2], and the variances that drift [Pa^2] and surface [1]
+    #: gain. Shape (5, m).
+    rows: Array
     loading: Loading  #: at the last block
+
+    @property
+    def noise(self) -> Array:
+        """Variances of the blocks [Pa^2], (m,)."""
+        return self.rows[0]
+
+    @property
+    def gain(self) -> Array:
+        """Stress per compression of the surface [Pa], (m,)."""
+        return self.rows[1]
 
     def walks(self, roughness: float, motion: float) -> tuple[Array, Array]:
         """Return the variances that the walks gain, at scales of roughness and motion."""
-        return roughness**2 * self.rough + self.drift, motion**2 * self.motion
+        _, _, rough, drift, of_surface = self.rows
+        return roughness**2 * rough + drift, motion**2 * of_surface
 
 
 class ErrorModel:
@@ -103,49 +112,32 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        elastic, slope = np.abs(found.elastic), found.slope
         order = self._model.order(state)
-        factor = 1.0 / math.gamma(1.0 - order)
-        stiffness = points.mean(slope)
-        noise = self._noise.stress**2 / points.counts
-        if self._noise.compression:
-            fast = stiffness * factor * np.maximum(points.durations, _SHORTEST) ** -order
-            noise = noise + (fast * self._noise.compression) ** 2 / points.counts
-        step = np.maximum(points.steps, _SHORTEST)
-        # Where the motion bends at the touch, the slope is that of the step behind it.
-        steepest = np.maximum(slope, np.append(slope[1:], 0.0))
-        corner = (_CORNER * points.bends * points.steps * steepest * factor * step**-order) ** 2
-        by_block = np.maximum.reduceat(corner, points.met)
-        by_block[1:] += by_block[:-1].copy()
-        for value, unknown in zip(state, self._model.unknowns, strict=False):
-            if unknown.since is not None:
-                # A block that the change cuts may have had it for all or none of its time, and so
-                # may the next, where the change was that much later.
-                cut = points.middles - points.durations <= unknown.since
-                cut &= unknown.since < points.middles + points.durations
-                by_block += cut * (value * points.mean(elastic * factor * step**-order)) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
-        before = before or Loading(float(points.times[0]), floor, 0.0)
-        seconds = np.diff(points.middles, prepend=before.time)
-        loading = np.array([before.elastic, before.age])
         # An age of less than a block counts as none.
-        clock = loops.clock(points.mean(elastic) + floor, seconds, BLOCK_TIME, loading)
-        return Errors(
-            noise=noise + by_block,
-            gain=-stiffness * apparent_stiffness_factor(order, SURFACE_TIME),
-            rough=found.stress**2 * clock,
-            drift=self._drift * seconds,
-            motion=self._motion * seconds,
-            loading=Loading(float(points.middles[-1]), float(loading[0]), float(loading[1])),
+        numbers = np.array(
+            [
+                *(self._noise.stress**2, self._noise.compression),
+                *(order, 1.0 / math.gamma(1.0 - order)),
+                *(self._drift, self._motion, apparent_stiffness_factor(order, SURFACE_TIME)),
+                *(_CORNER, _SHORTEST, floor, BLOCK_TIME),
+            ]
         )
+        loading = np.array(before or (points.times[0], floor, 0.0))
+        rows = np.empty((5, points.stresses.size))
+        loops.errors(
+            found.elastic, found.slope, found.stress, points.first, points.last, points.met,
+            points.counts, points.durations, points.middles, points.steps, points.bends,
+            *self._model.changes(state), numbers, loading, rows,
+        )  # fmt: skip
+        return Errors(rows, Loading(*loading.tolist()))
 
-    def whitened(
-        self, rows: Array, errors: Errors, roughness: float, motion: float
-    ) -> tuple[Array, float, WalkState]:
-        """Return rows (m, k) as independent and of variance 1, and log det of their covariance."""
-        result = np.ascontiguousarray(rows)
-        if result is rows:
-            result = rows.copy()
-        state = WalkState(np.array([self._noise.zero**2, 0.0, 0.0]), np.zeros((2, rows.shape[1])))
-        walks = errors.walks(roughness, motion)
-        return result, loops.whiten(result, errors.noise, errors.gain, walks, state), state
+    def walk(self, columns: int) -> WalkState:
+        """Return the walks before the first block, seen by so many columns."""
+        return WalkState(np.array([self._noise.zero**2, 0.0, 0.0]), np.zeros((2, columns)))
+
+    def whitened(self, rows: Array, errors: Errors, roughness: float, motion: float) -> Array:
+        """Return rows (m, k) as independent and of variance 1."""
+        result = rows.copy(order="C")
+        loops.whiten(result, errors.rows, roughness, motion, self.walk(rows.shape[1]))
+        return result

@@ -11,10 +11,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
-from fden_ros.core.estimation.loops_in_numpy import splines
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER
+from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, splines
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
     LOWEST_ORDER,

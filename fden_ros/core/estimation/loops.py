@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""The inner loops of the posterior, compiled where a compiler was there at the installation.
+r"""The compiled loops of the posterior.
 
 The law's response to a motion that is linear between points,
 
@@ -16,102 +16,164 @@ is a parabola (a cubic through psi at four Gauss-Lobatto places), so each expone
     M_k(y) = \int_{-1}^{1} e^{-y(1-s)/2} P_k(s)\,ds .
 
 The moments M do not depend on the parameters and are computed once. A derivative is the same
-recursion on the derivative of psi. `_loops.c` holds these functions; those of
-:mod:`fden_ros.core.estimation.loops_in_numpy` are its oracle and stand in for it, some 200 times
-slower.
+recursion on the derivative of psi. Whatever else is done once for each block or place of the grid
+of scales stands there too: the error processes, whitening, normal equations and their weighing.
+The C sources are in `compiled/`; numpy and scipy are their oracle in the tests.
 """
 
 from __future__ import annotations
 
-import ctypes
-from importlib.machinery import EXTENSION_SUFFIXES
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops_in_numpy as in_numpy
-from fden_ros.core.estimation.loop_arguments import (
-    RATES,
-    Columns,
-    LawState,
-    Response,
-    ResponseState,
-    WalkState,
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.law.relaxation import COUNT as RATE_COUNT
+from fden_ros.core.law.relaxation import RATES
+
+_VERSION = 1  #: of what the functions take; raised with every change of it
+_MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
+try:
+    from fden_ros.core.estimation import _loops as _compiled  # type: ignore[attr-defined]
+except ImportError as missing:
+    raise ImportError(f"{_MEND} again") from missing
+if _compiled.VERSION != _VERSION:
+    raise ImportError(f"{_MEND} again: its compiled part is of version {_compiled.VERSION}")
+
+#: Strain about which the splines of the characteristic's error become wider, over that of their
+#: last knot [1]; in `compiled/response.c` too.
+NEAR = 0.1
+#: What of the law a column of derivatives is by; in `compiled/loops.h` too.
+BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT = range(5)
+
+
+@dataclass(frozen=True)
+class LawState:
+    """The law at one state of the parameters."""
+
+    #: G [Pa s^alpha] and Gn [1].
+    linear_stiffness: float
+    nonlinear_stiffness: float
+    exponent: float  #: strain is compression to this power [1]: 1, or 1.5 for a sphere
+    is_one_sided: bool  #: nothing pulls at the probe: without compression there is no stress
+    compliance: float  #: what the stress takes off the compression [1/Pa]
+    weights: Array  #: of the exponentials; then of those slower and of those faster, (RATES + 2,)
+    #: Coefficients of the logarithm of the characteristic's error: a quadratic spline, evenly
+    #: spaced in ln(1 + strain / (NEAR last_knot)). None, or three and more. Shape (knots,).
+    bend: Array
+    last_knot: float  #: strain of the last knot [1]
+
+    @property
+    def numbers(self) -> Array:
+        """All but the arrays, in the order of the compiled loops."""
+        slow, fast = self.weights[RATE_COUNT:].tolist()
+        one_sided = float(self.is_one_sided)
+        law = self.linear_stiffness, self.nonlinear_stiffness, self.exponent
+        return np.array([*law, one_sided, self.compliance, slow, fast, self.last_knot])
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The derivatives of the response that are asked for."""
+
+    #: One of the ``BY_...`` each, none but BY_NOTHING twice; by the knot m of the
+    #: characteristic's error: ``BY_FIRST_KNOT`` + m. Shape (columns,).
+    kinds: Indices
+    #: Derivatives of the compression by the first columns [1]; by the others it has none, (moving,
+    #: points).
+    motions: Array
+    weight_of: Indices  #: row of `weights`; -1: none, (columns,)
+    weights: Array  #: derivatives of the weights, (rows, RATES + 2)
+    #: Derivatives of the free surface, in the unit of the elastic response, (columns, points).
+    surfaces: Array | None = None
+
+
+_NO_COLUMNS = Columns(
+    np.zeros(0, dtype=np.int64),
+    np.zeros((0, 0)),
+    np.zeros(0, dtype=np.int64),
+    np.zeros((0, RATE_COUNT + 2)),
 )
 
 
-def _library() -> ctypes.CDLL | None:
-    """Return the compiled loops, or None where there are none of the present source."""
-    source = Path(__file__).with_name("_loops.c")
-    for suffix in EXTENSION_SUFFIXES:
-        path = source.with_name("_loops" + suffix)
-        if not path.exists():
-            continue
-        # Installed as a whole there is no source; beside an older one arguments may differ.
-        if not source.exists() or source.stat().st_mtime <= path.stat().st_mtime:
-            library = ctypes.CDLL(str(path))
-            library.fden_whiten.restype = ctypes.c_double
-            return library
-    return None
+class Steps(NamedTuple):
+    """The steps of a motion, and the blocks that its points make."""
+
+    durations: Array  #: of the steps that end at the points [s], (points,)
+    moments: Array  #: of these, (points, 4, RATES)
+    #: Points of each block, one or two beside each other: it is their mean, (blocks,).
+    first: Indices
+    last: Indices
+
+    @classmethod
+    def of(cls, durations: Array) -> Steps:
+        """Return steps whose points are blocks by themselves."""
+        places = np.arange(durations.size)
+        return cls(durations, moments(durations), places, places)
 
 
-_COMPILED = _library()
+class Response(NamedTuple):
+    """The response of the law."""
+
+    stress: Array  #: of the blocks (blocks,) [Pa]
+    jacobian: Array  #: (blocks, columns)
+    elastic: Array  #: the elastic response at the points, (points,)
+    slope: Array  #: its derivative by the compression, (points,)
 
 
-def notice() -> str | None:
-    """Return a line for the user where the loops are not compiled, else None."""
-    if _COMPILED is not None:
-        return None
-    return (
-        "the estimator runs without its compiled part, which is some two hundred times slower: "
-        "with a C compiler (build-essential) install fden_ros again"
-    )
+@dataclass
+class ResponseState:
+    """What the response and its derivatives go on from; made anew for each evaluation."""
+
+    columns: int
+    values: Array = field(init=False)
+    is_begun: bool = False
+
+    def __post_init__(self) -> None:
+        self.values = np.zeros((self.columns + 1) * (RATE_COUNT + 3) + 5)
 
 
-def moments(durations: Array, rates: Array) -> Array:
+@dataclass
+class WalkState:
+    """Two random walks: their covariance, and per column their means."""
+
+    covariance: Array  #: of the stress's walk, of both, of the surface's, (3,)
+    means: Array  #: shape (2, columns)
+
+
+def moments(durations: Array) -> Array:
     """Return decay and moments of each step, shape (steps, 4, RATES).
 
     Parameters
     ----------
     durations : ndarray, shape (steps,)
         [s].
-    rates : ndarray, shape (RATES,)
-        [1/s].
     """
-    if _COMPILED is None:
-        return in_numpy.moments(durations, rates)
-    durations = np.ascontiguousarray(durations)
-    result = np.empty((durations.size, 4, RATES))
-    _COMPILED.fden_moments(durations.size, _at(durations), _at(rates), _at(result))
+    result = np.empty((durations.size, 4, RATE_COUNT))
+    _compiled.moments(durations, RATES, result)
     return result
 
 
 def respond(
     law: LawState,
-    rates: Array,
-    steps: tuple[Array, Array],
+    steps: Steps,
     compressions: Array,
     surface: Array | None,
-    columns: Columns,
+    columns: Columns | None,
     state: ResponseState,
 ) -> Response:
-    """Return the stress at every point with its derivatives.
+    """Return the stress of every block with its derivatives.
 
     Parameters
     ----------
     law : LawState
-    rates : ndarray, shape (RATES,)
-        [1/s].
-    steps : tuple of ndarray, shapes (points,) and (points, 4, RATES)
-        Durations of the steps that end at the points [s], and their moments.
+    steps : Steps
     compressions : ndarray, shape (points,)
         [1].
     surface : ndarray or None, shape (points,)
         The tissue's free surface, in the unit of the elastic response; None: at 0.
-    columns : Columns
+    columns : Columns or None
     state : ResponseState
         Is brought to the last point.
 
@@ -120,22 +182,18 @@ def respond(
     FloatingPointError
         If the stress is beyond floating-point numbers.
     """
-    if _COMPILED is None:
-        return in_numpy.respond(law, rates, steps, compressions, surface, columns, state)
-    durations, by_step = steps
-    points, count = compressions.size, columns.count
-    stress, elastic, slope = np.empty((3, points))
-    jacobian = np.empty((points, count))
-    failed = _COMPILED.fden_response(
-        points, _at(by_step), _at(durations), _at(rates), _at(compressions), _at(surface),
-        _at(law.numbers), law.bend.size, _at(law.bend), _at(law.weights), count,
-        _at(columns.kinds), columns.motions.shape[0], _at(columns.motions),
-        _at(columns.surfaces), _at(columns.weight_of), _at(columns.weights), _at(state.values),
-        int(state.is_begun), _at(stress), _at(jacobian), _at(elastic), _at(slope),
+    asked = _NO_COLUMNS if columns is None else columns
+    elastic, slope = np.empty((2, compressions.size))
+    stress = np.empty(steps.first.size)
+    jacobian = np.empty((stress.size, asked.kinds.size))
+    is_finite = _compiled.respond(
+        law.numbers, law.bend, law.weights, RATES, steps.durations, steps.moments, compressions,
+        surface, asked.kinds, asked.motions, asked.surfaces, asked.weight_of, asked.weights,
+        steps.first, steps.last, state.values, state.is_begun, stress, jacobian, elastic, slope,
     )  # fmt: skip
-    if failed:
+    if not is_finite:
         raise FloatingPointError("the response of the law is not finite")
-    state.is_begun |= points > 0
+    state.is_begun |= compressions.size > 0
     return Response(stress, jacobian, elastic, slope)
 
 
@@ -155,77 +213,118 @@ def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:
     state : ndarray, shape (2,)
         Elastic response and age before the first block; brought to the last.
     """
-    if _COMPILED is None:
-        return in_numpy.clock(loaded, seconds, floor, state)
     result = np.empty(loaded.size)
-    _COMPILED.fden_clock(
-        loaded.size, _at(loaded), _at(seconds), ctypes.c_double(floor), _at(state), _at(result)
-    )
+    _compiled.clock(loaded, seconds, floor, state, result)
     return result
 
 
-def whiten(
-    rows: Array, noise: Array, gain: Array, walks: tuple[Array, Array], state: WalkState
-) -> float:
+#: The error processes of a record: :func:`fden_ros.core.estimation.error_model.ErrorModel.errors`.
+errors = _compiled.errors
+
+
+def whiten(rows: Array, errors: Array, roughness: float, motion: float, state: WalkState) -> float:
     """Whiten rows in place by a Kalman filter; return the logarithm of the determinant.
 
     Each column of `rows` is a series of measurements of two random walks, of the stress with gain
-    1 and of the surface with `gain`; what is left is its innovations over their deviations.
+    1 and of the surface with a gain of its own; what is left is its innovations over their
+    deviations.
 
     Parameters
     ----------
     rows : ndarray, shape (blocks, columns)
-    noise : ndarray, shape (blocks,)
-        Variances of the measurements.
-    gain : ndarray, shape (blocks,)
-    walks : tuple of two ndarray, shape (blocks,)
-        Variances that the walks gain before each block.
+    errors : ndarray, shape (5, blocks)
+        Variances of the measurements; gains of the surface; what the stress's walk gains in
+        variance before each block, as it grows with the square of `roughness` and without that;
+        and what the surface's gains, as it grows with the square of `motion`.
     state : WalkState
         Before the first block; brought to the last.
     """
-    if _COMPILED is None:
-        return in_numpy.whiten(rows, noise, gain, walks, state)
-    result: float = _COMPILED.fden_whiten(
-        *rows.shape, _at(rows), _at(noise), _at(gain), _at(walks[0]), _at(walks[1]),
-        _at(state.covariance), _at(state.means),
-    )  # fmt: skip
+    result: float = _compiled.whiten(
+        errors, roughness, motion, state.covariance, rows, state.means
+    )
     return result
 
 
-def eliminate(systems: Array) -> None:
-    """Turn each [A, B] into [U, U^-T B] in place, with A = U^T U by Cholesky.
+def equations(
+    rows: Array, errors: Array, roughness: float, motion: float, state: WalkState
+) -> tuple[Array, float]:
+    """Whiten rows as :func:`whiten`; return their products R^T R, and the same logarithm."""
+    products = np.empty((rows.shape[1], rows.shape[1]))
+    found: float = _compiled.equations(
+        errors, roughness, motion, state.covariance, rows, state.means, products
+    )
+    return products, found
 
-    Below the diagonal numbers have no meaning.
+
+class Scaled(NamedTuple):
+    r"""Normal equations whose prior depends on two scales.
+
+    :math:`A = N + B + K a + C b`, with K in the rows from `kernel` on and C in those from
+    `characteristic` on; and the gradient :math:`g = t + (B + K a + C b)\,m`.
+    """
+
+    towards: Array  #: t, (n,)
+    normal: Array  #: N, (n, n)
+    base: Array  #: B, (n, n)
+    off: Array  #: m, the prior's mean from where it is linear, (n,)
+    kernel: int
+    characteristic: int
+    held: int  #: an unknown that stays; -1: none
+    kernel_prior: Array | None  #: K
+    characteristic_prior: Array | None  #: C
+
+
+def weigh(scaled: Scaled, places: Array) -> Array:
+    r"""Return :math:`(g^T A^{-1} g - m^T (B + K a + C b)\,m - \ln|A|) / 2` at places, (places,).
 
     Parameters
     ----------
-    systems : ndarray, shape (count, n, columns)
-        A has shape (n, n) and is symmetric.
+    scaled : Scaled
+    places : ndarray, shape (places, 2)
+        Scales a and b; places of the same a stand together.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If a matrix is not positive definite.
+        If a matrix A is not positive definite.
     """
-    if _COMPILED is None:
-        in_numpy.eliminate(systems)
-    elif _COMPILED.fden_eliminate(*systems.shape, _at(systems)):
+    gains = np.empty(len(places))
+    _check(_compiled.weigh(*scaled, places, gains))
+    return gains
+
+
+def mix(scaled: Scaled, places: Array, weights: Array, mean: Array, second: Array) -> None:
+    r"""Add to the moments of a mixture of :math:`N(A^{-1} g, A^{-1})` at places.
+
+    Parameters
+    ----------
+    scaled, places
+        As :func:`weigh` takes them.
+    weights : ndarray, shape (places,)
+    mean, second : ndarray, shape (n,), (n, n)
+        First and second moments.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix A is not positive definite.
+    """
+    _check(_compiled.mix(*scaled, places, weights, mean, second))
+
+
+def solve(matrix: Array, side: Array) -> Array:
+    """Return A^-1 b, (n,), of a symmetric matrix (n, n).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    result = np.empty_like(side)
+    _check(_compiled.solve(side, matrix, result))
+    return result
+
+
+def _check(is_positive: bool) -> None:
+    if not is_positive:
         raise np.linalg.LinAlgError("a matrix is not positive definite")
-
-
-def _at(array: Array | NDArray[np.int32] | None) -> Any:
-    """Return the address of an array's numbers, which lie one behind the other.
-
-    It keeps the array: one that was made for the call alone would else be freed before it.
-    """
-    if array is None:
-        return None
-    if not array.flags.c_contiguous or array.dtype.char not in "di":
-        raise ValueError("the compiled loops take contiguous arrays of float64 and int32")
-    try:
-        return ctypes.byref(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        # It is not to be written, or has no numbers.
-        address = ctypes.c_void_p(array.__array_interface__["data"][0])
-        address.array = array  # type: ignore[attr-defined]
-        return address

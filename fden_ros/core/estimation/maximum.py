@@ -145,7 +145,7 @@ class MaximumSearch:
                 stiffest = free.damped.max(where=touch != 0.0, initial=0.0)
                 normal = normal + _HELD * stiffest * np.outer(touch, touch)
             behind = state - at
-            gain = float(free.towards @ solved(normal, free.towards))
+            gain = float(free.towards @ loops.solve(normal, free.towards))
             left = gain + float(behind @ free.normal @ behind)
             if left < converged and is_at_kink and searches:
                 searches -= 1
@@ -197,20 +197,20 @@ class MaximumSearch:
             if held is not None:
                 normal[held], normal[:, held] = 0.0, 0.0
                 normal[held, held], towards[held] = 1.0, 0.0
-        misfit = float(about.residuals @ about.residuals + off @ metric.precision @ off)
+        misfit = about.square + float(off @ metric.precision @ off)
         return _Equations(normal, normal.diagonal(), towards, misfit)
 
     def _misfit(self, state: Array, stress: Array, metric: _Metric) -> float:
         left = (self._points.stresses - stress)[:, None]
         model = self._density.error_model
-        white = model.whitened(left, metric.errors, *self._scales[2:])[0][:, 0]
+        white = model.whitened(left, metric.errors, *self._scales[2:])[:, 0]
         off = state - self._density.belief.mean
         return float(white @ white + off @ metric.precision @ off)
 
     def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Array:
         """Return the best state as the touch moves, all else with it; or the state itself."""
         touch = self._density.model.touch_gradient(self._points, state)
-        along = solved(normal, touch)
+        along = loops.solve(normal, touch)
         size = float(touch @ along)
         if not size > 0.0:
             return state
@@ -233,7 +233,7 @@ class MaximumSearch:
         """Return the first damped step that lowers the misfit, or None; damping and tries."""
         for tries in range(1, _MOST_TRIES + 1):
             normal = equations.normal + damping * np.diag(equations.damped)
-            taken = self._try(state, solved(normal, equations.towards), metric)
+            taken = self._try(state, loops.solve(normal, equations.towards), metric)
             if taken is not None:
                 taken = self._shortened(state, taken, equations, metric)
             if taken is not None and taken[2] <= equations.misfit:
@@ -278,30 +278,3 @@ class MaximumSearch:
 def _leaves(order: float, towards: float) -> bool:
     """Whether an order wants beyond where the weights are made for."""
     return towards * (order - (LOWEST_ORDER if towards < 0.0 else HIGHEST_ORDER)) >= 0.0
-
-
-def solved(normal: Array, towards: Array) -> Array:
-    """Return the solution of normal equations."""
-    result: Array = inverted(np.column_stack([normal, towards])[None])[1][0]
-    return result
-
-
-def inverted(equations: Array) -> tuple[Array, Array]:
-    """Return roots R, with R^T R the inverse of each matrix, and the solutions.
-
-    Parameters
-    ----------
-    equations : ndarray, shape (count, n, n + 1)
-        Symmetric matrices and right sides.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix is not positive definite.
-    """
-    count, n, _ = equations.shape
-    identity = np.broadcast_to(np.eye(n), (count, n, n))
-    found = np.concatenate([equations, identity], axis=2)
-    loops.eliminate(found)
-    roots = found[:, :, n + 1 :]
-    return roots, np.einsum("kij,ki->kj", roots, found[:, :, n])

@@ -300,7 +300,10 @@ def _nodes(
         highest = max(highest, evidence)
         if evidence < highest - NEGLIGIBLE:
             break
-        along = (node.mean - before) * (way / (node.mean[ORIGIN] - before[ORIGIN]))
+        moved = node.mean[ORIGIN] - before[ORIGIN]
+        if not moved:
+            break
+        along = (node.mean - before) * (way / moved)
         covariance = node.covariance + np.outer(along, along) / 12.0
         found.append((evidence, Member(1.0, node.mean, covariance)))
         state, before = node.maximum.state, node.mean
@@ -342,6 +345,10 @@ def _with_linear(
         begun = linear.maximum
         known = begun.evaluation
         linear = yield from posterior.given(LOG_GN, points, begun.state, scales, known=known)
+    if best.maximum.state[LOG_GN] < boundary and linear.is_solved:
+        # A linear law does not meet ln Gn: that it wants to go on in it holds nothing up.
+        best = replace(best, maximum=replace(best.maximum, is_solved=True))
+        modes = replace(modes, solutions=(best, *modes.solutions[1:]))
     mean = float(posterior.belief.mean[LOG_GN])
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))

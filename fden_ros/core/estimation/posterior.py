@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Belief, Density
 from fden_ros.core.estimation.error_model import ErrorModel
 from fden_ros.core.estimation.maximum import (
@@ -22,7 +23,6 @@ from fden_ros.core.estimation.maximum import (
     NEARLY_FOUND,
     Maximum,
     MaximumSearch,
-    solved,
 )
 from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
@@ -249,10 +249,12 @@ class Posterior(Density):
         about = self.linear(
             points, found_with_order, maximum.errors, scales.roughness, scales.motion
         )
-        by_order = about.jacobian[:, ORDER].copy()
-        about.jacobian[:, self.known] = 0.0
-        normal = about.normal + self.precision(maximum.state, scales)
-        shift = -solved(normal, about.jacobian.T @ by_order)
+        normal = about.normal.copy()
+        normal[self.known], normal[:, self.known] = 0.0, 0.0
+        by_order = about.normal[:, ORDER].copy()
+        by_order[self.known] = 0.0
+        normal += self.precision(maximum.state, scales)
+        shift = -loops.solve(normal, by_order)
         shift[ORDER] = 1.0
         return replace(found, considered=self._order_sd**2 * np.outer(shift, shift))
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.loop_arguments import (
+from fden_ros.core.estimation.loops import (
     BY_FIRST_KNOT,
     Columns,
     LawState,
     ResponseState,
+    Steps,
 )
-from fden_ros.core.estimation.loops_in_numpy import splines
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.unknowns import (
     CHARACTERISTIC_KNOTS,
@@ -29,6 +29,7 @@ from fden_ros.core.estimation.unknowns import (
     LOG_GN,
     ORDER,
     Unknown,
+    splines,
 )
 from fden_ros.core.law.characteristic import elastic_responses
 from fden_ros.core.law.geometry import Geometry
@@ -113,8 +114,8 @@ class PressModel:
         knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
         kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
         kinds = np.concatenate([[u.kind for u in unknowns], kernel, knots])
-        self._kinds = kinds.astype(np.int32)
-        self._weight_of = np.full(self.size, -1, dtype=np.int32)
+        self._kinds = kinds.astype(np.int64)
+        self._weight_of = np.full(self.size, -1, dtype=np.int64)
         self._weight_of[ORDER] = 0
         self._weight_of[self.kernel] = 1 + np.arange(kernel.size)
         self._designed: tuple[Points, _Design] | None = None
@@ -165,9 +166,9 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
-        weights, none = self._bent_relaxation(state)[0], Columns.none(points.times.size)
+        weights, _ = self._bent_relaxation(state)
         surface, _ = self._surface(points, state)
-        return self._evaluated(points, state, weights, surface, none, ResponseState(0))
+        return self._evaluated(points, state, weights, surface, None, ResponseState(0))
 
     def _evaluated(
         self,
@@ -175,23 +176,15 @@ class PressModel:
         state: Array,
         weights: Array,
         surface: Array | None,
-        columns: Columns,
+        columns: Columns | None,
         begun: ResponseState,
     ) -> Evaluation:
-        found = loops.respond(
-            self._law(state, weights),
-            RATES,
-            (points.elapsed, points.moments),
-            self.compressions(points, state),
-            surface,
-            columns,
-            begun,
-        )
-        jacobian = found.jacobian[points.first] + found.jacobian[points.last]
-        jacobian *= 0.5
-        stress = points.mean(found.stress)
-        stress += self._of_unknowns(state) @ self._design(points).stresses
-        return Evaluation(stress, jacobian, found.elastic, found.slope, begun)
+        steps = Steps(points.elapsed, points.moments, points.first, points.last)
+        compressions = self.compressions(points, state)
+        law = self._law(state, weights)
+        found = loops.respond(law, steps, compressions, surface, columns, begun)
+        stress = found.stress + self._of_unknowns(state) @ self._design(points).stresses
+        return Evaluation(stress, found.jacobian, found.elastic, found.slope, begun)
 
     def _law(self, state: Array, weights: Array) -> LawState:
         """Return the law at a state, with the weights of its relaxation."""
@@ -298,6 +291,16 @@ class PressModel:
         lifted[ORDER] = moments @ (creep_slopes(order) * bend)
         lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
         return moments @ weights, lifted
+
+    def changes(self, state: Array) -> tuple[Array, Array]:
+        """Return the sizes of the changes [1] and their times [s]."""
+        found = [
+            (value, u.since)
+            for value, u in zip(state, self.unknowns, strict=False)
+            if u.since is not None
+        ]
+        sizes, times = np.array(found, dtype=float).reshape(-1, 2).T
+        return np.ascontiguousarray(sizes), np.ascontiguousarray(times)
 
     def _change(self, points: Points, state: Array) -> Array | None:
         """Return the part of the elastic response that changes add; None: there are none."""

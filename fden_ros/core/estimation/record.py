@@ -26,9 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation import loops
-from fden_ros.core.law.relaxation import RATES
 
 #: Time of a block [s]: twice this costs a factor of 3 at a noise of 0.1 mN (test_core_record).
 BLOCK_TIME = 0.01
@@ -180,8 +179,8 @@ class Points:
     bends: Array
     steps: Array  #: longest time between samples beside a point [s], (n,)
     #: Points of the blocks, (m,).
-    first: Array
-    last: Array
+    first: Indices
+    last: Indices
     #: Mean times [s], durations [s], samples [1], mean stresses [Pa], (m,).
     middles: Array
     durations: Array
@@ -196,7 +195,7 @@ class Points:
     @functools.cached_property
     def moments(self) -> Array:
         """Moments of the steps that end at the points, (n, 4, RATES)."""
-        return loops.moments(self.elapsed, RATES)
+        return loops.moments(self.elapsed)
 
     def mean(self, values: Array) -> Array:
         """Return the means over the blocks of values at the points, shape (..., m)."""

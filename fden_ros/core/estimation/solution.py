@@ -22,8 +22,8 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Density, Linear
 from fden_ros.core.estimation.error_model import Errors
-from fden_ros.core.estimation.loop_arguments import ResponseState, WalkState
-from fden_ros.core.estimation.maximum import Maximum, inverted
+from fden_ros.core.estimation.loops import ResponseState, WalkState
+from fden_ros.core.estimation.maximum import Maximum
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 
@@ -65,12 +65,14 @@ class Solution:
         return self.maximum.evaluation.state
 
 
-class _Member(NamedTuple):
-    """The posterior at one place of the grid of scales."""
+class _Group(NamedTuple):
+    """Places of a grid that have roughness and motion in common."""
 
-    log_evidence: float
-    scales: Scales
-    equations: Array  #: the normal equations, and the gradient behind them
+    about: Linear
+    equations: loops.Scaled
+    places: list[Scales]
+    scales: Array  #: inverse squares of those of kernel and characteristic, (places, 2)
+    evidence: Array  #: logarithms, (places,)
 
 
 #: What a place of the grid costs, in points evaluated [1].
@@ -107,63 +109,50 @@ def averaged(
     """
     priors = density.priors(maximum.state)
     off = density.belief.mean - maximum.state
-    # Scales of roughness and motion have the same prior.
-    fields = {w.scales[:2]: w.scales for w in grid}
-    precisions = {place: priors.precision(scales) for place, scales in fields.items()}
-    determinants = {place: priors.log_determinant(scales) for place, scales in fields.items()}
-    groups: dict[tuple[float, float], list[WeighedScales]] = {}
-    for weighed in grid:
-        groups.setdefault(weighed.scales[2:], []).append(weighed)
     tails = density.tails(maximum.state)
-    members: list[_Member] = []
-    best, about_best = -math.inf, None
-    for (roughness, motion), group in groups.items():
-        about = density.linear(points, maximum.evaluation, maximum.errors, roughness, motion)
-        of_group = np.array([precisions[w.scales[:2]] for w in group])
-        pulls = of_group @ off
-        equations = np.empty((len(group), off.size, off.size + 1))
-        equations[:, :, :-1] = about.normal + of_group
-        equations[:, :, -1] = about.towards + pulls
-        if held is not None:
-            equations[:, held], equations[:, :, held] = 0.0, 0.0
-            equations[:, held, held] = 1.0
-        factors = equations.copy()
-        loops.eliminate(factors)
-        volumes = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
-        log_priors = [w.log_prior + 0.5 * determinants[w.scales[:2]] for w in group]
-        square = float(about.residuals @ about.residuals) + about.log_determinant + tails
-        evidence = log_priors - volumes
-        evidence += 0.5 * (np.sum(factors[:, :, -1] ** 2, axis=1) - square - pulls @ off)
-        members += map(_Member, evidence, [w.scales for w in group], equations)
-        if evidence.max() > best:
-            best, about_best = float(evidence.max()), about
-    if about_best is None:
+    by_walks: dict[tuple[float, float], list[WeighedScales]] = {}
+    for weighed in grid:
+        by_walks.setdefault(weighed.scales[2:], []).append(weighed)
+    groups = []
+    for walks, own in by_walks.items():
+        about = density.linear(points, maximum.evaluation, maximum.errors, *walks)
+        equations = priors.equations(about, off, held)
+        places = [weighed.scales for weighed in own]
+        scales = priors.inverse_squares(places)
+        evidence = loops.weigh(equations, scales)
+        evidence += [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in own]
+        evidence -= 0.5 * (about.square + about.log_determinant + tails)
+        groups.append(_Group(about, equations, places, scales, evidence))
+    return _mixture(density, maximum, groups)
+
+
+def _mixture(density: Density, maximum: Maximum, groups: Sequence[_Group]) -> Solution:
+    """Return the mixture of all places: their weights are their evidence over the sum of all."""
+    likeliest = max(groups, key=lambda group: np.nanmax(group.evidence, initial=-math.inf))
+    best = float(np.nanmax(likeliest.evidence, initial=-math.inf))
+    if not math.isfinite(best):
         raise FloatingPointError("no scale of the errors has a finite evidence")
-    members = [m for m in members if m.log_evidence >= best - NEGLIGIBLE]
-    return _mixture(density, maximum, members, best, about_best)
-
-
-def _mixture(
-    density: Density, maximum: Maximum, members: list[_Member], best: float, linear: Linear
-) -> Solution:
-    weights = np.exp([m.log_evidence - best for m in members])
-    total = float(weights.sum())
-    weights /= total
-    roots, steps = inverted(np.array([m.equations for m in members]))
-    about = maximum.state + steps
-    mean: Array = weights @ about
-    flat = (np.sqrt(weights)[:, None, None] * roots).reshape(-1, density.model.size)
-    apart = np.sqrt(weights)[:, None] * (about - mean)
-    covariance = flat.T @ flat + apart.T @ apart
+    n = density.model.size
+    step, second = np.zeros(n), np.zeros((n, n))
+    found: dict[Scales, float] = {}
+    for group in groups:
+        is_likely = group.evidence >= best - NEGLIGIBLE
+        weights = np.exp(group.evidence[is_likely] - best)
+        loops.mix(group.equations, group.scales[is_likely], weights, step, second)
+        places = (place for place, likely in zip(group.places, is_likely, strict=True) if likely)
+        found |= zip(places, weights.tolist(), strict=True)
+    total = sum(found.values())
+    step /= total
+    covariance = second / total - np.outer(step, step)
     covariance[density.known], covariance[:, density.known] = 0.0, 0.0
     return Solution(
         maximum,
-        mean,
+        maximum.state + step,
         covariance,
-        {m.scales: float(w) for w, m in zip(weights, members, strict=True)},
+        {scales: weight / total for scales, weight in found.items()},
         best + math.log(total),
-        linear.residuals,
-        linear.walk,
+        likeliest.about.residuals,
+        likeliest.about.walk,
     )
 
 

@@ -28,8 +28,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.loop_arguments import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, NEAR
-from fden_ros.core.estimation.loops_in_numpy import splines
+from fden_ros.core.estimation.loops import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, NEAR
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.law.characteristic import phi
 from fden_ros.core.law.geometry import Geometry
@@ -121,6 +120,31 @@ def characteristic_knots(last: float) -> Array:
     middles = np.clip((np.arange(CHARACTERISTIC_KNOTS) - 0.5) / cells, 0.0, 1.0)
     result: Array = NEAR * last * np.expm1(middles * math.log1p(1.0 / NEAR))
     return result
+
+
+def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
+    """Return the values of the characteristic's splines at strains from 0 on, and their slopes.
+
+    Of shape (strains, knots). They are quadratic, evenly spaced in ln(1 + x / x0), and straight
+    beyond the last knot, where a kink would hold a solution up: so they can follow the law's own
+    bend at 1/Gn. With hat functions ln Gn has false maxima 0.15 apart.
+    """
+    values, slopes = np.zeros((strain.size, knots)), np.zeros((strain.size, knots))
+    if not knots:
+        return values, slopes
+    near, cells = NEAR * last_knot, knots - 2
+    per_place = cells / np.log1p(1.0 / NEAR)
+    place = per_place * np.log1p(strain / near)
+    is_inside = place < cells
+    cell = np.where(is_inside, place, cells - 1).astype(np.intp)
+    p = place - cell
+    at = np.arange(strain.size)[:, None], cell[:, None] + np.arange(3)
+    curved = 0.5 * (1.0 - p) ** 2, 0.5 + p * (1.0 - p), 0.5 * p**2
+    straight = np.zeros_like(p), 1.5 - p, p - 0.5
+    values[at] = np.where(is_inside, curved, straight).T
+    tilt, q = per_place / (near + strain), np.where(is_inside, p, 1.0)
+    slopes[at] = np.transpose([tilt * (q - 1.0), tilt * (1.0 - 2.0 * q), tilt * q])
+    return values, slopes
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""The inner loops in numpy: oracle of the compiled ones, and their stand-in without a compiler.
+r"""The response of the law in numpy: the oracle of the compiled one.
 
 The equations are those of :mod:`fden_ros.core.estimation.loops`. Here one step is one linear map:
 psi at the four nodes of its active part goes into the exponentials by `reach`, shape (RATES,
@@ -20,18 +20,19 @@ import numpy as np
 from scipy.special import ive
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.estimation.loop_arguments import (
+from fden_ros.core.estimation.loops import (
     BY_COMPLIANCE,
     BY_FIRST_KNOT,
-    NEAR,
-    RATES,
     Columns,
     LawState,
     Response,
     ResponseState,
-    WalkState,
+    Steps,
 )
+from fden_ros.core.estimation.unknowns import splines
 from fden_ros.core.law.characteristic import MAX_EXPONENT
+from fden_ros.core.law.relaxation import COUNT as RATES
+from fden_ros.core.law.relaxation import RATES as RATE_VALUES
 
 # Gauss-Lobatto nodes on [0, 1]; and the Legendre coefficients of the derivative of the cubic
 # through values there.
@@ -64,25 +65,24 @@ def moments(durations: Array, rates: Array) -> Array:
 @np.errstate(over="ignore", invalid="ignore")
 def respond(
     law: LawState,
-    rates: Array,
-    steps: tuple[Array, Array],
+    steps: Steps,
     compressions: Array,
     surface: Array | None,
     columns: Columns,
     state: ResponseState,
 ) -> Response:
     """Return the stress at every point with its derivatives: see :func:`loops.respond`."""
-    durations, by_step = steps
+    durations, by_step, *_ = steps
     size = compressions.size
     free = np.zeros(size) if surface is None else surface
     given = _Given.of(columns, size)
     memory = _Memory.of(state)
     stress, elastic, slope = np.empty((3, size))
-    jacobian = np.empty((size, columns.count))
+    jacobian = np.empty((size, columns.kinds.size))
     for n, compression in enumerate(compressions):
         if state.is_begun:
             start = _Start(memory.last, by_step[n], float(durations[n]))
-            towards = partial(_next_step, law, rates, start, float(free[n]))
+            towards = partial(_next_step, law, RATE_VALUES, start, float(free[n]))
         else:
             state.values[:] = 0.0
             towards = partial(_first_step, law, float(free[n]))
@@ -92,7 +92,7 @@ def respond(
         now = _elastic(law, np.array([at]))
         elastic[n], slope[n] = now.value[0], now.by_compression[0] * step.is_active
         jacobian[n] = _advance(memory, step, given, n, float(stress[n]))
-        memory.last[:] = at, free[n], step.is_active, stress[n]
+        memory.last[:] = at, free[n], step.is_active, stress[n], 1.0 / step.softening
         state.is_begun = True
     return Response(stress, jacobian, elastic, slope)
 
@@ -108,9 +108,10 @@ class _Given(NamedTuple):
 
     @classmethod
     def of(cls, columns: Columns, points: int) -> _Given:
+        count = columns.kinds.size
         rows = np.array([0, 1, 2, 0])  # by nothing, ln G, ln Gn, the compliance
         knots = columns.kinds - BY_FIRST_KNOT
-        motion, weights = np.zeros((columns.count, points)), np.zeros((columns.count, RATES + 2))
+        motion, weights = np.zeros((count, points)), np.zeros((count, RATES + 2))
         motion[: columns.motions.shape[0]] = columns.motions
         has_weights = columns.weight_of >= 0
         weights[has_weights] = columns.weights[columns.weight_of[has_weights]]
@@ -133,11 +134,11 @@ class _Memory(NamedTuple):
     totals: Array  #: the elastic response in excess of the free surface, (columns + 1,)
     moved: Array  #: derivatives of the compression, (columns + 1,); 0 in row 0
     lifted: Array  #: derivatives of the free surface, likewise
-    last: Array  #: compression, free surface, whether the law is active, stress
+    last: Array  #: compression, free surface, whether the law is active, stress, softness
 
     @classmethod
     def of(cls, state: ResponseState) -> _Memory:
-        kept, others, last = np.split(state.values, [(state.columns + 1) * RATES, -4])
+        kept, others, last = np.split(state.values, [(state.columns + 1) * RATES, -5])
         totals, moved, lifted = others.reshape(3, -1)
         return cls(kept.reshape(-1, RATES), totals, moved, lifted, last)
 
@@ -177,31 +178,6 @@ def _elastic(law: LawState, compression: Array) -> _Elastic:
         by_log_gn=signed * (scaled * growth - ratio),
         of_knots=of_knots,
     )
-
-
-def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
-    """Return the values of the characteristic's splines at strains from 0 on, and their slopes.
-
-    Of shape (strains, knots). They are quadratic, evenly spaced in ln(1 + x / x0), and straight
-    beyond the last knot, where a kink would hold a solution up: so they can follow the law's own
-    bend at 1/Gn. With hat functions ln Gn has false maxima 0.15 apart.
-    """
-    values, slopes = np.zeros((strain.size, knots)), np.zeros((strain.size, knots))
-    if not knots:
-        return values, slopes
-    near, cells = NEAR * last_knot, knots - 2
-    per_place = cells / np.log1p(1.0 / NEAR)
-    place = per_place * np.log1p(strain / near)
-    is_inside = place < cells
-    cell = np.where(is_inside, place, cells - 1).astype(np.intp)
-    p = place - cell
-    at = np.arange(strain.size)[:, None], cell[:, None] + np.arange(3)
-    curved = 0.5 * (1.0 - p) ** 2, 0.5 + p * (1.0 - p), 0.5 * p**2
-    straight = np.zeros_like(p), 1.5 - p, p - 0.5
-    values[at] = np.where(is_inside, curved, straight).T
-    tilt, q = per_place / (near + strain), np.where(is_inside, p, 1.0)
-    slopes[at] = np.transpose([tilt * (q - 1.0), tilt * (1.0 - 2.0 * q), tilt * q])
-    return values, slopes
 
 
 @dataclass(frozen=True)
@@ -408,34 +384,3 @@ def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:
     aged = np.diff(np.log(ages + floor), prepend=np.log(before[1] + floor))
     result: Array = np.abs(grown) + np.abs(aged)
     return result
-
-
-def whiten(
-    rows: Array, noise: Array, gain: Array, walks: tuple[Array, Array], state: WalkState
-) -> float:
-    """Whiten rows in place by a Kalman filter: see :func:`loops.whiten`."""
-    stress, both, surface = state.covariance
-    log_determinant = 0.0
-    for n, h in enumerate(gain):
-        stress += walks[0][n]
-        surface += walks[1][n]
-        # P h, for h = (1, gain).
-        by_stress, by_surface = stress + h * both, both + h * surface
-        variance = by_stress + h * by_surface + noise[n]
-        innovation = rows[n] - state.means[0] - h * state.means[1]
-        state.means += np.outer((by_stress / variance, by_surface / variance), innovation)
-        rows[n] = innovation / np.sqrt(variance)
-        stress -= by_stress**2 / variance
-        both -= by_stress * by_surface / variance
-        surface -= by_surface**2 / variance
-        log_determinant += float(np.log(variance))
-    state.covariance[:] = stress, both, surface
-    return log_determinant
-
-
-def eliminate(systems: Array) -> None:
-    """Turn each [A, B] into [U, U^-T B] in place: see :func:`loops.eliminate`."""
-    n = systems.shape[1]
-    factors = np.linalg.cholesky(systems[:, :, :n])
-    systems[:, :, n:] = np.linalg.solve(factors, systems[:, :, n:])
-    systems[:, :, :n] = factors.transpose(0, 2, 1)
