@@ -16,13 +16,14 @@ from scipy.optimize import least_squares, minimize
 
 from benchmark.score import rms
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change import change_of
+from fden_ros.core.estimation.change import ChangeLook
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Errors, Loading, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample
@@ -303,12 +304,13 @@ def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -
     solution = whole.solutions(points_of(before), [state], scales)[0]
     strain = float(press.strains.max())
     made = partial(posterior_with, press)
-    return change_of(points_of(after), [solution], whole, made, strain).event
+    look = ChangeLook(points_of(after), [solution], whole, made, strain)
+    return ended(look.in_parts()).event
 
 
-def posterior_with(press: Press, event: Unknown) -> Posterior:
-    """The posterior with a change or a jerk."""
-    return posterior_of(press, LAW_OFF, (event,))
+def posterior_with(press: Press, *events: Unknown) -> Posterior:
+    """The posterior with changes or jerks."""
+    return posterior_of(press, LAW_OFF, events)
 
 
 @pytest.mark.parametrize(("factor", "is_said"), [(1.0, False), (1.5, True), (0.6, True)])

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 from fden_ros.core.air_check import AirCheck, Verdict
 from fden_ros.core.block import BlockSums
@@ -30,15 +28,22 @@ from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
-#: A summary is given so long after the release [ns]: the last solution takes 0.1 to 0.3 s.
+#: A summary is given so long after the release [ns]: the last solution is sought meanwhile.
 _SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
 
 
-class _Left(NamedTuple):
+@dataclass
+class _Left:
     """A contact that has ended, and whose summary has not come yet."""
 
     press: Press
     end_ns: int  #: stamp of the release
+    worked_ns: int  #: until when it was worked on the summary
+
+    def work(self, stamp_ns: int) -> None:
+        """Go on with the last solution by the work of the time until a stamp."""
+        seconds, self.worked_ns = (stamp_ns - self.worked_ns) / NANOSECONDS, stamp_ns
+        self.press.site.work(seconds)
 
 
 class ContactSession:
@@ -53,8 +58,6 @@ class ContactSession:
         Returns the noise of the motion so far [m^2 s].
     flags : Flag
         What stands against every estimate.
-    executor : Executor or None
-        Where solutions are computed; None: here.
 
     Attributes
     ----------
@@ -70,9 +73,7 @@ class ContactSession:
         rejected: Counter[str],
         path_noise: Callable[[], float],
         flags: Flag,
-        executor: Executor | None = None,
     ) -> None:
-        self._executor = executor
         self.site_count = self.contact_count = 0
         self._config, self._path_noise, self._flags = config, path_noise, flags
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
@@ -192,9 +193,7 @@ class ContactSession:
             return before
         self.site_count += 1
         maybe = before if is_elsewhere is None else None
-        site = Site(
-            self.site_count, onset, self._config, self.rig, self._flags, maybe, self._executor
-        )
+        site = Site(self.site_count, onset, self._config, self.rig, self._flags, maybe)
         left_ns = self._detector.left_unseen_ns
         is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
         if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):
@@ -206,6 +205,8 @@ class ContactSession:
         yield from self._heed(self._air.hear(pair))
         if not self._common.sums.passes(pair.stamp_ns):
             return
+        if self._left is not None:
+            self._left.work(pair.stamp_ns)
         site = self._site
         estimate = site.usable_estimate if site is not None else None
         yield TissueState(
@@ -245,7 +246,7 @@ class ContactSession:
             return
         if not press.has_ended:
             press.begin_end()
-            self._left = _Left(press, end_ns)
+            self._left = _Left(press, end_ns, end_ns)
             self._air.watch(end_ns, press.site, press.onset)
         self._press = None
         self._common.sums.clear()
@@ -257,7 +258,7 @@ class ContactSession:
         """Give the summary of a contact that has ended with its release."""
         if self._left is None:
             return
-        press, end_ns = self._left
+        press, end_ns = self._left.press, self._left.end_ns
         summary = press.end(end_ns, stamp_ns, complete=True)
         self._left = None
         if summary.converged and not press.flags:

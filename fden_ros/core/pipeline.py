@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -41,9 +40,6 @@ class Pipeline:
     config : PipelineConfig
     emit : callable
         Called with every output, in order of stamps. What it raises is not caught.
-    executor : Executor, optional
-        Where solutions are computed, so that no sample waits for them; without it here. The
-        outputs are the same.
 
     Attributes
     ----------
@@ -68,7 +64,6 @@ class Pipeline:
         self,
         config: PipelineConfig,
         emit: Callable[[Output], None],
-        executor: Executor | None = None,
     ) -> None:
         self.config = config
         self.rejected: Counter[str] = Counter()
@@ -90,7 +85,7 @@ class Pipeline:
             self._session = ContinuousSession(config, self.rejected)
         else:
             self._session = ContactSession(
-                config, self.rejected, self._path_noise, self.standing_flags, executor
+                config, self.rejected, self._path_noise, self.standing_flags
             )
         self._begin_epoch(0)
 
@@ -118,6 +113,11 @@ class Pipeline:
     def contact_count(self) -> int:
         """Contacts so far."""
         return self._session.contact_count
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the probe presses."""
+        return self._session.in_contact
 
     @property
     def rig(self) -> RigKnowledge:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import sys
-from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -170,8 +169,6 @@ class Site:
         What stands against every estimate.
     maybe : Site or None
         The site before, where nothing says that this is another.
-    executor : Executor or None
-        Where solutions are computed; None: here.
 
     Attributes
     ----------
@@ -195,9 +192,7 @@ class Site:
         rig: RigKnowledge,
         flags: Flag = Flag.NONE,
         maybe: Site | None = None,
-        executor: Executor | None = None,
     ) -> None:
-        self._executor = executor
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self._last_ns = first.stamp_ns
@@ -298,9 +293,7 @@ class Site:
         self._lift_off = LiftOff(release_force, scale, is_first=is_first)
         if self.is_usable and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
-            new = _new_estimator(
-                config, noise_sd, origin_sd, noise, self.known_rig, self._executor
-            )
+            new = _new_estimator(config, noise_sd, origin_sd, noise, self.known_rig)
             maybe, self._maybe = self._maybe, None
             self._estimator = maybe.or_else(new, onset, self) if maybe is not None else new
         self._rest_until(first.stamp_ns)
@@ -430,6 +423,11 @@ class Site:
             self._is_leaving = True
             self._estimator.begin_finish()
 
+    def work(self, seconds: float) -> None:
+        """Go on with that by the work of a time in the air [s]."""
+        if self._is_leaving and self._estimator is not None:
+            self._estimator.work(seconds)
+
     def leave(self) -> None:
         """Bring the estimate to its best at the end of a contact."""
         if not self._is_leaving:
@@ -521,14 +519,11 @@ def _new_estimator(
     origin_sd: float,
     noise: float,
     rig: RigKnowledge,
-    executor: Executor | None = None,
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
         variance = noise / geometry.length**2
-        return PosteriorEstimator(
-            config.estimator, geometry, noise_sd, origin_sd, variance, rig, executor
-        )
+        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance, rig)
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

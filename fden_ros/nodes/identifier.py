@@ -33,7 +33,6 @@ from fden_ros.nodes.diagnostics import Diagnostics
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
 from fden_ros.nodes.session import Session
-from fden_ros.nodes.solver import Solver
 from fden_ros.parameters import (
     NODE_PARAMETERS,
     PARAMETERS,
@@ -59,7 +58,6 @@ class Identifier(LifecycleNode):
         # Transitions may be triggered from any thread, in the middle of a callback.
         self._lock = threading.RLock()
         self._session: Session | None = None
-        self._solver = Solver()
         self._is_configured = False
         self._publishers_made: dict[str, LifecyclePublisher] = {}
         self._services_made: list[Service] = []
@@ -188,9 +186,7 @@ class Identifier(LifecycleNode):
         self.get_logger().info(f"configured: silent until it is activated{self._by('activate')}")
 
     def _activate(self) -> None:
-        self._session = Session(
-            self, self._parameters_now(), self._publishers_made, self._lock, self._solver
-        )
+        self._session = Session(self, self._parameters_now(), self._publishers_made, self._lock)
         self._session.listen()
         self._diagnostics.begin(self._session)
 
@@ -209,11 +205,6 @@ class Identifier(LifecycleNode):
         self._publishers_made.clear()
         self._services_made.clear()
         self._is_configured = False
-
-    def destroy_node(self) -> None:
-        """End with the process of the solutions."""
-        self._solver.shutdown(cancel_futures=True)
-        super().destroy_node()
 
     def _by(self, transition: str) -> str:
         return f" (ros2 lifecycle set {self.get_fully_qualified_name()} {transition})"

@@ -12,8 +12,6 @@ import copy
 import threading
 from collections import Counter
 from collections.abc import Mapping
-from concurrent.futures import Executor
-from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -23,7 +21,6 @@ from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
-from fden_ros.core.estimation.beside import Pending
 from fden_ros.core.outputs import ContactSummary, Output, TissueState, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import Backlog, Input, taker
@@ -52,8 +49,6 @@ class Session:
         By the name of an output topic.
     lock : RLock
         Held in callbacks and transitions.
-    executor : Executor
-        Where solutions are computed.
     """
 
     def __init__(
@@ -62,13 +57,11 @@ class Session:
         parameters: Parameters,
         publishers: Mapping[str, LifecyclePublisher],
         lock: threading.RLock,
-        executor: Executor,
     ) -> None:
         self._node, self._parameters, self._lock = node, parameters, lock
         self._publishers = publishers
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._executor = executor
-        self.pipeline = Pipeline(pipeline_config(parameters), self._publish, executor)
+        self.pipeline = Pipeline(pipeline_config(parameters), self._publish)
         self.inputs = Inputs(parameters, self.pipeline)
         self.backlog = Backlog()
         self.listened_to: list[ListenedTo] = []
@@ -79,7 +72,7 @@ class Session:
         self._said_stale: Time | None = None
         self._seen_pairs = self._seen_failures = 0
         self.lacks = ""  #: the newest contact to converge, and what would help
-        self._advice: tuple[int, Pending[str]] | None = None  # for a contact
+        self._to_advise: ContactSummary | None = None  # what its contact lacks is not said yet
         self._is_open = False
         self._timer = node.create_timer(_STALE_CHECK_PERIOD, self._look, clock=self._steady)
 
@@ -163,18 +156,16 @@ class Session:
             self._last_state = output
         self._publish_messages(output)
         if isinstance(output, ContactSummary):
-            self._advise()
-            advice = partial(shortfall, output, self.pipeline.config)
-            self._advice = output.contact_id, Pending(advice, self._executor)
+            self._to_advise = output
 
     def _advise(self) -> None:
         """Say what the newest contact lacks."""
-        if self._advice is None:
+        summary, self._to_advise = self._to_advise, None
+        if summary is None:
             return
-        (contact_id, advice), self._advice = self._advice, None
-        self.lacks = advice.result()
+        self.lacks = shortfall(summary, self.pipeline.config)
         if self.lacks:
-            self._node.get_logger().info(f"contact {contact_id}: {self.lacks}")
+            self._node.get_logger().info(f"contact {summary.contact_id}: {self.lacks}")
 
     def _publish_messages(self, output: Output) -> None:
         output = placed(output, self.inputs.displacement_frame)
@@ -187,7 +178,7 @@ class Session:
                 return
             if self.backlog.waiting:
                 self.backlog.work()
-            if self._advice is not None and self._advice[1].is_there:
+            if self._to_advise is not None and not self.pipeline.in_contact:
                 self._advise()
             self._log_failures()
             self._check_stale()

@@ -14,16 +14,17 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.modes import follow_maxima
-from fden_ros.core.estimation.parts import ended
+from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.solution import Solution, evidence_under
+from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
@@ -47,6 +48,8 @@ _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
 SUSPICIOUS = 3.5
 #: Least time between two looks [s], and for how long one is looked for after that innovation [s].
 LOOK_PERIOD, SUSPECTED = 0.025, 0.1
+#: A change is placed anew within this time [s].
+PLACED_WITHIN = 0.04
 #: Gain in log evidence with which it is looked for on [1].
 PROMISING = 5.0
 
@@ -56,9 +59,13 @@ class Look(NamedTuple):
 
     event: Unknown | None  #: a change, or a jerk; None: none that is large and likely enough
     gain: float  #: in log evidence by one of any size [1]
+    #: With the event, the posterior and its solution; None: there is none.
+    posterior: Posterior | None = None
+    solution: Solution | None = None
 
 
-class _Comparison:
+@dataclass(frozen=True)
+class ChangeLook:
     """One tissue against one with an event.
 
     Parameters
@@ -69,122 +76,183 @@ class _Comparison:
         The last ones, about the maxima, the likeliest first.
     without : Posterior
         Of which they are solutions.
-    with_event : callable
-        Returns the posterior with one more unknown, behind those that are not of the law's errors.
+    posterior_with : callable
+        Returns the posterior with more unknowns, behind those that are not of the law's errors.
     strain : float
         Largest of the record [1].
     """
 
-    def __init__(
-        self,
-        points: Points,
-        solutions: Sequence[Solution],
-        without: Posterior,
-        with_event: Callable[[Unknown], Posterior],
-        strain: float,
-    ) -> None:
-        self._points, self._last, self._strain = points, solutions[0], strain
-        self._without, self._with_event = without, with_event
-        self._place = len(without.model.unknowns)
-        self._alone: Solution | None = None
-        self._seek_alone([(s.maximum.state, s) for s in solutions])
+    points: Points
+    solutions: Sequence[Solution]
+    without: Posterior
+    posterior_with: Callable[..., Posterior]
+    strain: float
 
     @property
-    def would_pull(self) -> bool:
-        """Whether one tissue would have to pull at the probe: it has let go of it."""
-        if self._alone is None or not self._without.model.geometry.is_one_sided:
-            return False
-        return bool(self._alone.maximum.evaluation.stress[-1] < 0.0)
+    def _place(self) -> int:
+        """Place of the event in a state."""
+        return len(self.without.model.unknowns)
 
-    def with_event(self, unknown: Unknown) -> Solution | None:
+    def in_parts(self) -> Parts[Look]:
+        """Look for a change that the record shows.
+
+        Where the linearised gain promises one, its likeliest time is solved, and the likeliest
+        jerk beside it.
+        """
+        points, last = self.points, self.solutions[0]
+        if last.maximum.state.size != self.without.model.size or not last.is_solved:
+            return Look(None, -math.inf)
+        now = float(points.times[-1])
+        between = 0.5 * (points.times[points.last[:-1]] + points.times[points.first[1:]])
+        times = self._within([*between[-_RECENT:].tolist(), *(now - ago for ago in _AGO)])
+        largest = float(np.abs(points.stresses).max())
+        jerks = [jerk_at(time, largest) for time in points.middles[-1 - _JERKS : -1].tolist()]
+        gains = yield from self._linear_gains([change_since(time) for time in times])
+        highest, since = max(zip(gains, times, strict=True))
+        if highest < PROMISING:
+            return Look(None, highest)
+        width = now - since
+        near = [since + side * closer * width for closer in _CLOSER for side in (-1.0, 1.0)]
+        times += self._within(near)
+        events = [*(change_since(time) for time in times), *jerks]
+        gains = yield from self._linear_gains(events)
+        told = [
+            (gain, time) for gain, time in zip(gains, times, strict=False) if time <= between[-2]
+        ]
+        if not told:
+            return Look(None, highest)
+        event = change_since(max(told)[1])
+        found = yield from self._with(event)
+        if found is None or abs(float(found.mean[self._place])) < _LEAST_STEP:
+            return Look(None, highest)
+        alone = yield from self._alone([(s.maximum.state, s) for s in self.solutions])
+        gain = yield from self._gain(found, alone)
+        if gain >= THRESHOLD:
+            # One tissue is sought from where two have led, too.
+            back = [(np.delete(found.maximum.state, self._place), found)]
+            alone = _likelier(alone, (yield from self._alone(back)))
+            gain = yield from self._gain(found, alone)
+        if gain < THRESHOLD:
+            return Look(None, max(gain, highest))
+        _, jerk = max(zip(gains[len(times) :], range(len(jerks)), strict=True))
+        jerked = yield from self._with(jerks[jerk])
+        if (yield from self._gain(jerked, alone)) > gain:
+            return Look(jerks[jerk], gain, self.posterior_with(jerks[jerk]), jerked)
+        if self._would_pull(alone):
+            return Look(None, gain)
+        return Look(event, gain, self.posterior_with(event), found)
+
+    def _within(self, times: Sequence[float]) -> list[float]:
+        """Return times within the record."""
+        first, last = self.points.times[[0, -1]].tolist()
+        return [time for time in times if first < time < last]
+
+    def _linear_gains(self, events: Sequence[Unknown]) -> Parts[list[float]]:
+        """Return what each of some events gains, from one linearisation at the last solution.
+
+        With A the normal equations of one tissue, a the event's own column of them, of variance
+        1, and s and v what is left of its gradient and its diagonal: (s^2/v - ln v)/2.
+        """
+        points, maximum = self.points, self.solutions[0].maximum
+        yield points.times.size
+        posterior, place, count = self.posterior_with(*events), self._place, len(events)
+        state = np.insert(maximum.state, [place] * count, 0.0)
+        try:
+            found = posterior.evaluate(points, state)
+        except UNSOLVABLE:
+            return [math.inf] * count
+        errors = posterior.error_model.errors(points, state, found)
+        about = posterior.linear(points, found, errors, *maximum.scales[2:])
+        precision = posterior.precision(state, maximum.scales)
+        normal = about.normal + precision
+        towards = about.towards + precision @ (posterior.belief.mean - state)
+        own = np.arange(place, place + count)
+        rest = np.setdiff1d(np.arange(state.size), own)
+        beside = normal[np.ix_(rest, own)]
+        solved = np.linalg.solve(
+            normal[np.ix_(rest, rest)], np.column_stack([towards[rest], beside])
+        )
+        left = towards[own] - beside.T @ solved[:, 0]
+        variance = normal[own, own] - np.einsum("ij,ij->j", beside, solved[:, 1:])
+        variance = np.maximum(variance, 1.0)
+        gains: list[float] = (0.5 * (left**2 / variance - np.log(variance))).tolist()
+        return gains
+
+    def _would_pull(self, alone: Solution | None) -> bool:
+        """Whether one tissue would have to pull at the probe: it has let go of it."""
+        if alone is None or not self.without.model.geometry.is_one_sided:
+            return False
+        return bool(alone.maximum.evaluation.stress[-1] < 0.0)
+
+    def _with(self, unknown: Unknown) -> Parts[Solution | None]:
         """Return the solution with an event; None: there is none."""
-        times, since = self._points.times, unknown.since
+        times, since = self.points.times, unknown.since
         if since is not None and not times[0] < since < times[-1]:
             return None
-        start = np.insert(self._last.maximum.state, self._place, 0.0)
+        last = self.solutions[0]
+        start = np.insert(last.maximum.state, self._place, 0.0)
         with contextlib.suppress(*UNSOLVABLE):
-            return self._with_event(unknown).tracked(self._points, start, self._last)
+            posterior = self.posterior_with(unknown)
+            return (yield from posterior.tracked_in_parts(self.points, start, last))
         return None
 
-    def size(self, found: Solution) -> float:
-        """Return the size of a solution's event."""
-        return abs(float(found.mean[self._place]))
-
-    def gain(self, found: Solution | None) -> float:
+    def _gain(self, found: Solution | None, alone: Solution | None) -> Parts[float]:
         """Return what a solution with an event gains in log evidence.
 
         Both are held to the errors there: softer tissue has smaller ones, stiffer tissue larger.
         """
-        alone = self._alone
         if found is None:
             return -math.inf
         if alone is None:
             return found.log_evidence + _BEYOND
-        errors = found.maximum.errors
+        without, errors = self.without, found.maximum.errors
+        yield cost_of(self.points, without.grid)
         with contextlib.suppress(*UNSOLVABLE):
-            return found.log_evidence - evidence_under(
-                self._without, self._points, alone, errors, self._without.grid
-            )
+            by_one = evidence_under(without, self.points, alone, errors, without.grid)
+            return found.log_evidence - by_one
         return -math.inf
 
-    def gain_by(self, unknown: Unknown) -> float:
-        """Return what an event gains in log evidence."""
-        return self.gain(self.with_event(unknown))
-
-    def seek_back(self, found: Solution) -> None:
-        """Seek one tissue from where two have led, too."""
-        self._seek_alone([(np.delete(found.maximum.state, self._place), found)])
-
-    def _seek_alone(self, states: Sequence[tuple[Array, Solution]]) -> None:
+    def _alone(self, states: Sequence[tuple[Array, Solution]]) -> Parts[Solution | None]:
+        """Return the best solution of one tissue that states lead to; None: there is none."""
         with contextlib.suppress(*UNSOLVABLE):
-            modes = ended(follow_maxima(self._without, self._points, states, self._strain))
-            found = modes.best
-            if self._alone is None or found.log_evidence > self._alone.log_evidence:
-                self._alone = found
+            modes = yield from follow_maxima(self.without, self.points, states, self.strain)
+            return modes.best
+        return None
 
 
-def change_of(
-    points: Points,
-    solutions: Sequence[Solution],
-    without: Posterior,
-    with_event: Callable[[Unknown], Posterior],
-    strain: float,
-) -> Look:
-    """Look for a change that the record shows; the arguments are those of `_Comparison`."""
-    last = solutions[0]
-    if last.maximum.state.size != without.model.size or not last.is_solved:
-        return Look(None, -math.inf)
-    compared = _Comparison(points, solutions, without, with_event, strain)
-    now = float(points.times[-1])
-    between = 0.5 * (points.times[points.last[:-1]] + points.times[points.first[1:]])
-    times = [*between[-_RECENT:].tolist(), *(now - ago for ago in _AGO)]
-    found = [compared.with_event(change_since(time)) for time in times]
-    gains = [compared.gain(one) for one in found]
-    told = [
-        (gain, time, one)
-        for gain, time, one in zip(gains, times, found, strict=True)
-        if one is not None and time <= between[-2] and compared.size(one) >= _LEAST_STEP
-    ]
-    if not told:
-        return Look(None, max(gains))
-    highest, since, likeliest = max(told, key=lambda one: one[0])
-    if highest >= THRESHOLD:
-        compared.seek_back(likeliest)
-        highest = compared.gain(likeliest)
-    if highest < THRESHOLD:
-        return Look(None, max(gains))
-    change, highest = placed(change_since(since), highest, now - since, compared.gain_by)
-    largest = float(np.abs(points.stresses).max())
-    for time in points.middles[-1 - _JERKS : -1].tolist():
-        jerk = jerk_at(time, largest)
-        if compared.gain_by(jerk) > highest:
-            return Look(jerk, highest)
-    return Look(None if compared.would_pull else change, highest)
+@dataclass(frozen=True)
+class Placing:
+    """A change that is placed anew, once more has been seen of it."""
+
+    points: Points
+    state: Array  #: from which it is solved
+    solution: Solution  #: the last one
+    posterior_with: Callable[[Unknown], Posterior]  #: of the change
+    change: Unknown
+
+    def in_parts(self) -> Parts[Unknown]:
+        """Return the change at the likeliest time within PLACED_WITHIN of where it was."""
+        highest = yield from self._evidence(self.change)
+        change, _ = yield from placed(self.change, highest, PLACED_WITHIN, self._evidence)
+        return change
+
+    def _evidence(self, change: Unknown) -> Parts[float]:
+        posterior = self.posterior_with(change)
+        with contextlib.suppress(*UNSOLVABLE):
+            found = posterior.tracked_in_parts(self.points, self.state, self.solution)
+            return (yield from found).log_evidence
+        return -math.inf
+
+
+def _likelier(one: Solution | None, other: Solution | None) -> Solution | None:
+    if one is None or other is None:
+        return one or other
+    return other if other.log_evidence > one.log_evidence else one
 
 
 def placed(
-    change: Unknown, highest: float, width: float, evidence_of: Callable[[Unknown], float]
-) -> tuple[Unknown, float]:
+    change: Unknown, highest: float, width: float, evidence_of: Callable[[Unknown], Parts[float]]
+) -> Parts[tuple[Unknown, float]]:
     """Return a change at the likeliest time within about `width` [s], and its log evidence.
 
     `highest`: the log evidence where it is, over any other's as `evidence_of` has it.
@@ -193,7 +261,7 @@ def placed(
         assert change.since is not None
         for since in (change.since - closer * width, change.since + closer * width):
             other = change_since(since)
-            found = evidence_of(other)
+            found = yield from evidence_of(other)
             if found > highest:
                 change, highest = other, found
     return change, highest

@@ -16,6 +16,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.error_model import ErrorModel, Errors
 from fden_ros.core.estimation.loops import WalkState
+from fden_ros.core.estimation.parts import Limit
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
@@ -144,6 +145,8 @@ class Density:
     ) -> None:
         self.model, self.error_model, self.belief = model, error_model, belief
         self._has_field_prior = has_field_prior
+        #: Of what maxima may cost.
+        self.limit = Limit()
         self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in model.unknowns])
         #: Unknowns that are known.
         self.known = np.flatnonzero([u.sd == 0.0 for u in model.unknowns])

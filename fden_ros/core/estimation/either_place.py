@@ -161,6 +161,7 @@ class EitherPlace(Estimator):
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         for place in self._places:
+            place.estimator.work_share = 1.0 / len(self._places)
             own = None if way is None else way + np.array([[0.0], [place.shift], [0.0]])
             place.estimator.begin_contact(bias_sd, drift_sd, own)
 
@@ -183,13 +184,17 @@ class EitherPlace(Estimator):
         """Take one block; return how it compared with the likeliest prediction."""
         likeliest, found = int(np.argmax(self._weights)), []
         before = self._solved_at()
+        is_solving = any(place.press.is_solving for place in self._places)
         for place in self._places:
-            shifted = block._replace(compression=block.compression + place.shift)
+            shifted = block._replace(
+                compression=block.compression + place.shift,
+                # They are weighed by the same record: no solution begins before all have ended.
+                is_past=block.is_past or is_solving,
+            )
             found.append(place.estimator.update(shifted))
-        # They are weighed by the same record.
         newest = max(place.press.begun_at for place in self._places)
         for place in self._places:
-            if place.press.begun_at < newest:
+            if place.press.begun_at < newest and not place.press.is_solving:
                 place.press.begin_solution()
         after = self._solved_at()
         if after != before and len(after) == 1:
@@ -201,8 +206,13 @@ class EitherPlace(Estimator):
         for place in self._places:
             place.estimator.begin_finish()
 
+    def work(self, seconds: float) -> None:
+        """Go on with that by the work of a time without samples [s]."""
+        for place in self._places:
+            place.estimator.work(seconds)
+
     def finish(self) -> None:
-        """Go on from what `begin_finish` has begun."""
+        """Do what is left of what `begin_finish` has begun."""
         for place in self._places:
             place.estimator.finish()
         self._weigh()
@@ -220,6 +230,8 @@ class EitherPlace(Estimator):
             return
         kept = np.flatnonzero(evidence > evidence.max() - NEGLIGIBLE)
         self._places = [self._places[k] for k in kept]
+        for place in self._places:
+            place.estimator.work_share = 1.0 / len(self._places)
         self._weights = softmax(evidence[kept])
 
     def estimate(self) -> Estimate:

@@ -102,5 +102,8 @@ class Estimator:
     def begin_finish(self) -> None:
         """Begin to bring the estimate to its best at the end of a contact."""
 
+    def work(self, seconds: float) -> None:
+        """Go on with that by the work of a time without samples [s]."""
+
     def finish(self) -> None:
         """Bring the estimate to its best at the end of a contact, as was begun."""

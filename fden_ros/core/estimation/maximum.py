@@ -128,6 +128,7 @@ class MaximumSearch:
         state, damping = start.copy(), _DAMPING
         at = start  # where the variances are taken; it follows the state
         found = known if known is not None else self._density.evaluate(self._points, state)
+        metric: _Metric | None = None
         is_solved = is_at_kink = False
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
@@ -135,6 +136,8 @@ class MaximumSearch:
         if known is None:
             yield cost
         for count in range(self._most):
+            if self._density.limit.is_reached:
+                break
             part = _FOLLOWING * min(1.0, _PATIENCE / max(count, 1))
             at = state if count < _QUICK_STEPS else at + part * (state - at)
             metric = self._metric(at, found if at is state else None)
@@ -179,7 +182,8 @@ class MaximumSearch:
                 is_at_kink, damping = True, _DAMPING
         # Steps from kink to kink are short, and many.
         is_solved |= is_at_kink and left < NEARLY_FOUND
-        return Maximum(state, found, metric.errors, self._scales, is_solved)
+        errors = self._metric(state, found).errors if metric is None else metric.errors
+        return Maximum(state, found, errors, self._scales, is_solved)
 
     def _metric(self, at: Array, found: Evaluation | None) -> _Metric:
         density = self._density

@@ -288,6 +288,8 @@ def _nodes(
     state, before, highest = best.maximum.state, best.mean, there
     found: list[tuple[float, Member]] = []
     for _ in range(_NODES):
+        if posterior.limit.is_reached:
+            break
         state = state.copy()
         state[ORIGIN] += way
         state[LOG_G] += math.copysign(1.0, way)

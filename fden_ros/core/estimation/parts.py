@@ -9,6 +9,7 @@ what comes of a recording is what came of it live, bit for bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from typing import Any, Generic, TypeVar
 
@@ -16,6 +17,35 @@ Result = TypeVar("Result")
 
 #: A computation: it gives the cost of each part, and returns the result.
 Parts = Generator[int, None, Result]
+
+
+class Limit:
+    """What a computation may cost in all; beyond it, it ends with what it has.
+
+    Parameters
+    ----------
+    most : float
+        Points evaluated.
+    """
+
+    def __init__(self, most: float = math.inf) -> None:
+        self._left = most
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether it has cost as much."""
+        return self._left <= 0.0
+
+    def counted(self, parts: Parts[Result]) -> Parts[Result]:
+        """Give the parts of a computation, and count them."""
+        try:
+            while True:
+                cost = next(parts)
+                self._left -= cost
+                yield cost
+        except StopIteration as end:
+            result: Result = end.value
+            return result
 
 
 def ended(parts: Parts[Result]) -> Result:
@@ -39,12 +69,12 @@ class Advanced(Generic[Result]):
 
     def __init__(self, begin: Callable[[], Parts[Result]]) -> None:
         self._begin, self._parts = begin, begin()
-        self._taken = self._debt = 0
+        self._taken, self._debt = 0, 0.0
         self._found: Result | None = None
         self._failed: Exception | None = None
         self.has_ended = False
 
-    def advance(self, budget: int) -> bool:
+    def advance(self, budget: float) -> bool:
         """Go on by parts of a cost; return whether it has ended.
 
         What a part has cost more is taken off the next budget.
@@ -58,13 +88,13 @@ class Advanced(Generic[Result]):
             self._found, self.has_ended = end.value, True
         except Exception as failure:  # it is raised where the result is asked for
             self._failed, self.has_ended = failure, True
-        self._debt = max(-left, 0)
+        self._debt = max(-left, 0.0)
         return self.has_ended
 
     def result(self) -> Result:
         """Return the result, all that is left of it now; raise what it has raised."""
         while not self.has_ended:
-            self.advance(1 << 30)
+            self.advance(math.inf)
         if self._failed is not None:
             raise self._failed
         return self._found  # type: ignore[return-value]

@@ -10,7 +10,6 @@ the free surface of the tissue.
 from __future__ import annotations
 
 import math
-from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
@@ -56,13 +55,13 @@ class PosteriorEstimator(Estimator):
         Of the compression per sample, times the time between samples [s].
     rig : RigKnowledge, optional
         What earlier contacts have told; without it what the configuration states.
-    executor : Executor, optional
-        Where solutions are computed; without it here.
 
     Attributes
     ----------
     press : PressPosterior or None
         The newest press; None: there was none.
+    work_share : float
+        Part of the work of a block that is its own [1].
     """
 
     def __init__(
@@ -73,9 +72,7 @@ class PosteriorEstimator(Estimator):
         origin_sd: float = 0.0,
         path_variance: float = 0.0,
         rig: RigKnowledge | None = None,
-        executor: Executor | None = None,
     ) -> None:
-        self._executor = executor
         known = rig or RigKnowledge.stated(config)
         self._setting = PressSetting(
             replace(config, uncertainty=known.learned(config.uncertainty)),
@@ -90,6 +87,7 @@ class PosteriorEstimator(Estimator):
         self._path_variance = path_variance
         self._time = self._deepest = self._compression_sd = 0.0
         self.press: PressPosterior | None = None
+        self.work_share = 1.0
         self._moments, self._moments_at = StressMoments(), 0.0
         self._stress_before = 0.0
         self._sample_count = self._earlier_changes = 0
@@ -192,9 +190,7 @@ class PosteriorEstimator(Estimator):
             frozen.values = self._moments.values.copy()
             setting = replace(setting, free=FreeSurface(frozen, self._time))
         self._setting = setting
-        self.press = PressPosterior(
-            setting, self._time, self._deepest, self._compression_sd, self._executor, way
-        )
+        self.press = PressPosterior(setting, self._time, self._deepest, self._compression_sd, way)
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.
@@ -204,6 +200,7 @@ class PosteriorEstimator(Estimator):
         assert self.press is not None
         self._time += step
         sd = math.sqrt(self._path_variance / step) if step > 0.0 else 0.0
+        self.press.work_share = self.work_share
         self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
 
     def rest(self, duration: float) -> None:
@@ -234,10 +231,15 @@ class PosteriorEstimator(Estimator):
         if self.press is not None:
             self.press.begin_last()
 
-    def finish(self) -> None:
-        """Go on from what `begin_finish` has begun."""
+    def work(self, seconds: float) -> None:
+        """Go on with that by the work of a time without samples [s]."""
         if self.press is not None:
-            self.press.go_on()
+            self.press.work(seconds)
+
+    def finish(self) -> None:
+        """Do what is left of it."""
+        if self.press is not None:
+            self.press.finish()
             self._see_mismatch()
 
     def _see_mismatch(self) -> None:

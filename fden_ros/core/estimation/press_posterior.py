@@ -3,16 +3,17 @@
 
 """The posterior of one press as it grows: record, solutions, and the filter between them.
 
-The order of events, for each block: the filter takes it; where the record has grown enough, the
-posterior is solved anew beside, and after a time that the data tell the filter goes on from there,
-by the blocks since. Where a block is not explained a change is looked for at once.
+The order of events, for each block: the filter takes it; the look for a change or the solution
+that is under way goes on by the work of a block, and where a solution has ended the filter goes on
+from there, by the blocks since. Where the record has grown enough a solution begins; where a block
+is not explained, a look for a change.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -25,12 +26,13 @@ from fden_ros.core.estimation.change import (
     SUSPECTED,
     SUSPICIOUS,
     THRESHOLD,
+    ChangeLook,
     Look,
-    change_of,
-    placed,
+    Placing,
 )
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.modes import Modes
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
@@ -45,16 +47,21 @@ from fden_ros.core.law.characteristic import elastic_response
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: A solution goes on by so many points evaluated at each block, and is used at the block in which
-#: it ends.
-BUDGET = 2000
+#: A solution goes on by so many points evaluated for each second of samples [1/s], and is used at
+#: the block in which it ends: 2000 points, some 2 to 4 ms, a block of 10 ms. Work is counted and
+#: not timed, so that what comes of a recording is what came of it live.
+_WORK_RATE = 2e5
+#: At most so much of it at a block [1]: 0.25 s of samples.
+_MOST_WORK = 5e4
+#: A look for a change has this much more, since it has to tell within 0.1 s [1].
+_LOOK_HASTE = 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
 #: The touch may be this many standard deviations of the origin before its nominal place [1].
 _REACH = 6.0
-#: A change is placed anew once it was seen for this time [s], within this time [s].
-_PLACED_AFTER, _PLACED_WITHIN = 0.1, 0.04
+#: A change is placed anew once it was seen for this time [s].
+_PLACED_AFTER = 0.1
 
 
 class _Begun(NamedTuple):
@@ -63,6 +70,14 @@ class _Begun(NamedTuple):
     search: Search
     compression: float  #: largest of its record [1]
     found: Advanced[Solved]
+    since: list[Block]  #: the blocks after its record
+
+
+class _Looking(NamedTuple):
+    """A look for a change that has been begun."""
+
+    found: Advanced[Look]
+    end: float  #: of its record [s]
     since: list[Block]  #: the blocks after its record
 
 
@@ -78,8 +93,6 @@ class PressPosterior:
         Largest compression of the site so far [1].
     compression_sd : float
         Standard deviation of a sample's compression [1]; 0: not known yet.
-    executor : Executor or None
-        Where solutions are computed; None: here.
     way : ndarray, shape (3, n), optional
         Of the probe before the touch: times from it [s], compressions [1] and stresses [Pa].
 
@@ -96,6 +109,8 @@ class PressPosterior:
     begun_at, solved_at : int
         Blocks in the records of the newest solution that was begun, and of the newest that has
         ended.
+    work_share : float
+        Part of the work of a block that is its own [1].
     """
 
     def __init__(
@@ -104,10 +119,9 @@ class PressPosterior:
         start: float,
         deepest: float = 0.0,
         compression_sd: float = 0.0,
-        executor: Executor | None = None,
         way: Array | None = None,
     ) -> None:
-        self.setting, self._start, self._executor = setting, start, executor
+        self.setting, self._start = setting, start
         is_one_sided = setting.geometry.is_one_sided
         reach = _REACH * setting.origin_sd if is_one_sided else 0.0
         is_at_rest = is_one_sided and setting.carried is None
@@ -121,20 +135,29 @@ class PressPosterior:
         self.is_lost = self._is_surprised = False
         self.begun_at = self.solved_at = 0
         self._samples: list[Sample] = []
-        self._now = self._last = start
+        self._now = self._last = self._worked_at = start
+        self.work_share = 1.0
         self._is_pressed = False
         self._blocks = self._blocks_at_starts = 0
         self._solved_at = (0.0, 0.0)
         self._begun: _Begun | None = None
+        self._look: _Looking | None = None
+        self._placing: Advanced[Unknown] | None = None
         self._is_placed = True
         self._looked_at, self._asked_at = -math.inf, 0.0
         self._size_at_look = 0
         self._suspected_at: float | None = None
+        self._is_over = False
 
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
         return sum(event.since is not None for event in self.events)
+
+    @property
+    def is_solving(self) -> bool:
+        """Whether a solution is under way."""
+        return self._begun is not None
 
     @property
     def log_evidence(self) -> float:
@@ -189,38 +212,49 @@ class PressPosterior:
         blocks = self.record.blocks(self._samples) if self._samples else []
         if self.filter is not None and blocks:
             innovation = self._filtered(self.filter, blocks, compression)
-        if self._begun is not None:
-            self._begun.since.extend(blocks)
-            if self._begun.found.advance(BUDGET):
-                self.go_on()
+        for under_way in (self._begun, self._look):
+            if under_way is not None:
+                under_way.since.extend(blocks)
         self._samples = []
         self._blocks += 1
         self._is_surprised = innovation.normalized_squared > NO_CHANCE**2
         if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
             self._suspected_at = self._now
+        self.work(self._now - self._worked_at)
+        self._worked_at = self._now
         if self._suspected_at is not None:
             self._suspect(self._suspected_at)
         elif self._is_due() and not is_past:
-            self.begin_solution()
+            if self._is_to_be_placed:
+                self._begin_placing()
+            else:
+                self.begin_solution()
         return innovation
+
+    def work(self, seconds: float) -> None:
+        """Go on with what is under way, by the work of a time [s]."""
+        work = self.work_share * min(_WORK_RATE * seconds, _MOST_WORK)
+        if self._look is not None:
+            if self._look.found.advance(_LOOK_HASTE * work):
+                self._end_look()
+        elif self._placing is not None:
+            if self._placing.advance(work):
+                self._end_placing()
+        elif self._begun is not None and self._begun.found.advance(work):
+            self.go_on()
 
     def _suspect(self, since: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""
-        if self.record.is_full and self.record.size == self._size_at_look:
-            # It takes no more, and shows what it has shown.
-            self._suspected_at = None
+        if self._look is not None or self._placing is not None:
             return
-        elapsed = self._now - since
-        if elapsed < SUSPECTED and self._now - self._looked_at < LOOK_PERIOD:
+        if self._now - since < SUSPECTED and self._now - self._looked_at < LOOK_PERIOD:
             return
-        look = self._look_for_change()
-        is_open = elapsed < LOOK_PERIOD or (elapsed < SUSPECTED and look.gain > PROMISING)
-        if look.event is not None or not is_open:
-            self._suspected_at = None
-            if look.event is not None:
-                self.solve()
-            elif self._begun is None:
-                self.begin_solution()
+        if self.solved is not None and self._is_placed and not self.record.is_full:
+            self._begin_look()
+            return
+        self._suspected_at = None
+        if self._begun is None and not self.record.is_full:
+            self.begin_solution()
 
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, self.setting.stress_sd**2)
@@ -243,11 +277,13 @@ class PressPosterior:
 
     # Solutions
 
-    def _posterior(self, events: tuple[Unknown, ...]) -> Posterior:
-        return self._made(events)(PressModel)
-
     def _made(self, events: tuple[Unknown, ...]) -> Callable[[type[PressModel]], Posterior]:
         return partial(self.setting.posterior, events, self.compression_sd, self.deepest)
+
+    def _made_with(self, events: tuple[Unknown, ...]) -> Callable[..., Posterior]:
+        """Return what makes the posterior with more events."""
+        sizes = self.compression_sd, self.deepest
+        return partial(self.setting.posterior_with, events, *sizes)
 
     def _is_due(self) -> bool:
         is_begun = self._begun is not None
@@ -272,14 +308,17 @@ class PressPosterior:
         return bool(np.any(moved > best.covariance.diagonal()[law]))
 
     def begin_last(self) -> None:
-        """Begin to solve at the end of the press, from all starts."""
-        self._begun = None
-        if self._blocks >= _FIRST_SOLUTION:
-            self.begin_solution(Care.LAST)
+        """Begin to solve at the end of the press, from all starts, behind what is under way."""
+        self._is_over, self._begun = True, None
+        if self._look is None and self._placing is None:
+            self.begin_solution()
 
-    def solve(self) -> None:
-        """Solve the posterior of the record so far now, from all starts."""
-        self.begin_solution(Care.EXACT)
+    def finish(self) -> None:
+        """Do what is left of that now."""
+        if self._look is not None:
+            self._end_look()
+        if self._placing is not None:
+            self._end_placing()
         self.go_on()
 
     @property
@@ -292,10 +331,11 @@ class PressPosterior:
 
     def begin_solution(self, care: Care = Care.TRACKED) -> None:
         """Begin to solve the posterior of the record so far."""
-        self._place_again()
         points = self.record.points()
-        if points.stresses.size < _FIRST_SOLUTION:
+        if points.stresses.size < _FIRST_SOLUTION or self._blocks < _FIRST_SOLUTION:
             return
+        if self._is_over:
+            care = Care.LAST
         if 2 * self._blocks_at_starts <= self._blocks or self.solved is None:
             care = max(care, Care.FROM_STARTS)
         if self._is_order_known and self._now - self._start >= 2.0 * self._asked_at:
@@ -320,13 +360,16 @@ class PressPosterior:
         except UNSOLVABLE:
             self.is_lost = True
             return
-        self.is_lost, self.solved = False, solved
-        self._last = float(search.points.times[-1])
         self._solved_at = search.elapsed, begun.compression
+        self._take_over(solved, float(search.points.times[-1]), begun.since)
+
+    def _take_over(self, solved: Solved, end: float, since: list[Block]) -> None:
+        """Go on from a solution whose record ends at a time [s], by the blocks since."""
+        self.is_lost, self.solved, self._last = False, solved, end
         self.filter = PressFilter(solved.best, solved.model, solved.posterior.error_model)
-        if not begun.since:
+        if not since:
             return
-        points = self.record.points_after(begun.since, self._last)
+        points = self.record.points_after(since, self._last)
         self._last = float(points.times[-1])
         try:
             self.filter.step(points)
@@ -339,44 +382,70 @@ class PressPosterior:
 
     # Changes of the tissue, and another law
 
-    def _look_for_change(self) -> Look:
-        """Look whether the tissue has changed under the probe; a change is an unknown more."""
-        self._looked_at, self._size_at_look = self._now, self.record.size
-        if self.solved is None or not self._is_placed:
-            return Look(None, -math.inf)
+    def _begin_look(self) -> None:
+        """Begin to look whether the tissue has changed under the probe."""
+        assert self.solved is not None
+        self._looked_at = self._now
         origin = self.setting.origin(self.solved.best.mean)
+        points = self.record.points()
+        look = ChangeLook(
+            points,
+            self.solved.modes.solutions,
+            self._made(self.events)(PressModel),
+            self._made_with(self.events),
+            self.setting.largest_strain(self.deepest, origin),
+        )
+        self._look = _Looking(Advanced(look.in_parts), float(points.times[-1]), [])
+
+    def _end_look(self) -> None:
+        """Take what a look has found: a change is an unknown more."""
+        assert self._look is not None and self._suspected_at is not None
+        looking, self._look = self._look, None
         try:
-            look = change_of(
-                self.record.points(),
-                self.solved.modes.solutions,
-                self._posterior(self.events),
-                lambda unknown: self._posterior((*self.events, unknown)),
-                self.setting.largest_strain(self.deepest, origin),
-            )
+            look = looking.found.result()
         except UNSOLVABLE:
-            return Look(None, -math.inf)
+            look = Look(None, -math.inf)
+        elapsed = self._looked_at - self._suspected_at
+        is_open = elapsed < LOOK_PERIOD or (elapsed < SUSPECTED and look.gain > PROMISING)
+        if look.event is None and is_open and not self._is_over:
+            return
+        self._suspected_at = None
         if look.event is not None:
             self.events = (*self.events, look.event)
             self._is_placed = look.event.since is None
-        return look
+            self._begun = None  # of tissue without the event
+            if look.posterior is not None and look.solution is not None:
+                assert self.solved is not None
+                modes = Modes((look.solution,))
+                solved = replace(self.solved, posterior=look.posterior, modes=modes)
+                self._take_over(solved, looking.end, looking.since)
+            self.begin_solution(Care.EXACT)
+        elif self._begun is None:
+            self.begin_solution()
 
-    def _place_again(self) -> None:
-        """Place the newest change anew, once it has been seen for long enough."""
+    @property
+    def _is_to_be_placed(self) -> bool:
+        """Whether the newest change is to be placed anew: it has been seen for long enough."""
         if self._is_placed or self.solved is None:
-            return
-        *before, newest = self.events
-        if newest.since is None or self._now - newest.since < _PLACED_AFTER:
-            return
+            return False
+        since = self.events[-1].since
+        return since is not None and self._now - since >= _PLACED_AFTER
+
+    def _begin_placing(self) -> None:
+        assert self.solved is not None
         self._is_placed = True
-        points, solution = self.record.points(), self.solved.best
-        state = self.solved.grown(solution, self._posterior(self.events))
+        placing = Placing(
+            self.record.points(),
+            self.solved.grown(self.solved.best, self._made(self.events)(PressModel)),
+            self.solved.best,
+            self._made_with(self.events[:-1]),
+            self.events[-1],
+        )
+        self._placing = Advanced(placing.in_parts)
 
-        def evidence_of(change: Unknown) -> float:
-            posterior = self._posterior((*before, change))
-            try:
-                return posterior.tracked(points, state, solution).log_evidence
-            except UNSOLVABLE:
-                return -math.inf
-
-        change, _ = placed(newest, evidence_of(newest), _PLACED_WITHIN, evidence_of)
-        self.events = (*before, change)
+    def _end_placing(self) -> None:
+        """Take the newest change where it was placed."""
+        assert self._placing is not None
+        placing, self._placing = self._placing, None
+        self.events = (*self.events[:-1], placing.result())
+        self.begin_solution()

@@ -122,6 +122,12 @@ class PressSetting:
             order_sd=config.prior.fractional_order_sd if config.fractional_order_given else 0.0,
         )
 
+    def posterior_with(
+        self, events: tuple[Unknown, ...], compression_sd: float, deepest: float, *more: Unknown
+    ) -> Posterior:
+        """Return the posterior with more events."""
+        return self.posterior((*events, *more), compression_sd, deepest)
+
     def _first_belief(self, model: PressModel) -> Belief:
         """Return the belief at the first press of a site: as stated, and as the rig is known."""
         mean, precision = np.zeros(model.size), np.zeros((model.size, model.size))

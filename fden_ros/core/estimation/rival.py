@@ -60,8 +60,8 @@ def mismatch_log_odds(
     solution: Solution,
     posterior: Posterior,
     made: Callable[[type[PressModel]], Posterior],
-) -> Parts[float]:
-    """Return the log evidence of the rival over that of the power law.
+) -> Parts[float | None]:
+    """Return the log evidence of the rival over that of the power law; None: it cost too much.
 
     Parameters
     ----------
@@ -77,7 +77,9 @@ def mismatch_log_odds(
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
     first = solution.best_scales._replace(kernel=_least_kernel(posterior))
-    law = yield from _solution(_straight(made(PressModel), start), points, start, first)
+    straight = _straight(made(PressModel), start)
+    straight.limit = posterior.limit
+    law = yield from _solution(straight, points, start, first)
     if law is None:
         return -math.inf
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
@@ -90,6 +92,7 @@ def mismatch_log_odds(
     rivals = []
     for rate in wanted.tolist():
         rival = _straight(made(_Maxwell), at)
+        rival.limit = posterior.limit
         assert isinstance(rival.model, _Maxwell)
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
         found = yield from _solution(rival, points, at, scales)
@@ -97,6 +100,8 @@ def mismatch_log_odds(
             rivals.append(evidence_under(rival, points, found, errors, rival.grid))
             yield cost_of(points, rival.grid)
             at, scales = found.maximum.state, found.best_scales
+    if posterior.limit.is_reached:
+        return None
     if not rivals:
         return -math.inf
     best = max(rivals)

@@ -18,7 +18,7 @@ from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.maximum import CONVERGED, NEARLY_FOUND
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
-from fden_ros.core.estimation.parts import Parts, ended
+from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -32,6 +32,8 @@ from fden_ros.core.estimation.whiteness import contradicts
 _STARTS = (-0.8, 0.8)
 #: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
 _ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
+#: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
+_MOST_EVALUATIONS = 200
 
 
 @dataclass(frozen=True)
@@ -94,18 +96,18 @@ class Search:
         """The posterior, given the record."""
         return self.made(PressModel)
 
-    def solved(self) -> Solved:
-        """Return the solution, all of it now."""
-        return ended(self.in_parts())
-
     def in_parts(self) -> Parts[Solved]:
-        """Return the solution in parts.
+        """Return the solution in parts; beyond a cost no maximum is sought on.
 
         Raises
         ------
         FloatingPointError, OverflowError, numpy.linalg.LinAlgError
             If there is none.
         """
+        self.posterior.limit = Limit(_MOST_EVALUATIONS * self.points.times.size)
+        return (yield from self.posterior.limit.counted(self._solved()))
+
+    def _solved(self) -> Parts[Solved]:
         modes = yield from self._modes()
         mismatch = yield from self._mismatch_probability(modes.best)
         return Solved(
@@ -128,6 +130,8 @@ class Search:
         if not is_asked or not self.setting.can_tell_mismatch:
             return None
         odds = yield from mismatch_log_odds(self.points, best, self.posterior, self.made)
+        if odds is None:
+            return None
         return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
 
     def _strain(self, origin: float) -> float:

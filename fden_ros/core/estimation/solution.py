@@ -107,6 +107,17 @@ def averaged(
     FloatingPointError
         If no scale has a finite evidence.
     """
+    return _mixture(density, maximum, *_weighed(density, points, maximum, grid, held))
+
+
+def _weighed(
+    density: Density,
+    points: Points,
+    maximum: Maximum,
+    grid: Sequence[WeighedScales],
+    held: int | None,
+) -> tuple[list[_Group], float]:
+    """Return the places of a grid with their log evidence, and the highest of all."""
     priors = density.priors(maximum.state)
     off = density.belief.mean - maximum.state
     tails = density.tails(maximum.state)
@@ -123,20 +134,24 @@ def averaged(
         evidence += [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in own]
         evidence -= 0.5 * (about.square + about.log_determinant + tails)
         groups.append(_Group(about, equations, places, scales, evidence))
-    return _mixture(density, maximum, groups)
-
-
-def _mixture(density: Density, maximum: Maximum, groups: Sequence[_Group]) -> Solution:
-    """Return the mixture of all places: their weights are their evidence over the sum of all."""
-    likeliest = max(groups, key=lambda group: np.nanmax(group.evidence, initial=-math.inf))
-    best = float(np.nanmax(likeliest.evidence, initial=-math.inf))
+    best = max(float(np.fmax.reduce(group.evidence)) for group in groups)
     if not math.isfinite(best):
         raise FloatingPointError("no scale of the errors has a finite evidence")
+    return groups, best
+
+
+def _mixture(
+    density: Density, maximum: Maximum, groups: Sequence[_Group], best: float
+) -> Solution:
+    """Return the mixture of all places: their weights are their evidence over the sum of all."""
+    likeliest = max(groups, key=lambda group: float(np.fmax.reduce(group.evidence)))
     n = density.model.size
     step, second = np.zeros(n), np.zeros((n, n))
     found: dict[Scales, float] = {}
     for group in groups:
         is_likely = group.evidence >= best - NEGLIGIBLE
+        if not is_likely.any():
+            continue
         weights = np.exp(group.evidence[is_likely] - best)
         loops.mix(group.equations, group.scales[is_likely], weights, step, second)
         places = (place for place, likely in zip(group.places, is_likely, strict=True) if likely)
@@ -156,12 +171,25 @@ def _mixture(density: Density, maximum: Maximum, groups: Sequence[_Group]) -> So
     )
 
 
+def log_evidence(
+    density: Density,
+    points: Points,
+    maximum: Maximum,
+    grid: Sequence[WeighedScales],
+    held: int | None = None,
+) -> float:
+    """Return the log evidence of :func:`averaged`, which takes the same."""
+    groups, best = _weighed(density, points, maximum, grid, held)
+    # What is negligible counts as nothing here as there.
+    likely = [g.evidence[g.evidence >= best - NEGLIGIBLE] - best for g in groups]
+    return best + math.log(float(np.exp(np.concatenate(likely)).sum()))
+
+
 def evidence_at(
     density: Density, points: Points, maximum: Maximum, held: int | None = None
 ) -> float:
     """Return the log evidence at the scales of a maximum; `held` is that of `averaged`."""
-    place = (WeighedScales(maximum.scales, 0.0),)
-    return averaged(density, points, maximum, place, held).log_evidence
+    return log_evidence(density, points, maximum, (WeighedScales(maximum.scales, 0.0),), held)
 
 
 def evidence_under(
@@ -177,4 +205,4 @@ def evidence_under(
     where more is stated of them than there is the softer tissue would win. Under the errors of
     another the same scales need not be best.
     """
-    return averaged(density, points, replace(solution.maximum, errors=errors), grid).log_evidence
+    return log_evidence(density, points, replace(solution.maximum, errors=errors), grid)

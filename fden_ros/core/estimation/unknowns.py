@@ -162,17 +162,20 @@ def _constrained(places: Array, length: float, zero: Array) -> FieldPrior:
     a covariance less part of what the sum shares in follows from the sum's variance alone.
     """
     apart = np.diff(places) / length
-    at = np.concatenate([[0.0], np.cumsum(apart)])
-    variance = float(zero @ np.exp(-np.abs(at[:, None] - at)) @ zero)
-    beside = np.exp(-apart)
-    own = -np.expm1(-2.0 * apart)
+    own, beside = -np.expm1(-2.0 * apart), np.exp(-apart)
+    # The few places that the sum has: their covariance.
+    some = np.flatnonzero(zero)
+    at = places[some] / length
+    variance = float(zero[some] @ np.exp(-np.abs(at[:, None] - at)) @ zero[some])
     precision = (1.0 - _CONSTRAINED) / (_CONSTRAINED * variance) * np.outer(zero, zero)
-    k = np.arange(apart.size)
-    precision[k, k + 1] -= beside / own
-    precision[k + 1, k] -= beside / own
-    precision[k + 1, k + 1] += 1.0 / own
-    precision[k, k] += beside**2 / own
-    precision[0, 0] += 1.0
+    diagonals = precision.reshape(-1)
+    step = places.size + 1
+    diagonals[1::step] -= beside / own
+    diagonals[places.size :: step] -= beside / own
+    main = diagonals[::step]
+    main[0] += 1.0
+    main[1:] += 1.0 / own
+    main[:-1] += beside**2 / own
     determinant = -math.log(_CONSTRAINED) - float(np.log(own).sum())
     return FieldPrior(precision, determinant)
 
@@ -189,9 +192,16 @@ def kernel_prior() -> FieldPrior:
 @functools.lru_cache(maxsize=16)
 def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
     """Return the prior of the characteristic's error; at the strain 0.1 it is 0."""
-    place = np.log(phi(characteristic_knots(last), 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
+    knots, zero = _characteristic(last)
+    place = np.log(phi(knots, 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
+    return _constrained(place, CHARACTERISTIC_LENGTH, zero)
+
+
+@functools.lru_cache(maxsize=16)
+def _characteristic(last: float) -> tuple[Array, Array]:
+    """Return the knots of the characteristic's error, and their weights at the strain 0.1."""
     zero, _ = splines(np.array([REFERENCE_STRAIN]), last, CHARACTERISTIC_KNOTS)
-    return _constrained(place, CHARACTERISTIC_LENGTH, zero[0])
+    return characteristic_knots(last), zero[0]
 
 
 def change_since(time: float) -> Unknown:

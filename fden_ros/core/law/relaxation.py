@@ -40,6 +40,8 @@ SLOWEST = 1e-6
 #: Rates of the exponentials [1/s], shape (COUNT,).
 RATES: Array = SLOWEST * np.exp(SPACING * np.arange(COUNT))
 RATES.flags.writeable = False
+#: Logarithms of the rates, then of those by which the slower and the faster ones count.
+_LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
 #: Orders alpha that the weights are made for.
 LOWEST_ORDER, HIGHEST_ORDER = 0.003, 0.9
 _STEP = 1e-6
@@ -60,7 +62,12 @@ def relaxation_weights(order: float) -> Array:
 
 def relaxation_slopes(order: float) -> Array:
     """Return the derivatives of :func:`relaxation_weights` by alpha."""
-    return _slopes(relaxation_weights, order)
+    slopes = _LOG_RATES + math.pi / math.tan(math.pi * order)
+    # Those of the geometric sums.
+    slopes[-2] -= SPACING / -math.expm1(-SPACING * order)
+    slopes[-1] += SPACING / -math.expm1(-SPACING * (1.0 - order))
+    slopes *= relaxation_weights(order)
+    return slopes
 
 
 def _slopes(weights: Callable[[float], Array], order: float) -> Array:

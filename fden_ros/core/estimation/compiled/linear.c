@@ -150,19 +150,27 @@ CLONED double fden_equations(const Walks *walks, int columns, double *rows, doub
     return found;
 }
 
-/* Cholesky's elimination of rows `from` to `to` of a symmetric system [A, B]. */
-static INLINE int eliminate_rows(double *rows, int size, int columns, int from, int to)
+/* Rows lie a multiple of GROUP apart, and loops go over whole groups: what they do below a diagonal or
+ * beyond a row's end is of no use and does no harm. */
+static int padded(int size)
+{
+    return (size + GROUP - 1) / GROUP * GROUP;
+}
+
+/* Cholesky's elimination of rows `from` to `to` of a symmetric system [A, b]. */
+static INLINE int eliminate_rows(double *rows, int size, int stride, int from, int to)
 {
     for (int k = from; k < to; k++) {
-        double *restrict pivot = rows + (size_t)k * columns;
+        double *restrict pivot = rows + (size_t)k * stride;
         if (!(pivot[k] > 0.0))
             return 1;
         double unit = 1.0 / sqrt(pivot[k]);
-        for (int j = k; j < columns; j++)
+        int groups = stride / GROUP;
+        for (int j = k / GROUP * GROUP; j < groups * GROUP; j++)
             pivot[j] *= unit;
         for (int i = k + 1; i < size; i++) {
-            double *restrict row = rows + (size_t)i * columns, part = pivot[i];
-            for (int j = i; j < columns; j++)
+            double *restrict row = rows + (size_t)i * stride, part = pivot[i];
+            for (int j = i / GROUP * GROUP; j < groups * GROUP; j++)
                 row[j] -= part * pivot[j];
         }
     }
@@ -170,10 +178,10 @@ static INLINE int eliminate_rows(double *rows, int size, int columns, int from, 
 }
 
 /* x of U x = b, where U is the upper triangle of [U, b]. */
-static void back(const double *rows, int size, int columns, double *found)
+static void back(const double *rows, int size, int stride, double *found)
 {
     for (int k = size - 1; k >= 0; k--) {
-        const double *row = rows + (size_t)k * columns;
+        const double *row = rows + (size_t)k * stride;
         double left = row[size];
         for (int j = k + 1; j < size; j++)
             left -= row[j] * found[j];
@@ -183,31 +191,31 @@ static void back(const double *rows, int size, int columns, double *found)
 
 CLONED int fden_solve(int size, const double *matrix, const double *side, double *found)
 {
-    int columns = size + 1;
-    double *rows = malloc(sizeof(double) * size * (size_t)columns + 1);
+    int stride = padded(size + 1);
+    double *rows = calloc((size_t)size * stride + 1, sizeof(double));
     if (!rows)
         return 1;
     for (int i = 0; i < size; i++) {
-        memcpy(rows + (size_t)i * columns, matrix + (size_t)i * size, sizeof(double) * size);
-        rows[(size_t)i * columns + size] = side[i];
+        memcpy(rows + (size_t)i * stride, matrix + (size_t)i * size, sizeof(double) * size);
+        rows[(size_t)i * stride + size] = side[i];
     }
-    int failed = eliminate_rows(rows, size, columns, 0, size);
+    int failed = eliminate_rows(rows, size, stride, 0, size);
     if (!failed)
-        back(rows, size, columns, found);
+        back(rows, size, stride, found);
     free(rows);
     return failed;
 }
 
 /* Add a prior to the block of a system that begins at a place; return its pull. */
 static double add_prior(const Scaled *in, double *rows, int place, int stop, const double *prior,
-                        int stride, double factor)
+                        double factor)
 {
-    int n = in->size, columns = n + 1;
+    int n = in->size, stride = padded(n + 1), width = stop - place;
     double all = 0.0;
     for (int i = place; i < stop; i++) {
         double pull = 0.0;
-        const double *own = prior + (size_t)(i - place) * stride;
-        double *row = rows + (size_t)i * columns;
+        const double *own = prior + (size_t)(i - place) * width;
+        double *row = rows + (size_t)i * stride;
         for (int j = place; j < stop; j++) {
             row[j] += factor * own[j - place];
             pull += factor * own[j - place] * in->off[j];
@@ -220,24 +228,39 @@ static double add_prior(const Scaled *in, double *rows, int place, int stop, con
 
 static double begun(const Scaled *in, double *rows)
 {
-    int n = in->size, columns = n + 1;
+    int n = in->size, stride = padded(n + 1);
     for (int i = 0; i < n; i++) {
-        memcpy(rows + (size_t)i * columns, in->normal + (size_t)i * n, sizeof(double) * n);
-        rows[(size_t)i * columns + n] = in->towards[i];
+        memcpy(rows + (size_t)i * stride, in->normal + (size_t)i * n, sizeof(double) * n);
+        rows[(size_t)i * stride + n] = in->towards[i];
     }
-    return add_prior(in, rows, 0, n, in->base, n, 1.0);
+    return add_prior(in, rows, 0, n, in->base, 1.0);
+}
+
+static double with_kernel(const Scaled *in, double *rows, double scale)
+{
+    double pull = begun(in, rows);
+    if (in->kernel_prior)
+        pull += add_prior(in, rows, in->kernel, in->characteristic, in->kernel_prior, scale);
+    return pull;
+}
+
+static double with_characteristic(const Scaled *in, double *rows, double scale)
+{
+    if (!in->characteristic_prior)
+        return 0.0;
+    return add_prior(in, rows, in->characteristic, in->size, in->characteristic_prior, scale);
 }
 
 static void hold(const Scaled *in, double *rows)
 {
-    int n = in->size, columns = n + 1, held = in->held;
+    int n = in->size, stride = padded(n + 1), held = in->held;
     if (held < 0)
         return;
-    for (int j = 0; j < columns; j++)
-        rows[(size_t)held * columns + j] = 0.0;
+    for (int j = 0; j < stride; j++)
+        rows[(size_t)held * stride + j] = 0.0;
     for (int i = 0; i < n; i++)
-        rows[(size_t)i * columns + held] = 0.0;
-    rows[(size_t)held * columns + held] = 1.0;
+        rows[(size_t)i * stride + held] = 0.0;
+    rows[(size_t)held * stride + held] = 1.0;
 }
 
 /* What the evidence gains at each place of the grid, 2 (kernel, characteristic) inverse squares
@@ -245,97 +268,94 @@ static void hold(const Scaled *in, double *rows)
  * places of one kernel have in common is eliminated once. */
 CLONED int fden_weigh(const Scaled *in, int places, const double *scales, double *gains)
 {
-    int n = in->size, columns = n + 1, from = in->characteristic;
-    size_t bytes = sizeof(double) * n * (size_t)columns;
-    double *shared = malloc(bytes + 1), *rows = malloc(bytes + 1);
+    int n = in->size, stride = padded(n + 1), from = in->characteristic;
+    size_t count = (size_t)n * stride;
+    double *shared = calloc(2 * count + 1, sizeof(double)), *rows = shared + count;
     double pull = 0.0;
-    int failed = !shared || !rows;
+    int failed = !shared;
     for (int p = 0; p < places && !failed; p++) {
         const double *scale = scales + 2 * p;
         if (p == 0 || scale[0] != scale[-2]) {
-            pull = begun(in, shared);
-            if (in->kernel_prior)
-                pull += add_prior(in, shared, in->kernel, from, in->kernel_prior,
-                                  from - in->kernel, scale[0]);
+            pull = with_kernel(in, shared, scale[0]);
             hold(in, shared);
-            failed = eliminate_rows(shared, n, columns, 0, from);
+            failed = eliminate_rows(shared, n, stride, 0, from);
         }
-        memcpy(rows, shared, bytes);
-        double own = pull;
-        if (in->characteristic_prior)
-            own += add_prior(in, rows, from, n, in->characteristic_prior, n - from, scale[1]);
-        failed |= eliminate_rows(rows, n, columns, from, n);
+        memcpy(rows, shared, count * sizeof(double));
+        double own = pull + with_characteristic(in, rows, scale[1]);
+        failed |= eliminate_rows(rows, n, stride, from, n);
         double volume = 0.0, square = 0.0;
         for (int k = 0; k < n; k++) {
-            const double *row = rows + (size_t)k * columns;
+            const double *row = rows + (size_t)k * stride;
             volume += log(row[k]);
             square += row[n] * row[n];
         }
         gains[p] = 0.5 * (square - own) - volume;
     }
     free(shared);
-    free(rows);
     return failed;
+}
+
+/* Rows of U^-T; A^-1 = U^-1 U^-T is the sum of their outer products. */
+static INLINE void invert(const double *rows, int size, int stride, double *roots)
+{
+    for (int i = 0; i < size; i++) {
+        double *restrict own = roots + (size_t)i * stride;
+        memset(own, 0, sizeof(double) * stride);
+        own[i] = 1.0;
+        for (int k = 0; k < i; k++) {
+            double part = rows[(size_t)k * stride + i];
+            const double *restrict other = roots + (size_t)k * stride;
+            int groups = k / GROUP + 1;
+            for (int j = 0; j < groups * GROUP; j++)
+                own[j] -= part * other[j];
+        }
+        double unit = 1.0 / rows[(size_t)i * stride + i];
+        for (int j = 0; j <= i; j++)
+            own[j] *= unit;
+    }
+}
+
+/* Add to the lower triangle of a sum the outer product of a row. */
+static INLINE void add_square(double *sum, const double *restrict row, int count, int stride,
+                              double weight)
+{
+    for (int i = 0; i < count; i++) {
+        double part = weight * row[i], *restrict to = sum + (size_t)i * stride;
+        int groups = i / GROUP + 1;
+        for (int j = 0; j < groups * GROUP; j++)
+            to[j] += part * row[j];
+    }
 }
 
 /* Add up the moments of the steps at places of the grid: weight (step, A^-1 + step step^T). */
 CLONED int fden_mix(const Scaled *in, int places, const double *scales, const double *weights,
                     double *mean, double *second)
 {
-    int n = in->size, columns = n + 1;
-    double *rows = malloc(sizeof(double) * n * (size_t)columns + 1);
-    double *root = malloc(sizeof(double) * n * (size_t)n + 1);
-    double *step = malloc(sizeof(double) * n + 1);
-    int failed = !rows || !root || !step;
+    int n = in->size, stride = padded(n + 1);
+    size_t count = (size_t)n * stride;
+    double *rows = calloc(3 * count + stride + 1, sizeof(double));
+    double *roots = rows + count, *sum = roots + count, *step = sum + count;
+    int failed = !rows;
     for (int p = 0; p < places && !failed; p++) {
-        begun(in, rows);
-        if (in->kernel_prior) {
-            add_prior(in, rows, in->kernel, in->characteristic, in->kernel_prior,
-                      in->characteristic - in->kernel, scales[2 * p]);
-            add_prior(in, rows, in->characteristic, n, in->characteristic_prior,
-                      n - in->characteristic, scales[2 * p + 1]);
-        }
+        with_kernel(in, rows, scales[2 * p]);
+        with_characteristic(in, rows, scales[2 * p + 1]);
         hold(in, rows);
-        failed = eliminate_rows(rows, n, columns, 0, n);
+        failed = eliminate_rows(rows, n, stride, 0, n);
         if (failed)
             break;
-        back(rows, n, columns, step);
-        /* Rows of U^-T; A^-1 = U^-1 U^-T is the sum of their outer products. */
-        for (int i = 0; i < n; i++) {
-            double *own = root + (size_t)i * n;
-            memset(own, 0, sizeof(double) * n);
-            own[i] = 1.0;
-            for (int k = 0; k < i; k++) {
-                double part = rows[(size_t)k * columns + i];
-                const double *restrict other = root + (size_t)k * n;
-                for (int j = 0; j <= k; j++)
-                    own[j] -= part * other[j];
-            }
-            double unit = 1.0 / rows[(size_t)i * columns + i];
-            for (int j = 0; j <= i; j++)
-                own[j] *= unit;
-        }
-        double weight = weights[p];
-        for (int i = 0; i < n; i++) {
-            mean[i] += weight * step[i];
-            double *restrict to = second + (size_t)i * n;
-            for (int j = 0; j <= i; j++)
-                to[j] += weight * step[i] * step[j];
-        }
-        for (int k = 0; k < n; k++) {
-            const double *restrict own = root + (size_t)k * n;
-            for (int i = 0; i <= k; i++) {
-                double part = weight * own[i], *restrict to = second + (size_t)i * n;
-                for (int j = 0; j <= i; j++)
-                    to[j] += part * own[j];
-            }
-        }
+        back(rows, n, stride, step);
+        invert(rows, n, stride, roots);
+        for (int i = 0; i < n; i++)
+            mean[i] += weights[p] * step[i];
+        add_square(sum, step, n, stride, weights[p]);
+        for (int k = 0; k < n; k++)
+            add_square(sum, roots + (size_t)k * stride, k + 1, stride, weights[p]);
     }
-    for (int i = 0; i < n; i++)
-        for (int j = i + 1; j < n; j++)
-            second[(size_t)i * n + j] = second[(size_t)j * n + i];
+    for (int i = 0; i < n && !failed; i++)
+        for (int j = 0; j <= i; j++) {
+            second[(size_t)i * n + j] += sum[(size_t)i * stride + j];
+            second[(size_t)j * n + i] = second[(size_t)i * n + j];
+        }
     free(rows);
-    free(root);
-    free(step);
     return failed;
 }
