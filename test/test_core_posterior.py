@@ -344,6 +344,20 @@ def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:
     assert sizes[2] - sizes[1] == pytest.approx(sizes[1] - sizes[0], abs=15)
 
 
+@pytest.mark.parametrize("rate", [100.0, 1000.0, 5000.0])
+def test_a_motion_that_never_rests_is_kept_in_a_bounded_number_of_blocks(rate: float) -> None:
+    record = Record()
+    for k in range(round(30.0 * rate)):
+        time = k / rate
+        record.add(time, 0.1 - 0.1 * math.cos(time), 100.0 * time, is_observed=True)
+        assert record.size <= MOST_BLOCKS
+    points = record.points()
+    assert points.counts.sum() == round(30.0 * rate)
+    # Of a sine a block's line leaves little.
+    exact = 0.1 - 0.1 * np.cos(points.middles)
+    assert np.abs(points.mean(points.compressions) - exact).max() < 1e-3
+
+
 def test_the_way_before_a_touch_is_at_most_a_second_of_its_line() -> None:
     record = Record(0.0, reach=0.5)
     for k in range(20):

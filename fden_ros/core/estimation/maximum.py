@@ -86,6 +86,14 @@ class _Equations(NamedTuple):
     misfit: float
 
 
+class _Tried(NamedTuple):
+    """Where a step leads."""
+
+    state: Array
+    misfit: float
+    evaluation: Evaluation | None  #: None: not known yet
+
+
 class MaximumSearch:
     """Seeks the maximum of a posterior given a record.
 
@@ -113,6 +121,7 @@ class MaximumSearch:
     ) -> None:
         self._density, self._points, self._scales = density, points, scales
         self._converged, self._held, self._most = converged, held, most
+        self._shortens = self._is_smooth = True
 
     def from_start(self, start: Array, known: Evaluation | None = None) -> Parts[Maximum]:
         """Return the maximum that a start leads to; a part is a step.
@@ -237,46 +246,53 @@ class MaximumSearch:
         """Return the first damped step that lowers the misfit, or None; damping and tries."""
         for tries in range(1, _MOST_TRIES + 1):
             normal = equations.normal + damping * np.diag(equations.damped)
-            taken = self._try(state, loops.solve(normal, equations.towards), metric)
-            if taken is not None:
-                taken = self._shortened(state, taken, equations, metric)
-            if taken is not None and taken[2] <= equations.misfit:
-                return taken[:2], damping, tries
+            tried = self._try(state, loops.solve(normal, equations.towards), metric)
+            if tried is not None:
+                tried = self._shortened(state, tried, equations, metric)
+            # Derivatives are for steps that are taken: the next first one, too, as it seems.
+            self._is_smooth = tried is not None and tried.misfit <= equations.misfit
+            if tried is not None and self._is_smooth:
+                found = tried.evaluation
+                if found is None:
+                    found = self._density.evaluate(self._points, tried.state)
+                self._is_smooth = tries == 1
+                return (tried.state, found), damping, tries
             damping = max(damping, _DAMPING) * _DAMPED
         return None, damping, _MOST_TRIES
 
     def _shortened(
-        self,
-        state: Array,
-        taken: tuple[Array, Evaluation, float],
-        equations: _Equations,
-        metric: _Metric,
-    ) -> tuple[Array, Evaluation, float]:
+        self, state: Array, tried: _Tried, equations: _Equations, metric: _Metric
+    ) -> _Tried:
         """Return where the misfit is lowest along a step that leads too far, or where it leads.
 
         Where residuals are large the misfit is more curved than the normal equations say, and
         steps would go to and fro.
         """
-        step = taken[0] - state
+        step = tried.state - state
         gain = float(equations.towards @ step)
-        curved = taken[2] - equations.misfit + 2.0 * gain
-        if not 0.0 < gain < _TOO_FAR * curved:
-            return taken
+        curved = tried.misfit - equations.misfit + 2.0 * gain
+        if not (self._shortens and 0.0 < gain < _TOO_FAR * curved):
+            return tried
         shorter = self._try(state, gain / curved * step, metric)
-        return shorter if shorter is not None and shorter[2] < taken[2] else taken
+        # At a kink no parabola holds, and a second try at one would be in vain.
+        self._shortens = shorter is not None and shorter.misfit <= equations.misfit
+        return shorter if shorter is not None and shorter.misfit < tried.misfit else tried
 
-    def _try(
-        self, state: Array, step: Array, metric: _Metric
-    ) -> tuple[Array, Evaluation, float] | None:
+    def _try(self, state: Array, step: Array, metric: _Metric) -> _Tried | None:
         """Return where a step leads, and the misfit there; None: nowhere."""
         largest = float(np.max(np.abs(step[: len(LAW)]) / _LARGEST_STEP))
         after = state + step / max(largest, 1.0)
         after[ORDER] = np.clip(after[ORDER], LOWEST_ORDER, HIGHEST_ORDER)
+        density, points, found = self._density, self._points, None
         try:
-            found = self._density.evaluate(self._points, after)
+            if self._is_smooth:
+                found = density.evaluate(points, after)
+            stress = (
+                found.stress if found is not None else density.model.response(points, after).stress
+            )
         except (FloatingPointError, OverflowError):
             return None
-        return after, found, self._misfit(after, found.stress, metric)
+        return _Tried(after, self._misfit(after, stress, metric), found)
 
 
 def _leaves(order: float, towards: float) -> bool:

@@ -249,11 +249,11 @@ class PressPosterior:
             return
         if self._now - since < SUSPECTED and self._now - self._looked_at < LOOK_PERIOD:
             return
-        if self.solved is not None and self._is_placed and not self.record.is_full:
+        if self.solved is not None and self._is_placed:
             self._begin_look()
             return
         self._suspected_at = None
-        if self._begun is None and not self.record.is_full:
+        if self._begun is None:
             self.begin_solution()
 
     def _unpredicted(self, stress: float) -> Innovation:
@@ -287,7 +287,7 @@ class PressPosterior:
 
     def _is_due(self) -> bool:
         is_begun = self._begun is not None
-        if is_begun or self._blocks < _FIRST_SOLUTION or self.record.is_full:
+        if is_begun or self._blocks < _FIRST_SOLUTION:
             return False
         elapsed, depth = self._solved_at
         return (

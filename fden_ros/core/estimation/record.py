@@ -31,8 +31,9 @@ from fden_ros.core.estimation import loops
 
 #: Time of a block [s]: twice this costs a factor of 3 at a noise of 0.1 mN (test_core_record).
 BLOCK_TIME = 0.01
-#: Samples are blocks of their own for so long after the first, just before the touch [s].
-TOUCH_TIME = 0.05
+#: Samples are blocks of their own for so long after the first, just before the touch [s]; above
+#: 1 kHz those of this time are one [s].
+TOUCH_TIME, _LEAST_BLOCK = 0.05, 1e-3
 #: Noise of the compression above which a sample alone tells nothing of the touch [1].
 _SHARP_NOISE = 5e-5
 #: A block ends where the motion leaves its line by this compression [1] and as many standard
@@ -54,9 +55,9 @@ _SLOPE_DEVIATIONS = 3.0
 _LONGEST_APPROACH = 1.0
 #: The way of the probe that was seen before the touch makes at most 12 blocks [1].
 _BLOCKS_OF_WAY = 12
-#: Blocks of one press [1]; a record that is full takes no more. (A press of 0.3 of strain has 100
-#: to 600, each further decade of a hold 50.)
-MOST_BLOCKS = 2000
+#: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold 50.
+#: Where there would be more, each two are one from then on, and all that follow last twice as long.
+MOST_BLOCKS = 600
 
 
 class Sample(NamedTuple):
@@ -229,12 +230,8 @@ class Record:
         self._open: _Cell | None = None
         self._start: float | None = None
         self._changed = 0.0
+        self._block_time = BLOCK_TIME
         self.max_compression = -math.inf
-
-    @property
-    def is_full(self) -> bool:
-        """Whether it takes no more."""
-        return len(self._cells) >= MOST_BLOCKS
 
     @property
     def _touch_time(self) -> float:
@@ -252,8 +249,6 @@ class Record:
 
     def add(self, time: float, compression: float, stress: float, *, is_observed: bool) -> None:
         """Take a sample; `is_observed`: its stress counts, not only its motion."""
-        if self.is_full:
-            return
         if self._start is None:
             self._start = self._changed = time
         if self._open is not None and self._is_complete(
@@ -268,11 +263,13 @@ class Record:
 
     def _is_complete(self, cell: _Cell, time: float, compression: float, observed: bool) -> bool:
         assert self._start is not None
-        if cell.is_observed != observed or cell.start - self._start < self._touch_time:
+        if cell.is_observed != observed:
             return True
+        if cell.start - self._start < self._touch_time:
+            return time - cell.start > _LEAST_BLOCK - _SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        if time - cell.start > BLOCK_TIME - 0.5 * step + _SAME_TIME:
+        if time - cell.start > self._block_time - 0.5 * step + _SAME_TIME:
             return True
         if cell.count < 2:
             return False
@@ -300,6 +297,25 @@ class Record:
         self._path = longer or cell
         self._cells.append(cell)
         self._rows.append(cell.row())
+        if len(self._cells) >= MOST_BLOCKS:
+            self._halve()
+
+    def _halve(self) -> None:
+        """Make each two blocks one, but for those near the touch."""
+        assert self._start is not None
+        self._block_time *= 2.0
+        halved: list[_Cell] = []
+        is_open = False  # the newest of them waits for another
+        for cell in self._cells:
+            is_near = cell.start - self._start < TOUCH_TIME
+            if is_open and halved[-1].is_observed == cell.is_observed and not is_near:
+                halved[-1], is_open = halved[-1].merged(cell), False
+            else:
+                halved.append(cell)
+                is_open = not is_near
+        self._cells, self._path = halved, halved[-1]
+        self._rows = [cell.row() for cell in halved]
+        self._path_begin = len(halved) - 1
 
     def _end_of(self, path: _Cell) -> _Cell | None:
         """Return the last step of the motion along a path; None: the last block has it nearly.
