@@ -256,5 +256,7 @@ def _repeated(normal: Array, prior: Array, lasting: Array, presses: int) -> list
 def _inverse(matrix: Array) -> Array:
     """Return the inverse of a precision."""
     root = np.linalg.inv(np.linalg.cholesky(matrix))
+    if not np.isfinite(root).all():
+        raise np.linalg.LinAlgError("the precision is not finite")
     result: Array = root.T @ root
     return result
