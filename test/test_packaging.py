@@ -183,6 +183,16 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
 
 
+def test_without_a_compiler_one_line_says_what_to_install(tmp_path):
+    build = [sys.executable, "setup.py", "-q", "build_ext", "-f", "-b", tmp_path, "-t", tmp_path]
+    failed = subprocess.run(
+        build, cwd=ROOT, env=os.environ | {"CC": "no-compiler"}, capture_output=True, text=True
+    )
+    assert failed.returncode != 0
+    assert "apt-get install build-essential python3-dev" in failed.stderr.splitlines()[-1]
+
+
+
 @pytest.mark.parametrize("module", ["fden_ros.nodes.identifier", "fden_ros.cli"])
 @pytest.mark.parametrize("given", [None, "3"])
 def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(module, given):

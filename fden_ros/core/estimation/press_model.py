@@ -119,10 +119,11 @@ class PressModel:
         self._weight_of[ORDER] = 0
         self._weight_of[self.kernel] = 1 + np.arange(kernel.size)
         self._designed: tuple[Points, _Design] | None = None
+        self._law_at: tuple[Array, tuple[LawState, Array]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return it without what the last record has decided: that is found anew."""
-        return self.__dict__ | {"_designed": None}
+        """Return it without what the last record and state have decided: that is found anew."""
+        return self.__dict__ | {"_designed": None, "_law_at": None}
 
     def order(self, state: Array) -> float:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
@@ -144,14 +145,11 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
-        weights, slopes = self._bent_relaxation(state)
-        rows = slopes[None]
-        if self.is_bent:
-            rows = np.ascontiguousarray(np.vstack([slopes, weights * KERNEL_HATS.T]))
+        _, rows = self._law(state)
         design, (surface, lifted) = self._design(points), self._surface(points, state)
         columns = Columns(self._kinds, design.motions, self._weight_of, rows, lifted)
         begun = going_on if going_on is not None else ResponseState(self.size)
-        found = self._evaluated(points, state, weights, surface, columns, begun)
+        found = self._evaluated(points, state, surface, columns, begun)
         if self._compliance is not None:
             found.jacobian[:, self._compliance] *= self._compliance_unit
         of_unknowns = found.jacobian[:, : self._adds_stress.size]
@@ -166,32 +164,41 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
-        weights, _ = self._bent_relaxation(state)
         surface, _ = self._surface(points, state)
-        return self._evaluated(points, state, weights, surface, None, ResponseState(0))
+        return self._evaluated(points, state, surface, None, ResponseState(0))
 
     def _evaluated(
         self,
         points: Points,
         state: Array,
-        weights: Array,
         surface: Array | None,
         columns: Columns | None,
         begun: ResponseState,
     ) -> Evaluation:
         steps = Steps(points.elapsed, points.moments, points.first, points.last)
         compressions = self.compressions(points, state)
-        law = self._law(state, weights)
+        law, _ = self._law(state)
         found = loops.respond(law, steps, compressions, surface, columns, begun)
         stress = found.stress + self._of_unknowns(state) @ self._design(points).stresses
         return Evaluation(stress, found.jacobian, found.elastic, found.slope, begun)
 
-    def _law(self, state: Array, weights: Array) -> LawState:
-        """Return the law at a state, with the weights of its relaxation."""
+    def _law(self, state: Array) -> tuple[LawState, Array]:
+        """Return the law at a state, and the derivatives of its weights, (rows, RATES + 2).
+
+        Those of the last state are kept: a filter goes on from one.
+        """
+        if self._law_at is not None and np.array_equal(self._law_at[0], state):
+            return self._law_at[1]
+        weights, slopes = self.relaxation(_order(state))
+        rows = slopes[None]
+        if self.is_bent:
+            bend = np.exp(KERNEL_HATS @ state[self.kernel])
+            weights = weights * bend
+            rows = np.ascontiguousarray(np.vstack([slopes * bend, weights * KERNEL_HATS.T]))
         compliance = 0.0
         if self._compliance is not None:
             compliance = self._compliance_unit * float(state[self._compliance])
-        return LawState(
+        law = LawState(
             linear_stiffness=math.exp(state[LOG_G]),
             nonlinear_stiffness=math.exp(state[LOG_GN]),
             exponent=self.geometry.exponent,
@@ -201,14 +208,8 @@ class PressModel:
             bend=state[self.characteristic],
             last_knot=self.last_knot,
         )
-
-    def _bent_relaxation(self, state: Array) -> tuple[Array, Array]:
-        """Return the weights of the relaxation with its error, and their derivatives by alpha."""
-        weights, slopes = self.relaxation(_order(state))
-        if not self.is_bent:
-            return weights, slopes
-        bend = np.exp(KERNEL_HATS @ state[self.kernel])
-        return weights * bend, slopes * bend
+        self._law_at = state.copy(), (law, rows)
+        return law, rows
 
     @property
     def _compliance_unit(self) -> float:

@@ -55,8 +55,8 @@ _SLOPE_DEVIATIONS = 3.0
 _LONGEST_APPROACH = 1.0
 #: The way of the probe that was seen before the touch makes at most 12 blocks [1].
 _BLOCKS_OF_WAY = 12
-#: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold 50.
-#: Where there would be more, each two are one from then on, and all that follow last twice as long.
+#: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
+#: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
 
 

@@ -22,7 +22,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ive
 
 from fden_ros.core.arrays import Array
@@ -170,4 +169,7 @@ def _z_of(ratio: float) -> float:
     """Return z by the ratio of the second harmonic; beyond any palpation's it stops."""
     most, least = 2.0 * _LARGEST, float(np.finfo(float).eps)
     ratio = min(ratio, _ratio(2, most))
+    # Importing it takes as long as all else here, and few recordings oscillate.
+    from scipy.optimize import brentq
+
     return float(brentq(lambda z: _ratio(2, z) - ratio, least, most))

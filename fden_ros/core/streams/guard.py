@@ -222,7 +222,10 @@ class StreamGuard:
         for sample in samples:
             for judged, reason in self._values.judge(sample):
                 if reason is None:
-                    accepted.append(judged._replace(resolution=self.resolution))
+                    resolution = self.resolution
+                    if judged.resolution != resolution:
+                        judged = judged._replace(resolution=resolution)
+                    accepted.append(judged)
                 else:
                     self.reject(reason)
         return tuple(accepted)
