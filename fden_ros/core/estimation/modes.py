@@ -51,9 +51,6 @@ _NEAR, _BENT = 0.05, 0.3
 #: A linear law that is less likely than the bend by this logarithm after as many steps is not
 #: sought on [1].
 _HOPELESS, _FIRST_STEPS = 40.0, 2
-#: A maximum so many standard deviations of ln Gn above the boundary [1] leaves nothing to a linear
-#: law: its weight was 1e-9 and less.
-_FAR_BEYOND = 10.0
 #: Nodes of a hidden origin on each side of the maximum [1], and their steps.
 _NODES, _NODE_STEPS = 12, 3
 #: A ridge that is less likely than this does not count [1]: its variance would widen an interval
@@ -332,8 +329,6 @@ def _with_linear(
         return modes
     boundary = _boundary(strain)
     beyond = (float(best.mean[LOG_GN]) - boundary) / sd
-    if beyond > _FAR_BEYOND:
-        return modes
     state = best.maximum.state
     known: Evaluation | None = best.maximum.evaluation
     if state[LOG_GN] > boundary:
