@@ -360,15 +360,24 @@ def test_tiny_run_measures_how_probabilities_hold(tmp_path, capsys, monkeypatch)
 
 def test_a_run_through_the_node_measures_all():
     """How much is lost in time is for a quiet machine to say."""
-    rows = node.measure(2 * [node.Turn(node.NODE, 200.0, 1.5), node.Turn(node.RELAY, 200.0, 1.5)])
+    turns = [node.Turn(node.NODE, 200.0, 1.5), node.Turn(node.RELAY, 200.0, 1.5)]
+    rows = node.measure(2 * turns, burners=1)
     assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
     for row in rows.values():
         assert row["sent"] == 600 and 0 <= row["lost"] < 600
         assert row["published"] > 0
         assert len(row["CPU"]) == 2 and all(0.0 < cpu < 2.0 for cpu in row["CPU"])
-        for p50, p99, most in zip(row["p50"], row["p99"], row["p99.9"], strict=True):
+        for p50, p99, most in zip(row["p50"], row["p99"], row["max"], strict=True):
             assert 0.0 < p50 <= p99 <= most
+        # A press of 1.8 s and its hold; the first half second is left out.
+        assert 10 <= row["late"].whole <= 202
+        assert row["late"].part <= row["late"].whole == row["number"].whole
         assert min(row["memory"]) > 10.0
+    assert rows["relay, 200 Hz"]["number"].part == 0
+    usual = {name.replace("200", "1000"): row for name, row in rows.items()}
+    for is_busy in (False, True):
+        names = [goal.name for goal in node.goals_of(usual, is_busy=is_busy)]
+        assert "late ticks [%]" in names and len(set(names)) == len(names)
 
 
 def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
@@ -383,7 +392,7 @@ def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
         backlog.work()
     assert backlog.dropped["force"] == 10_000
     assert [int(data) for data in read] == list(range(10_000, 30_000))
-    assert backlog.received["force"] == backlog.most_waiting == 20_000
+    assert (backlog.received["force"], backlog.most_waiting) == (20_000, 30_000)
     assert backlog.received_ns == 29_999
 
 

@@ -23,8 +23,8 @@ from rclpy.event_handler import QoSSubscriptionEventType, UnsupportedEventTypeEr
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.subscription import Subscription
 
-#: Messages are taken so often [s]. Two streams of 1 kHz in the air cost 0.22 of a core with an event
-#: a message, 0.14 by 5 ms and 0.13 by 10 ms, which would make an estimate up to 10 ms older.
+#: Messages are taken so often [s]. Receiving one costs 52 us with an event for each, 24 us where
+#: they are taken every 5 ms, and 15 us every 10 ms, which would make estimates 5 ms older.
 TAKE_PERIOD = 0.005
 #: While messages are worked off, more are taken after every 32.
 _TAKE_EVERY = 32
