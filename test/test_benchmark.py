@@ -35,7 +35,7 @@ from benchmark.score import Judged, Share
 from fden_ros.cli import main
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
-from fden_ros.nodes.backlog import Backlog, Input
+from fden_ros.nodes.backlog import Backlog, Input, Message
 from fden_ros.simulation.model import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 
@@ -360,36 +360,40 @@ def test_tiny_run_measures_how_probabilities_hold(tmp_path, capsys, monkeypatch)
 
 def test_a_run_through_the_node_measures_all():
     """How much is lost in time is for a quiet machine to say."""
-    rows = node.measure(2 * [node.Turn(node.NODE, 200.0, 1.5), node.Turn(node.RELAY, 200.0, 1.5)])
+    turns = [node.Turn(node.NODE, 200.0, 1.5), node.Turn(node.RELAY, 200.0, 1.5)]
+    rows = node.measure(2 * turns, burners=1)
     assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
     for row in rows.values():
         assert row["sent"] == 600 and 0 <= row["lost"] < 600
         assert row["published"] > 0
         assert len(row["CPU"]) == 2 and all(0.0 < cpu < 2.0 for cpu in row["CPU"])
-        for p50, p99, most in zip(row["p50"], row["p99"], row["p99.9"], strict=True):
+        for p50, p99, most in zip(row["p50"], row["p99"], row["max"], strict=True):
             assert 0.0 < p50 <= p99 <= most
+        # A press of 1.8 s and its hold; the first half second is left out.
+        assert 10 <= row["late"].whole <= 202
+        assert row["late"].part <= row["late"].whole == row["number"].whole
         assert min(row["memory"]) > 10.0
+    assert rows["relay, 200 Hz"]["number"].part == 0
+    usual = {name.replace("200", "1000"): row for name, row in rows.items()}
+    for is_busy in (False, True):
+        names = [goal.name for goal in node.goals_of(usual, is_busy=is_busy)]
+        assert "late ticks [%]" in names and len(set(names)) == len(names)
 
 
 def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
     read: list[bytes] = []
-    incoming = [b"%d" % number for number in range(30_000)]
-    coming = iter(incoming)
-    source = Input("force", lambda: next(coming, None), read.append)
+    incoming = [Message(b"%d" % number, number) for number in range(30_000)]
+    coming = [incoming]
+    source = Input("force", lambda: coming.pop() if coming else [], read.append)
     backlog = Backlog()
     backlog.inputs.append(source)
-    for _ in range(40):
-        if (data := next(coming, None)) is not None:
-            backlog.add(source, data)
+    backlog.work()
     while backlog.waiting:
         backlog.work()
-    dropped = backlog.dropped["force"]
-    assert 9_000 < dropped < 11_000
-    assert len(read) + dropped == len(incoming)
-    numbers = [int(data) for data in read]
-    assert numbers == sorted(numbers)
-    assert numbers[-1] == 29_999
-    assert backlog.batches == 1
+    assert backlog.dropped["force"] == 10_000
+    assert [int(data) for data in read] == list(range(10_000, 30_000))
+    assert (backlog.received["force"], backlog.most_waiting) == (20_000, 30_000)
+    assert backlog.received_ns == 29_999
 
 
 def test_streams_that_waited_together_are_worked_off_side_by_side():
@@ -399,14 +403,14 @@ def test_streams_that_waited_together_are_worked_off_side_by_side():
     newest = {"force": 0.0, "displacement": 0.0}
 
     def stream(name: str, rate: float) -> Input:
-        times = iter([b"%r" % (k / rate) for k in range(round(20.0 * rate))])
+        came = [[Message(b"%r" % (k / rate), k) for k in range(round(20.0 * rate))]]
 
         def take_in(data: bytes) -> None:
             newest[name] = float(data)
             read.append(newest[name])
             apart.append(abs(newest["force"] - newest["displacement"]))
 
-        return Input(name, lambda: next(times, None), take_in)
+        return Input(name, lambda: came.pop() if came else [], take_in)
 
     backlog = Backlog()
     backlog.inputs += [stream("force", 500.0), stream("displacement", 60.0)]

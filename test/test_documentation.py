@@ -447,7 +447,7 @@ def test_the_page_of_the_interface_says_which_fields_each_bit_of_valid_covers():
         text_of(MESSAGES / "TissueEstimate.msg"),
     )
     always = ["header", "status", "flags", "valid", "site_id", "contact_id"]
-    always += ["phase"]
+    always += ["phase", "lag"]
     assert sorted(covered + always) == sorted(fields)
 
 

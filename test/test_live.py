@@ -35,6 +35,7 @@ from fden_ros.core.outputs import (
     Signals,
     Status,
     TissueState,
+    late,
     stale,
 )
 from fden_ros.core.pipeline import Pipeline
@@ -57,7 +58,7 @@ from simulation.simulate import EXACT
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.
 SIMULATOR = {"force.rate": 100.0, "displacement.rate": 100.0}
-IDENTIFIER = {"autostart": True, "estimate.period": 0.02}
+IDENTIFIER = {"autostart": True, "estimate.period": 0.02, "lag_deadline": 1.0}
 
 
 def on_map(site: int, stiffness: float = 500.0) -> ContactSummary:
@@ -401,6 +402,34 @@ def test_what_cannot_be_relied_on_is_refused_with_its_reason(press, change, refu
     assert losses == ([refusal] if refusal is not None else [])
 
 
+def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(press):
+    """By the deadline of the node, or that of the feed; what was pressed meanwhile is known."""
+    live, now = press.heard_until(3.0)
+    later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS][:3]
+    for lag, deadline in ((0.3, 0.1), (0.3, 1.0)):
+        state = late(replace(later[0], lag=lag), deadline)
+        assert (state.status is Status.LATE) == (lag > deadline)
+        live.add(replace(state, stamp_ns=later[0].stamp_ns), later[0].stamp_ns / NANOSECONDS)
+        assert live.refusal(later[0].stamp_ns / NANOSECONDS) is Refusal.LATE
+        assert live.reading(later[0].stamp_ns / NANOSECONDS) is None
+    live.add(later[1], later[1].stamp_ns / NANOSECONDS)
+    reading = live.reading(later[1].stamp_ns / NANOSECONDS)
+    assert reading is not None
+    assert live.predictor(later[1].stamp_ns / NANOSECONDS) is not None
+
+
+def test_what_is_late_has_no_converged_parameters(press):
+    known = replace(next(s for s in press.states if s.status is Status.CONVERGED), lag=0.2)
+    assert late(known, 0.2) is known
+    found = late(known, 0.1)
+    assert found.status is Status.LATE and found.estimate is not None
+    assert not found.estimate.known and known.estimate is not None
+    assert found.estimate._replace(known=known.estimate.known) == known.estimate
+    unknown = replace(known, status=Status.UNKNOWN)
+    assert late(unknown, 0.1) is unknown
+    assert stale(known).lag == 0.0
+
+
 def test_an_estimate_that_was_held_up_on_its_way_is_refused(press):
     live, now = press.heard_until(3.0)
     later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS]
@@ -442,7 +471,7 @@ def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(pre
 
 #: What a machine that runs every other test beside it can keep pace with.
 SLOW_RIG = {"axis.max_speed": 0.01, "force.rate": 100.0, "displacement.rate": 100.0}
-SLOW_IDENTIFIER = {"autostart": True, "estimate.period": 0.02}
+SLOW_IDENTIFIER = {"autostart": True, "estimate.period": 0.02, "lag_deadline": 1.0}
 
 
 #: Nothing is lost because the machine does something else.

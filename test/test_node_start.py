@@ -122,6 +122,41 @@ def test_lost_messages_are_said_with_their_topic_and_what_mends_it():
     assert ".depth to 20000 (it is 2000), and qos_overrides./force.subscription.reliab" in line
 
 
+SLOW_CORE = """
+import time
+from fden_ros.core.pipeline import Pipeline
+on_pair = Pipeline._on_pair
+Pipeline._on_pair = lambda self, pair: (time.sleep(0.02), on_pair(self, pair))
+"""
+
+
+def test_estimates_of_a_machine_that_is_too_slow_are_late_and_that_is_said():
+    with Bench() as bench, identifier({"autostart": True}, first=SLOW_CORE) as node:
+        bench.wait_until_heard()
+        stop = threading.Event()
+
+        def feed() -> None:
+            now = iter(range(START_NS, 2 * START_NS, STEP_NS))
+            while not stop.wait(0.002):
+                bench.publish(next(now), 0.0, 0.0)
+
+        thread = threading.Thread(target=feed)
+        thread.start()
+        try:
+            late = TissueEstimate.STATUS_LATE
+            bench.wait_for(lambda: bench.estimates and bench.estimates[-1].status == late, "late")
+            found = examined("/identifier", lambda e: e.lags.late > 0)
+        finally:
+            stop.set()
+            thread.join()
+    assert all((e.lag > 0.1) == (e.status == late) for e in bench.estimates)
+    assert found.problems[-1].startswith("the machine is too slow: ")
+    assert "give the node a core of its own" in found.page()
+    line = next(line for line in found.page().splitlines() if line.startswith("  lags "))
+    assert "p50" in line and "p99" in line and "at most" in line
+    assert warnings_of(node, "the machine is too slow")
+
+
 # Lifecycle
 
 

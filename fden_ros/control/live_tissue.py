@@ -22,7 +22,7 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.relaxation import SHORTEST_STEP
-from fden_ros.core.outputs import WITHHELD, Flag, Status, TissueState
+from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
@@ -72,6 +72,9 @@ class Refusal(enum.Enum):
     CONTRADICTED = "the force is not what the estimate predicts, for the rest of the contact"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
+
+#: In contact, but for what is late in the air.
+_PRESSING = (Status.CONVERGING, Status.CONVERGED, Status.LATE)
 
 _BY_STATUS = {
     Status.UNKNOWN: Refusal.UNKNOWN,
@@ -223,7 +226,7 @@ class LiveTissue:
         patience = max(self.deadline, _STALE_PATIENCE) if is_stale else self.deadline
         if not self._alive or now - self._arrival > patience:
             return Refusal.LOST
-        if self._lag > self.deadline:
+        if state.status is Status.LATE or max(self._lag, state.lag) > self.deadline:
             return Refusal.LATE
         if state.flags & REFUSED_FLAGS:
             return Refusal.REJECTED
@@ -244,7 +247,8 @@ class LiveTissue:
         state = self._state
         if self.refusal(now) is not None or state is None or state.estimate is None:
             return None
-        return Reading(state, state.estimate, max(now - self._arrival, 0.0) + self._lag)
+        age = max(now - self._arrival, 0.0) + max(self._lag, state.lag)
+        return Reading(state, state.estimate, age)
 
     def predictor(self, now: float) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.
@@ -310,7 +314,7 @@ class LiveTissue:
         """Follow the stress of the present site; nothing touches it between contacts."""
         if state.site_id != self._memory_site:
             # Heard from the air on, nothing of a new site is missed.
-            heard = self._memory_site is not None or state.status is Status.NO_CONTACT
+            heard = self._memory_site is not None or _is_in_air(state)
             self._memory = TissueMemory(self.geometry)
             self._memory_site = state.site_id
             self._memory_whole = heard and (
@@ -322,7 +326,7 @@ class LiveTissue:
         step = (state.stamp_ns - self._memory_ns) / NANOSECONDS
         if step < SHORTEST_STEP:
             return
-        in_contact = state.status in (Status.CONVERGING, Status.CONVERGED)
+        in_contact = state.status in _PRESSING and not _is_in_air(state)
         if self._is_gap(step) and (in_contact or self._memory.strain > 0.0):
             self._memory_whole = False
         self._steps.append(step)
@@ -349,6 +353,12 @@ class LiveTissue:
         """Whether an estimate may have been missed in the `step` seconds since the last."""
         usual = median(self._steps) if self._steps else 0.0
         return step > max(_LONGEST_STEP, _LONGEST_STEP_RATIO * usual)
+
+
+def _is_in_air(state: TissueState) -> bool:
+    """Return whether a state, late or not, says that nothing is touched."""
+    is_late = state.status is Status.LATE and state.phase is Phase.APPROACH
+    return is_late or state.status is Status.NO_CONTACT
 
 
 def _started_again(before: TissueState, after: TissueState) -> bool:

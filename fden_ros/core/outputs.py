@@ -34,6 +34,7 @@ class Status(enum.IntEnum):
     CONVERGING = 2
     CONVERGED = 3
     STALE = 4
+    LATE = 5
 
 
 class Phase(enum.IntEnum):
@@ -102,6 +103,7 @@ class TissueState:
     signals: Signals | None = None
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
+    lag: float = 0.0  #: from sample to estimate [s], as whoever has a clock states it
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,21 @@ def stale(state: TissueState | None, flags: Flag = Flag.NONE) -> TissueState:
         innovation=None,
         apparent_stiffness=None,
         order_source=OrderSource.NONE,
+        lag=0.0,
     )
+
+
+def late(state: TissueState, deadline: float) -> TissueState:
+    """Return `state` as it is, or with nothing known if its lag is above a deadline [s].
+
+    Its numbers stay: they are those of that time.
+    """
+    if state.lag <= deadline or state.status in (Status.UNKNOWN, Status.STALE):
+        return state
+    estimate = state.estimate
+    if estimate is not None:
+        estimate = estimate._replace(known=ParameterSet.NONE)
+    return replace(state, status=Status.LATE, estimate=estimate)
 
 
 def placed(output: Output, frame: str) -> Output:

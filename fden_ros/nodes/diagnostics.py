@@ -107,6 +107,8 @@ class _Report:
         received = backlog.received - self._received_before
         self._received_before = backlog.received.copy()
         lost = self._lost_messages(received)
+        lags = session.lag.look()
+        slow = [lags.problem] if lags.problem else []
         if news.rejected:
             counts = ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items()))
             self._warn(
@@ -115,9 +117,11 @@ class _Report:
             )
         for words in news.warnings:
             self._warn(words, words)
+        for words in slow:
+            self._warn("slow", words)
         for number, words in enumerate(lost):
             self._warn(f"lost {number}", words)
-        problems = [*self._first_problems(), *news.problems, *lost]
+        problems = [*self._first_problems(), *news.problems, *lost, *slow]
         if pipeline.is_failed:
             problems.insert(0, str(pipeline.failures[-1]))
         values = {
@@ -125,7 +129,9 @@ class _Report:
             **{f"received.{one.stream}": received[one.stream] for one in session.listened_to},
             "waiting": backlog.waiting,
             "most waiting": backlog.most_waiting,
-            "batches": backlog.batches,
+            "lag": f"{session.lag.newest:.4f}",
+            "most lag": f"{lags.most:.4f}",
+            "late": session.lag.late_count,
             **{f"lost.{k}": n for k, n in sorted((session.lost + backlog.dropped).items())},
             "last refusal": refusal,
             "last contact": session.lacks,

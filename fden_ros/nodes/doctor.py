@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.srv import GetState
 from rclpy.client import Client
 from rclpy.executors import Executor
 
+from fden_ros.nodes.lag import TOO_SLOW, Lags
 from fden_ros.nodes.monitor import is_of
 from fden_ros.ros.plain_node import plain_node, spin_for
 
@@ -33,13 +35,18 @@ class Examination:
     words: str = ""  #: of its diagnostics; empty: none came
     values: Mapping[str, str] = field(default_factory=dict)  #: of its diagnostics
     others: tuple[str, ...] = ()  #: identifiers that there are
+    lags: Lags = field(default_factory=Lags)  #: of the estimates heard
 
     @property
     def problems(self) -> list[str]:
         """Return what the node lacks, a sentence each, the first to be mended first."""
         if self.state != "active":
             return [self.words] if self.words else []
-        return [words for key, words in self.values.items() if key.startswith(_PROBLEM)]
+        said = [words for key, words in self.values.items() if key.startswith(_PROBLEM)]
+        others = [words for words in said if not words.startswith(TOO_SLOW)]
+        # The diagnostics are of their last second alone.
+        slow = self.lags.problem or next(iter(said[len(others) :]), "")
+        return [*others, slow] if slow else others
 
     @property
     def is_well(self) -> bool:
@@ -87,6 +94,8 @@ class Examination:
                 f"  saw {values['contacts']} contacts at {values['sites']} sites; "
                 f"rejected {values['rejected']} samples" + (f": {rejected}" if rejected else ""),
             ]
+        if self.lags.words:
+            lines.append(f"  lags {'':<14} {self.lags.words}")
         lines += [f"  lacks: {problem}" for problem in self.problems]
         if self.is_well:
             lines.append("  lacks nothing")
@@ -104,8 +113,10 @@ def examine(identifier: str) -> Examination:
         Fully qualified name of the node.
     """
     heard: list[DiagnosticArray] = []
+    estimates: list[TissueEstimate] = []
     with plain_node("fden_doctor") as (node, executor):
         node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 100)
+        node.create_subscription(TissueEstimate, f"{identifier}/estimate", estimates.append, 100)
         client = node.create_client(GetState, f"{identifier}/get_state")
         spin_for(executor, _LISTEN)
         state = _state(client, executor)
@@ -122,7 +133,10 @@ def examine(identifier: str) -> Examination:
     own = _statuses(heard, identifier)
     words = own[-1].message if own else ""
     values = {value.key: value.value for value in own[-1].values} if own else {}
-    return Examination(identifier, state, words, values, others)
+    current = [e for e in estimates if e.status != TissueEstimate.STATUS_STALE]
+    late = sum(e.status == TissueEstimate.STATUS_LATE for e in current)
+    lags = Lags(tuple(e.lag for e in current), late)
+    return Examination(identifier, state, words, values, others, lags)
 
 
 def _statuses(heard: Sequence[DiagnosticArray], identifier: str) -> list[DiagnosticStatus]:

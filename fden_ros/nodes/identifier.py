@@ -15,7 +15,7 @@ from __future__ import annotations
 import gc
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -24,10 +24,12 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.service import Service
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
+from fden_ros.nodes.backlog import Taken
 from fden_ros.nodes.descriptors import descriptor_of
 from fden_ros.nodes.diagnostics import Diagnostics
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
@@ -63,6 +65,11 @@ class Identifier(LifecycleNode):
         self._services_made: list[Service] = []
         self._diagnostics = Diagnostics(self, self._lock)
         self.add_on_set_parameters_callback(self._on_set_parameters)
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Those that executors wait for: not the inputs, which a timer takes."""
+        return (s for s in super().subscriptions if not isinstance(s.callback_group, Taken))
 
     # Parameters
 

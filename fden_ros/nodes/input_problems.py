@@ -181,7 +181,8 @@ def clock_problem(node: Node) -> str | None:
 def _published(node: Node, stream: str) -> dict[str, str]:
     """Return other topics, and their types, that could be the input `stream`."""
     kinds = set(TYPE_NAMES[stream].values())
-    own = {subscription.topic_name for subscription in node.subscriptions}
+    heard = node.get_subscriber_names_and_types_by_node(node.get_name(), node.get_namespace())
+    own = {name for name, _ in heard}
     return {
         name: kind
         for name, types in sorted(node.get_topic_names_and_types())

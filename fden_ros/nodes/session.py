@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import copy
 import threading
+import time
 from collections import Counter
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -21,10 +22,11 @@ from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
-from fden_ros.core.outputs import ContactSummary, Output, TissueState, placed, stale
+from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.nodes.backlog import Backlog, Input, taker
+from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Input, Taken, loss_counter, taker
 from fden_ros.nodes.input_problems import ListenedTo
+from fden_ros.nodes.lag import Lag
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall
 from fden_ros.parameters import Parameters, pipeline_config
@@ -65,7 +67,8 @@ class Session:
         self.inputs = Inputs(parameters, self.pipeline)
         self.backlog = Backlog()
         self.listened_to: list[ListenedTo] = []
-        self._lost: Counter[str] = Counter()
+        self.lag = Lag()
+        self._loss_counters: dict[str, Callable[[], int]] = {}
         self._messages = OutputMessages()
         self._last_state: TissueState | None = None
         self._last_input = self._steady.now()
@@ -74,7 +77,12 @@ class Session:
         self.lacks = ""  #: the newest contact to converge, and what would help
         self._to_advise: ContactSummary | None = None  # what its contact lacks is not said yet
         self._is_open = False
-        self._timer = node.create_timer(_STALE_CHECK_PERIOD, self._look, clock=self._steady)
+        self._lag_deadline = 0.0
+        self._read_lag_deadline()
+        self._timers = [
+            node.create_timer(period, action, clock=self._steady)
+            for period, action in ((TAKE_PERIOD, self._take), (_STALE_CHECK_PERIOD, self._look))
+        ]
 
     def listen(self) -> None:
         """Subscribe to the inputs."""
@@ -93,7 +101,7 @@ class Session:
     @property
     def lost(self) -> Counter[str]:
         """Messages lost so far in the middleware, by the name of the input."""
-        return self._lost
+        return Counter({name: count() for name, count in self._loss_counters.items()})
 
     def finish(self) -> None:
         """Report the open contact; listen no more."""
@@ -106,10 +114,12 @@ class Session:
         """Listen no more."""
         self._is_open = False
         self.backlog.clear()
+        self._loss_counters.clear()
         for one in self.listened_to:
             self._node.destroy_subscription(one.subscription)
         self.listened_to.clear()
-        self._node.destroy_timer(self._timer)
+        for timer in self._timers:
+            self._node.destroy_timer(timer)
 
     def reset(self) -> str | None:
         """Forget what was learned but of the rig; return None, or why that cannot be done now."""
@@ -121,42 +131,47 @@ class Session:
     # In
 
     def _subscribe(self, kind: type, topic: str) -> None:
-        source: Input | None = None
-
-        def on_message(data: bytes) -> None:
-            with self._lock:
-                if self._is_open and source is not None:
-                    self.backlog.add(source, data)
-
-        def on_lost(event: Any) -> None:
-            self._lost[topic] = int(event.total_count)
-
         subscription = self._node.create_subscription(
             kind,
             topic,
-            on_message,
+            lambda data: None,
             copy.copy(STATIC_QOS if topic == "/tf_static" else INPUT_QOS),
-            event_callbacks=SubscriptionEventCallbacks(
-                # The diagnostics say it, with the override that mends it.
-                incompatible_qos=lambda event: None,
-                message_lost=on_lost,
-            ),
+            callback_group=Taken(),
+            # The diagnostics say what is wrong, with the override that mends it.
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=OVERRIDABLE,
             # Decoding the few bytes that count is faster than making a message of them all.
             raw=True,
         )
         self.listened_to.append(ListenedTo(topic, subscription))
-        source = Input(topic, taker(subscription), handler_of(topic, kind, self.inputs))
-        self.backlog.inputs.append(source)
+        self._loss_counters[topic] = loss_counter(subscription)
+        read = handler_of(topic, kind, self.inputs)
+        self.backlog.inputs.append(Input(topic, taker(subscription), read))
+
+    def _take(self) -> None:
+        with self._lock:
+            if self._is_open:
+                self.backlog.work()
 
     # Out
 
     def _publish(self, output: Output) -> None:
         if isinstance(output, TissueState):
             self._last_state = output
+            output = self._with_lag(output)
         self._publish_messages(output)
         if isinstance(output, ContactSummary):
             self._to_advise = output
+
+    def _with_lag(self, state: TissueState) -> TissueState:
+        """Return a state with its age: from the receipt of the sample that completed it to now."""
+        lag = max(1e-9 * (time.time_ns() - self.backlog.received_ns), 0.0)
+        found = late(replace(state, lag=lag), self._lag_deadline)
+        self.lag.add(lag, is_late=found.status is Status.LATE)
+        return found
+
+    def _read_lag_deadline(self) -> None:
+        self._lag_deadline = float(self._node.get_parameter("lag_deadline").value)
 
     def _advise(self) -> None:
         """Say what the newest contact lacks."""
@@ -176,8 +191,7 @@ class Session:
         with self._lock:
             if not self._is_open:
                 return
-            if self.backlog.waiting:
-                self.backlog.work()
+            self._read_lag_deadline()
             if self._to_advise is not None and not self.pipeline.in_contact:
                 self._advise()
             self._log_failures()

@@ -754,6 +754,14 @@ NODE_PARAMETERS: tuple[Parameter, ...] = (
         60.0,
     ),
     Parameter(
+        "lag_deadline",
+        0.1,
+        "s",
+        "Time from the receipt of a sample to its estimate after which the estimate is late.",
+        0.01,
+        60.0,
+    ),
+    Parameter(
         "hardware_id",
         DEFAULT_HARDWARE_ID,
         "1",

@@ -98,7 +98,7 @@ def _rates(view: MonitorView) -> str:
     parts = [f"estimates {view.rate:.0f} Hz"]
     parts += [
         f"{name} {view.diagnostics[name]}"
-        for name in ("pairs per second", "rejected", "contacts", "sites")
+        for name in ("pairs per second", "lag", "rejected", "contacts", "sites")
         if name in view.diagnostics
     ]
     return ", ".join(parts)

@@ -64,6 +64,7 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
     _fill_head(message, state, frame_id)
     message.flags = int(state.flags)
     message.status = int(state.status)
+    message.lag = state.lag
     message.phase = int(state.phase)
     valid = 0
     if state.estimate is not None:
@@ -223,6 +224,7 @@ def state_of(message: TissueEstimate) -> TissueState:
         if valid & TissueEstimate.VALID_INNOVATION
         else None,
         apparent_stiffness=_apparent_stiffness_of(message),
+        lag=message.lag,
     )
 
 
