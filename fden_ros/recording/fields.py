@@ -65,7 +65,7 @@ class FieldPath:
                 message = message[int(index)]
                 continue
             if not hasattr(message, name):
-                fields = ", ".join(_field_names(message)) or "no fields"
+                fields = ", ".join(field_names(message)) or "no fields"
                 raise InputError(f"there is no {name} on the way to {self.text}: it has {fields}")
             message = getattr(message, name)
         return message
@@ -135,7 +135,8 @@ def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
     return decode
 
 
-def _field_names(message: Any) -> list[str]:
+def field_names(message: Any) -> list[str]:
+    """Return the names of the fields of a decoded message; none of anything else."""
     if hasattr(message, "get_fields_and_field_types"):
         return list(message.get_fields_and_field_types())
     slots = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})

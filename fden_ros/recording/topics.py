@@ -16,12 +16,12 @@ _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 # Words in a topic's name: what it most likely carries, and what is wanted rather than measured.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
-_WORDS = {
+WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
     "surface": {"surface", "marker", "skin", "breathing", "respiration", "ultrasound", "laser"},
 }
-_WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
+WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
 
 
 def find_topic(
@@ -52,7 +52,7 @@ def find_topic(
     """
     usable = TYPE_NAMES[stream].values()
     if name is not None:
-        topic = topic_named(where, present, name)
+        topic = topic_with_messages(where, present, name)
         if topic.type_name not in usable:
             raise InputError(
                 f"{name} carries {topic.type_name}, which holds no {stream} by itself: name the "
@@ -65,9 +65,11 @@ def find_topic(
     chosen = _sensible(candidates, stream)
     if len(chosen) == 1:
         return chosen[0]
-    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or present) or "none"
+    listed = ", ".join(map(_described, chosen or present)) or "none"
     problem = "several topics could carry" if chosen else "no topic can carry"
     hint = f"name it with --{stream}-topic"
+    if not chosen:
+        hint += f", and the number in it with --{stream}-field"
     if (
         stream == "displacement"
         and not chosen
@@ -77,6 +79,26 @@ def find_topic(
     raise InputError(f"{where}: {problem} the {stream}: {listed}; {hint}")
 
 
+def topic_with_messages(where: str, present: Sequence[Topic], name: str) -> Topic:
+    """Return the topic called `name`.
+
+    Raises
+    ------
+    InputError
+        If there is none, or nothing was recorded on it; the line says `where`.
+    """
+    topic = topic_named(where, present, name)
+    if not topic.message_count:
+        raise InputError(
+            f"{where}: topic {topic.name} has no messages: choose another, or record it anew"
+        )
+    return topic
+
+
+def _described(topic: Topic) -> str:
+    return f"{topic.name} ({topic.type_name}{'' if topic.message_count else ', no messages'})"
+
+
 def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
     """Return those of the topics that most likely carry `stream`; see :func:`find_topic`."""
     joints = "sensor_msgs/msg/JointState"
@@ -84,9 +106,9 @@ def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
     if len(named) == 1:
         return named
     for keep in (
-        lambda t: not _words(t) & _WANTED,
+        lambda t: not _words(t) & WANTED,
         lambda t: t.type_name != joints,
-        lambda t: _words(t) & _WORDS.get(stream, {stream}),
+        lambda t: _words(t) & WORDS.get(stream, {stream}),
     ):
         candidates = [t for t in candidates if keep(t)] or candidates
         if len(candidates) == 1:
