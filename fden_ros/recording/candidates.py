@@ -108,6 +108,8 @@ def hint_of(
 
     def hint() -> Hint:
         fields = numeric_fields(reader)
+        if not any(field.span for field in fields):
+            return Hint(())
         chosen = _most_alike(fields, topics)
         options = [
             word

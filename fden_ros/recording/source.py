@@ -28,7 +28,7 @@ from fden_ros.recording.stamps import (
     restamped,
 )
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
-from fden_ros.recording.topics import find_topic, topic_with_messages
+from fden_ros.recording.topics import NoTopicError, find_topic, topic_with_messages
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
@@ -106,7 +106,7 @@ class BagSource:
             self._fields[stream] = selection.fields.get(stream)
             try:
                 self.topics[stream] = self._find(stream, selection.topics.get(stream))
-            except InputError as error:
+            except NoTopicError as error:
                 raise InputError(str(error), self._hint(wanted)) from None
         self._frames = frames_config(parameters)
         if self._frames is not None:

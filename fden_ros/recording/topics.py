@@ -24,6 +24,10 @@ WORDS = {
 WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
 
 
+class NoTopicError(InputError):
+    """No topic carries a quantity by its type alone: its field has to be named."""
+
+
 def find_topic(
     where: str, present: Sequence[Topic], name: str | None, stream: str, others: Collection[Topic]
 ) -> Topic:
@@ -54,7 +58,7 @@ def find_topic(
     if name is not None:
         topic = topic_with_messages(where, present, name)
         if topic.type_name not in usable:
-            raise InputError(
+            raise NoTopicError(
                 f"{name} carries {topic.type_name}, which holds no {stream} by itself: name the "
                 f"field with --{stream}-field, or choose a topic of {', '.join(sorted(usable))}"
             )
@@ -76,7 +80,8 @@ def find_topic(
         and any(t.type_name == _TRANSFORMS for t in present)
     ):
         hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
-    raise InputError(f"{where}: {problem} the {stream}: {listed}; {hint}")
+    kind = InputError if chosen else NoTopicError
+    raise kind(f"{where}: {problem} the {stream}: {listed}; {hint}")
 
 
 def topic_with_messages(where: str, present: Sequence[Topic], name: str) -> Topic:
