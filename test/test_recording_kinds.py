@@ -17,6 +17,7 @@ import lz4.frame
 import pytest
 import zstandard
 from geometry_msgs.msg import WrenchStamped
+from rosbags.convert.converter import default_message
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
@@ -31,6 +32,7 @@ from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.cdr import serialize
+from fden_ros.recording.fields import decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
@@ -211,7 +213,8 @@ def test_every_kind_of_bag_gives_the_same_messages(kind, tmp_path):
     warnings = " ".join(bag.warnings)
     assert ("metadata" in warnings) == ("without" in kind or "split" in kind)
     assert ("interrupted recording): used too" in warnings) == ("interrupted" in kind)
-    assert Player(bag).message_count == 240
+    player = Player(bag)
+    assert (player.message_count, player.warnings) == (240, ())
 
 
 @pytest.mark.parametrize("kind", ["sqlite3", "ROS 1", "MCAP by file", "sqlite3 by message, alone"])
@@ -221,6 +224,26 @@ def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(kind, tmp_path):
     other = replay(KINDS[kind](tmp_path, messages), parameters)
     assert result_object(other) == result_object(replay(PRESS, parameters))
     assert other.has_identified
+
+
+def test_types_of_ros_1_that_are_others_today_are_read_by_field_but_not_played(tmp_path):
+    path = tmp_path / "old.bag"
+    with Ros1Writer(path) as writer:
+        for topic, kind in (("/info", "sensor_msgs/msg/CameraInfo"), ("/n", "std_msgs/msg/Int32")):
+            connection = writer.add_connection(topic, kind, typestore=ROS1)
+            numbers = {"data": 7} if kind.endswith("Int32") else {}
+            message = default_message(ROS1, kind)
+            for name, value in numbers.items():
+                object.__setattr__(message, name, value)
+            writer.write(connection, START, ROS1.serialize_ros1(message, kind))
+    bag = BagReader(path)
+    info, number = bag.topics
+    first, second = bag.messages()
+    assert list(decoder_of(info)(first.data).D) == []
+    assert decoder_of(number)(second.data).data == 7
+    player = Player(bag)
+    assert player.message_count == 1
+    assert "/info is not played" in player.warnings[0]
 
 
 # Damage

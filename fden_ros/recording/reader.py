@@ -60,6 +60,7 @@ class Topic:
     offered_qos: tuple[Qos, ...] = ()  #: by its publishers; empty when the bag does not say
     schema: str = ""  #: definition of the type as the bag carries it
     schema_encoding: str = ""  #: its format: ``ros2msg``, ``ros2idl``
+    type_hash: str = ""  #: of the type as it was recorded; empty when the bag does not say
 
 
 def topic_named(where: str, present: Sequence[Topic], name: str) -> Topic:
@@ -390,6 +391,7 @@ class BagReader:
         counts: Counter[tuple[str, str]] = Counter()
         profiles: dict[tuple[str, str], dict[Qos, None]] = {}
         schemas: dict[tuple[str, str], tuple[str, str]] = {}
+        hashes: dict[tuple[str, str], str] = {}
         for file, route in zip(self._files, self._routes, strict=True):
             for channel_id, key in route.items():
                 channel = file.channels[channel_id]
@@ -397,6 +399,7 @@ class BagReader:
                 counts[key] += file.counts[channel_id]
                 offered = parse_profiles(channel.metadata.get("offered_qos_profiles"))
                 profiles.setdefault(key, {}).update(dict.fromkeys(offered))
+                hashes[key] = channel.metadata.get("topic_type_hash", "")
                 schemas[key] = (schema.data.decode("utf-8", "replace"), schema.encoding)
         listed = _listed_profiles(self._metadata)
         return tuple(
@@ -407,6 +410,7 @@ class BagReader:
                 offered_qos=tuple(profiles[name, type_name]) or listed.get(name, ()),
                 schema=schemas[name, type_name][0],
                 schema_encoding=schemas[name, type_name][1],
+                type_hash=hashes[name, type_name],
             )
             for name, type_name in sorted(counts)
         )

@@ -39,6 +39,8 @@ _ENCODINGS = {
     MessageDefinitionFormat.IDL: "ros2idl",
 }
 
+#: Definition and hash of the type of a connection, by its number.
+_Types = dict[int, tuple[str, str]]
 _Convert = Callable[[bytes, str], bytes]
 
 
@@ -100,8 +102,8 @@ def read_sqlite3(path: Path) -> RosbagsFile:
         If it is damaged, or none of rosbag2.
     """
 
-    def take(connections: Sequence[Connection]) -> dict[int, str]:
-        return {c.id: c.msgdef.data for c in connections}
+    def take(connections: Sequence[Connection]) -> _Types:
+        return {c.id: (c.msgdef.data, c.digest) for c in connections}
 
     return _read(path, lambda: Ros2Reader(path), take, lambda data, type_name: data)
 
@@ -116,14 +118,20 @@ def read_ros1(path: Path) -> RosbagsFile:
     """
     types = get_typestore(Stores.EMPTY)
 
-    def take(connections: Sequence[Connection]) -> dict[int, str]:
+    def take(connections: Sequence[Connection]) -> _Types:
         found: dict[str, Any] = {}
         for connection in connections:
             found |= get_types_from_msg(connection.msgdef.data, connection.msgtype)
         if _HEADER in found:
             found[_HEADER] = get_typestore(Stores.ROS2_JAZZY).fielddefs[_HEADER]
         types.register(found)
-        return {c.id: types.generate_msgdef(c.msgtype, ros_version=2)[0] for c in connections}
+        return {
+            c.id: (
+                types.generate_msgdef(c.msgtype, ros_version=2)[0],
+                types.hash_rihs01(c.msgtype),
+            )
+            for c in connections
+        }
 
     return _read(
         path,
@@ -136,15 +144,15 @@ def read_ros1(path: Path) -> RosbagsFile:
 def _read(
     path: Path,
     opened: Callable[[], AbstractContextManager[Any]],
-    definitions: Callable[[Sequence[Connection]], dict[int, str]],
+    types_of: Callable[[Sequence[Connection]], _Types],
     convert: _Convert,
 ) -> RosbagsFile:
     file = RosbagsFile(path, open=opened, convert=convert)
     try:
         with opened() as reader:
-            texts = definitions(reader.connections)
+            types = types_of(reader.connections)
             for connection in reader.connections:
-                _add(file, connection, texts[connection.id])
+                _add(file, connection, *types[connection.id])
             if reader.message_count:
                 file.start_ns, file.end_ns = reader.start_time, reader.end_time - 1
     except Exception as error:
@@ -158,7 +166,7 @@ def _read(
     return file
 
 
-def _add(file: RosbagsFile, connection: Connection, definition: str) -> None:
+def _add(file: RosbagsFile, connection: Connection, definition: str, digest: str) -> None:
     ext = connection.ext
     is_ros1 = isinstance(ext, ConnectionExtRosbag1)
     number = connection.id
@@ -176,7 +184,10 @@ def _add(file: RosbagsFile, connection: Connection, definition: str) -> None:
         message_encoding=MessageEncoding.CDR
         if not isinstance(ext, ConnectionExtRosbag2)
         else ext.serialization_format,
-        metadata={"offered_qos_profiles": dump_profiles(_offered(ext))},
+        metadata={
+            "offered_qos_profiles": dump_profiles(_offered(ext)),
+            "topic_type_hash": digest,
+        },
         schema_id=number,
     )
     file.counts[number] = connection.msgcount
