@@ -194,7 +194,10 @@ class BagReader:
             return iter(())
         messages = itertools.chain([first], messages)
         # CDR begins with a 0, whatever the message.
-        return map(_unpacked, messages) if first.data.startswith(_ZSTD) else messages
+        if not first.data.startswith(_ZSTD):
+            return messages
+        packer = zstandard.ZstdDecompressor()
+        return (_unpacked(message, packer) for message in messages)
 
     def _stream(
         self, file: RosbagsFile, route: dict[int, tuple[str, str]]
@@ -446,13 +449,12 @@ def decode(message: RawMessage) -> Any:
         ) from error
 
 
-def _unpacked(message: RawMessage) -> RawMessage:
+def _unpacked(message: RawMessage, packer: zstandard.ZstdDecompressor) -> RawMessage:
     """Return a message that is compressed by itself, unpacked; damaged, it stays as it is."""
     try:
-        data = zstandard.ZstdDecompressor().decompressobj().decompress(message.data)
+        return message._replace(data=packer.decompressobj().decompress(message.data))
     except zstandard.ZstdError:
         return message
-    return message._replace(data=data)
 
 
 def _cut_short(path: Path) -> InputError:
