@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import shlex
 import signal
 import sys
 import time
@@ -16,7 +17,7 @@ from collections.abc import Sequence
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.commands.command import Parser
-from fden_ros.errors import InputError
+from fden_ros.errors import Hint, InputError
 
 #: Two interrupts within this time are one [s].
 _SAME_INTERRUPT = 1.0
@@ -77,11 +78,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return int(args.run(args))
         except InputError as error:
             print(f"fden {args.command}: {error}", file=sys.stderr)
+            if error.hint is not None:
+                _show(error.hint(), sys.argv[1:] if arguments is None else arguments)
             return 1
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
         return 0
+
+
+def _show(hint: Hint, arguments: Sequence[str]) -> None:
+    for line in hint.lines:
+        print(f"  {line}", file=sys.stderr)
+    if not hint.options:
+        return
+    given, words = [], iter(arguments)
+    for word in words:
+        if word in hint.options and word.startswith("--"):
+            next(words, None)
+        else:
+            given.append(word)
+    print(f"try: fden {shlex.join([*given, *hint.options])}", file=sys.stderr)
 
 
 def program() -> int:

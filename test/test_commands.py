@@ -127,7 +127,7 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     said = capsys.readouterr()
     assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in said.out
     (line,) = (line for line in said.err.splitlines() if line.startswith("broken: "))
-    assert str(archive / "broken.mcap") in line and "is not an MCAP file" in line
+    assert str(archive / "broken.mcap") in line and "is no bag" in line
     rows = sorted(rows_of(table), key=lambda row: row["bag"])
     assert [Path(row["bag"]).name for row in rows] == ["air", "broken.mcap", "press", "press"]
     assert [bool(row["error"]) for row in rows] == [False, True, False, False]

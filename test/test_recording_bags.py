@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import sensor_msgs.msg
 import yaml
-import zstandard
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
@@ -181,12 +180,6 @@ def test_an_independent_reader_reads_our_bag(tmp_path):
     assert read[0][1] == START
 
 
-def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_unpacks_it(tmp_path):
-    (tmp_path / "a.mcap.zstd").write_bytes(zstandard.compress(b"\x89MCAP0\r\n"))
-    with pytest.raises(InputError, match="unpack it with: zstd -d"):
-        BagReader(tmp_path)
-
-
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize(
     "options",
@@ -298,7 +291,7 @@ def test_unusable_paths_are_refused_in_one_line(tmp_path):
     assert "does not exist" in refusal(tmp_path / "nowhere")
     assert "holds no bag" in refusal(tmp_path / "folder")
     assert "is empty" in refusal(tmp_path / "empty.mcap")
-    assert "not an MCAP file" in refusal(tmp_path / "text.mcap")
+    assert "is no bag" in refusal(tmp_path / "text.mcap")
     for size in range(1, 21):
         (tmp_path / "cut.mcap").write_bytes(start[:size])
         assert f"cut off before its first topic, at {size} b" in refusal(tmp_path / "cut.mcap")

@@ -15,9 +15,9 @@ from fden_ros.commands.command import count
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 
 DESCRIPTION = """\
-Identify all recordings of an archive, several at once, and write a table (CSV), a row a contact.
-One that cannot be used is a row with its error. What is in the table with this configuration is
-not done again.
+Identify all recordings of an archive, bags of every kind and tables, several at once, and write a
+table (CSV), a row a contact. One that cannot be used, or a place without any, is a row with its
+error. What is in the table with this configuration is not done again.
 """
 
 EPILOG = """\

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="*",
         metavar="RECORDING",
-        help="rosbag2 folders, .mcap files or tables of one rig",
+        help="bags (folders, .mcap, .db3, .bag) or tables of one rig",
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"

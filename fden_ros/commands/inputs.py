@@ -25,7 +25,7 @@ _STREAMS = [p.name.partition(".")[0] for p in PARAMETERS if p.name.endswith(".me
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """Add the recording itself, ``bag``."""
     parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a rosbag2 folder, an .mcap file or a table"
+        "bag", type=Path, metavar="BAG", help="a bag (folder, .mcap, .db3, .bag) or a table"
     )
 
 
@@ -50,6 +50,12 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
             help=f"field of that topic's messages, of any type, that is the {stream}: a number, "
             f"or a vector, projected on {stream}.axis (wrench.torque.z, data[2])",
         )
+    group.add_argument(
+        "--stamps",
+        choices=("header", "recording"),
+        help="time of a bag's messages: of their headers, or of their recording, where stamps are "
+        "0 or of several clocks (default: header)",
+    )
     group.add_argument(
         "--columns",
         type=as_argument(_columns),
@@ -99,12 +105,14 @@ def selection_of(args: argparse.Namespace) -> Any:
 
     if args.rows is not None and args.columns is None:
         args.parser.error("--rows is for tables: give --columns too")
+    if args.stamps is not None and args.columns is not None:
+        args.parser.error("--stamps is for bags: the first of --columns is a table's time")
     _take_from_files(args)
     topics, fields = (
         {name: value for name in _STREAMS if (value := getattr(args, f"{name}_{part}"))}
         for part in ("topic", "field")
     )
-    return Selection(topics, fields, args.columns, args.rows)
+    return Selection(topics, fields, args.columns, args.rows, args.stamps or "header")
 
 
 def _take_from_files(args: argparse.Namespace) -> None:

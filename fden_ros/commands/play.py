@@ -35,7 +35,7 @@ _PAUSE = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument("bag", metavar="BAG", help="a rosbag2 folder or an .mcap file")
+    parser.add_argument("bag", metavar="BAG", help="a bag: a folder, an .mcap, .db3 or .bag file")
     parser.add_argument(
         "--rate",
         type=_positive_or_inf,

@@ -133,11 +133,14 @@ class Column:
         Of the messages; None: the type says what is read.
     stream : str
         ``force`` or ``displacement``.
+    is_stamped : bool
+        Whether the stamps of headers count, and not the times of recording.
     """
 
     topic: Topic
     field: str | None
     stream: str
+    is_stamped: bool = True
     frame: str = ""
     damaged: int = 0
 
@@ -163,7 +166,9 @@ class Column:
             self.damaged += 1
             return
         header = getattr(message, "header", None)
-        stamp = stamp_ns(header.stamp) if header is not None else log_time_ns
+        stamp = log_time_ns
+        if header is not None and self.is_stamped:
+            stamp = stamp_ns(header.stamp)
         if value is None or stamp == 0:
             # A stamp of 0 marks data that are not valid, as with CRTK.
             self.damaged += 1
@@ -194,7 +199,7 @@ class Column:
 def _read_bag(path: Path, selection: Selection) -> Reading:
     source = BagSource(path, check({}), selection)
     columns = {
-        stream: Column(topic, selection.fields.get(stream), stream)
+        stream: Column(topic, selection.fields.get(stream), stream, selection.stamps == "header")
         for stream, topic in source.topics.items()
     }
 
@@ -204,17 +209,20 @@ def _read_bag(path: Path, selection: Selection) -> Reading:
                 column.add(message.data, message.log_time_ns)
 
     _read_messages(source, {column.topic.name for column in columns.values()}, take)
-    found = reading_of(path, columns, selection)
-    return replace(
-        found, inputs=source.inputs, warnings=(*source.reader.warnings, *found.warnings)
-    )
+    try:
+        found = reading_of(path, columns, selection)
+    except InputError as error:
+        # What is wrong with the stamps comes first: it is the reason, most likely.
+        raise InputError("; ".join((*source.stamp_problems, str(error)))) from None
+    return replace(found, inputs=source.inputs, warnings=(*source.warnings, *found.warnings))
 
 
 def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Reading:
     """Return a recording whose displacement stands in transforms, the force turned with them."""
     any_frames = {"frames.base": "base", "frames.probe": "probe", "displacement.message": "tf"}
     source = BagSource(path, check(any_frames), selection)
-    force = Column(source.force, selection.fields.get("force"), "force")
+    is_stamped = selection.stamps == "header"
+    force = Column(source.force, selection.fields.get("force"), "force", is_stamped)
     tree = FrameTree(str(path))
 
     def take(message: RawMessage) -> None:
@@ -242,7 +250,7 @@ def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Re
         {"force": force.topic.type_name, "displacement": TRANSFORMS},
         {},
         {"force": base},
-        source.reader.warnings,
+        source.warnings,
         {"frames.base": base, "frames.probe": probe},
     )
 
@@ -251,7 +259,7 @@ def _read_messages(
     source: BagSource, topics: Collection[str], take: Callable[[RawMessage], None]
 ) -> None:
     with progress(f"reading {source.reader.path.name}", source.total) as show:
-        for done, message in enumerate(source.reader.messages(topics), start=1):
+        for done, message in enumerate(source.messages(topics), start=1):
             take(message)
             if done % 2000 == 0:
                 show(done)

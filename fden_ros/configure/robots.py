@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -123,7 +123,7 @@ def robot_selection(
             names[stream] = _topic(robot, stream, where, topics)
             if quantity.field:
                 fields.setdefault(stream, quantity.field)
-    return Selection(names, fields)
+    return replace(selection, topics=names, fields=fields)
 
 
 def _topic(robot: Robot, stream: str, where: str, present: Sequence[Topic]) -> str:

@@ -154,6 +154,8 @@ def _chosen(reading: Reading) -> list[str]:
     chosen: Selection = reading.selection
     options = {f"--{stream}-topic": name for stream, name in chosen.topics.items()}
     options |= {f"--{stream}-field": path for stream, path in chosen.fields.items()}
+    if chosen.stamps != "header":
+        options["--stamps"] = chosen.stamps
     if chosen.where is not None:
         options["--rows"] = "=".join(chosen.where)
     if chosen.columns is not None and str(chosen.columns) != _said(reading):

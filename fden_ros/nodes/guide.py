@@ -82,7 +82,8 @@ class _Guide:
         topics = self._find_topics()
         for stream, topic in topics.items():
             field = self._selection.fields.get(stream)
-            self._columns[stream] = Column(topic, field, stream)
+            is_stamped = self._selection.stamps == "header"
+            self._columns[stream] = Column(topic, field, stream, is_stamped)
             self._say(f"{stream} from {topic.name} ({topic.type_name.replace('/msg/', '/')})")
         for topic in {topic.name: topic for topic in topics.values()}.values():
             self._subscribe(topic)

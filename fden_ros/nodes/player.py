@@ -16,7 +16,7 @@ from typing import Any
 from rclpy.duration import Duration
 
 from fden_ros.errors import InputError
-from fden_ros.recording.definitions import message_class
+from fden_ros.recording.definitions import message_class, type_hash
 from fden_ros.recording.qos import RELIABLE, Qos
 from fden_ros.recording.reader import BagReader, Topic
 from fden_ros.ros.inputs import TYPE_NAMES
@@ -239,6 +239,12 @@ class Player:
                 message_class(topic.type_name)
             except InputError as error:
                 self._warnings.append(f"{topic.name} is not played: {error}")
+                continue
+            installed = type_hash(topic.type_name)
+            if topic.type_hash and installed and topic.type_hash != installed:
+                self._warnings.append(
+                    f"{topic.name} is not played: it was recorded with another {topic.type_name}"
+                )
                 continue
             selected.append(topic)
         if not selected:

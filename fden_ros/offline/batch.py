@@ -12,12 +12,13 @@ from __future__ import annotations
 import csv
 import glob
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
 import signal
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
@@ -31,7 +32,16 @@ from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row
 from fden_ros.offline.session import Innovations
 from fden_ros.parameters import Parameters
+from fden_ros.recording.reader import METADATA_FILE, is_bag_file
 from fden_ros.recording.source import Selection
+from fden_ros.recording.table import (
+    TABLE_SUFFIXES,
+    cells_of,
+    delimiter_of,
+    headings_of,
+    is_number,
+    lines_of,
+)
 from fden_ros.tissues.library import load_library
 
 #: Of the bag: what it was identified with, what is wrong with it, its length, and how many
@@ -63,36 +73,60 @@ class Work:
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def find_bags(places: Iterable[str]) -> list[Path]:
-    """Return the bags in folders, at paths and glob patterns, sorted, each once.
+def find_bags(places: Sequence[str]) -> list[Path]:
+    """Return the recordings in folders, at paths and glob patterns, sorted, each once.
 
-    A folder with a ``metadata.yaml`` is one bag; elsewhere each MCAP file is one.
+    A folder with a ``metadata.yaml`` is one; elsewhere each file of a bag is one, and each table
+    that does not come from here. A place that holds none is returned too: its row will say so.
 
     Raises
     ------
     InputError
-        If a place holds no bag.
+        If no place holds any.
     """
     found: dict[Path, None] = {}
+    empty: dict[Path, None] = {}
     for place in places:
-        paths = [Path(place)] if os.path.exists(place) else map(Path, sorted(glob.glob(place)))
-        bags = [bag for path in paths for bag in _bags_at(path)]
-        if not bags:
-            raise InputError(f"{place} holds no bag: give a folder of bags, or a pattern of some")
-        found.update(dict.fromkeys(bag.resolve() for bag in bags))
-    return sorted(found)
+        paths = sorted(glob.glob(place)) if not os.path.exists(place) else [place]
+        for path in map(Path, paths or [place]):
+            bags = dict.fromkeys(bag.resolve() for bag in _bags_at(path)) if paths else {}
+            found |= bags
+            empty |= {} if bags else {path.resolve(): None}
+    if not found:
+        where = ", ".join(places)
+        raise InputError(f"{where} holds no bag: give a folder of bags, or a pattern of some")
+    return sorted(found | empty)
 
 
 def _bags_at(path: Path) -> Iterator[Path]:
     # What is named is meant, whatever its name: if it is no bag, its row will say so.
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
+    if not path.is_dir():
         yield path
         return
+    is_bag = (path / METADATA_FILE).is_file()
+    if is_bag:
+        yield path
     for child in sorted(path.iterdir()):
         if child.name.startswith("."):
             continue
-        if child.is_dir() or child.suffix == ".mcap":
+        if child.is_dir() or (not is_bag and (is_bag_file(child) or _is_table(child))):
             yield from _bags_at(child)
+
+
+def _is_table(path: Path) -> bool:
+    """Return whether a file found in a folder is a recording: a table, not of results, no text."""
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        return False
+    is_text = path.suffix.lower() == ".txt"
+    try:
+        headings = headings_of(path)
+        lines = [line for _, line in itertools.islice(lines_of(path), 2)]
+    except InputError:
+        return not is_text
+    if headings[: len(_BAG_COLUMNS)] == list(_BAG_COLUMNS):
+        return False
+    second = next(cells_of(lines[1:], delimiter_of(lines[0])), [])
+    return not is_text or (len(second) > 1 and all(map(is_number, second)))
 
 
 def identify(bag: str, work: Work) -> list[Row]:

@@ -59,7 +59,7 @@ def replay(
     Parameters
     ----------
     bag : path
-        A rosbag2 folder, an ``.mcap`` file, or a table with `selection.columns`.
+        A bag, as :class:`~fden_ros.recording.reader.BagReader` reads, or a table.
     parameters : Parameters
         Of :func:`fden_ros.parameters.check`.
     selection : Selection, optional

@@ -5,15 +5,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from mcap.exceptions import McapError
 from mcap.records import Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fden_ros.core.streams.tool import Quaternion
 from fden_ros.errors import InputError
@@ -65,7 +69,7 @@ class FieldPath:
                 message = message[int(index)]
                 continue
             if not hasattr(message, name):
-                fields = ", ".join(_field_names(message)) or "no fields"
+                fields = ", ".join(field_names(message)) or "no fields"
                 raise InputError(f"there is no {name} on the way to {self.text}: it has {fields}")
             message = getattr(message, name)
         return message
@@ -82,7 +86,7 @@ class FieldPath:
 
 def as_number_or_vector(value: Any) -> float | Vector | None:
     """Return a number as float, something with x, y, z or three numbers as vector, else None."""
-    if isinstance(value, (int, float)):
+    if isinstance(value, (int, float, np.number)):
         return float(value)
     if all(hasattr(value, axis) for axis in "xyz"):
         return float(value.x), float(value.y), float(value.z)
@@ -125,17 +129,37 @@ def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
         id=1, name=topic.type_name, encoding=SchemaEncoding.ROS2, data=carried.encode()
     )
     try:
-        decode = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+        # What it cannot parse it also prints.
+        with contextlib.redirect_stderr(io.StringIO()):
+            decode = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+    except NameError:
+        return _decoder_of_ros1(topic)
     except (McapError, ValueError, LookupError) as error:
-        raise InputError(
-            f"{topic.name}: the definition of {topic.type_name} cannot be read "
-            f"({' '.join(str(error).split())}): install its package"
-        ) from None
+        raise _unreadable(topic, error) from None
     assert decode is not None
     return decode
 
 
-def _field_names(message: Any) -> list[str]:
+def _decoder_of_ros1(topic: Topic) -> Callable[[bytes], Any]:
+    """Return the decoder of a type with names such as ``Fz``, which ROS 2 does not allow."""
+    types = get_typestore(Stores.EMPTY)
+    try:
+        types.register(get_types_from_msg(topic.schema, topic.type_name))
+        types.get_msgdef(topic.type_name)
+    except Exception as error:
+        raise _unreadable(topic, error) from None
+    return lambda data: types.deserialize_cdr(data, topic.type_name)
+
+
+def _unreadable(topic: Topic, error: Exception) -> InputError:
+    return InputError(
+        f"{topic.name}: the definition of {topic.type_name} cannot be read "
+        f"({' '.join(str(error).split())}): install its package"
+    )
+
+
+def field_names(message: Any) -> list[str]:
+    """Return the names of the fields of a decoded message; none of anything else."""
     if hasattr(message, "get_fields_and_field_types"):
         return list(message.get_fields_and_field_types())
     slots = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})

@@ -1,20 +1,27 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reading bags: rosbag2 folders and bare MCAP files, split, compressed or cut off."""
+"""Reading bags of every kind: folders and bare files, split, compressed or cut off."""
 
 from __future__ import annotations
 
 import bisect
+import contextlib
 import heapq
+import itertools
 import re
+import shutil
+import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import lz4.frame
 import yaml
+import zstandard
 from mcap.well_known import MessageEncoding
 
 from fden_ros.errors import InputError
@@ -29,14 +36,18 @@ from fden_ros.recording.mcap_file import (
     read_mcap,
 )
 from fden_ros.recording.qos import Qos, parse_profiles
+from fden_ros.recording.rosbags_file import DamageError, RosbagsFile, read_ros1, read_sqlite3
 
-_METADATA_FILE = "metadata.yaml"
+METADATA_FILE = "metadata.yaml"
 _SQLITE3 = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _LZ4 = b"\x04\x22\x4d\x18"
-_RECORDINGS = ("*.mcap",)
-_FOREIGN = ("*.mcap.*", "*.db3", "*.db3.zstd", "*.bag")
+#: Names of the files of a bag without metadata; the first pattern that some match counts.
+_RECORDINGS = ("*.mcap", "*.mcap.*", "*.db3", "*.db3.zstd", "*.bag", "*.bag.*")
+#: Suffixes of what sqlite3 leaves beside a file whose writer was interrupted.
+_LEFTOVERS = ("-wal", "-journal")
+_EXPECTED = "give a bag folder, or an .mcap, .db3 or .bag file"
 
 
 @dataclass(frozen=True)
@@ -49,6 +60,7 @@ class Topic:
     offered_qos: tuple[Qos, ...] = ()  #: by its publishers; empty when the bag does not say
     schema: str = ""  #: definition of the type as the bag carries it
     schema_encoding: str = ""  #: its format: ``ros2msg``, ``ros2idl``
+    type_hash: str = ""  #: of the type as it was recorded; empty when the bag does not say
 
 
 def topic_named(where: str, present: Sequence[Topic], name: str) -> Topic:
@@ -79,24 +91,26 @@ class BagReader:
     """Read a bag as a stream of raw messages in log-time order.
 
     Memory does not grow with the bag: what is held is one chunk, or those chunks whose times
-    overlap. Nothing is kept open between calls, so several iterations may run at once.
+    overlap. No file is kept open between calls, so several iterations may run at once.
 
     Parameters
     ----------
     path
-        A rosbag2 folder (one file or several) or an ``.mcap`` file; chunks may be compressed with
-        zstd or lz4.
+        A folder with the files of a bag, or one: ``.mcap``, ``.db3`` (sqlite3) or ``.bag`` (ROS 1,
+        whose messages come in ROS 2's encoding). Files, messages and chunks may be compressed.
+        A file that is compressed as a whole is unpacked for as long as the reader lives.
 
     Raises
     ------
     InputError
-        When the path is missing, empty, or another format (the line says how to convert it).
+        When the path is missing, empty, damaged or no bag.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._warnings: list[str] = []
         self._metadata: dict[str, Any] = {}
+        self._unpacked: TemporaryDirectory[str] | None = None
         self._files = [self._open(file) for file in self._find_files()]
         self._routes = [self._route(file) for file in self._files]
         self._topics = self._collect_topics()
@@ -154,17 +168,48 @@ class BagReader:
         if topics is not None:
             for name in topics:
                 self.topic(name)
-        return self._merge(None if topics is None else frozenset(topics))
-
-    def _merge(self, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+        wanted = None if topics is None else frozenset(topics)
         routes = [
             {
                 channel_id: (name, type_name)
                 for channel_id, (name, type_name) in route.items()
-                if topics is None or name in topics
+                if wanted is None or name in wanted
             }
             for route in self._routes
         ]
+        merged = self._merge(routes)
+        others = [
+            self._stream(file, route)
+            for file, route in zip(self._files, routes, strict=True)
+            if isinstance(file, RosbagsFile)
+        ]
+        if others:
+            merged = heapq.merge(merged, *others, key=lambda message: message.log_time_ns)
+        return self._unpack_messages(merged)
+
+    def _unpack_messages(self, messages: Iterator[RawMessage]) -> Iterator[RawMessage]:
+        """Return the messages, unpacked where each is compressed, as the first of them tells."""
+        first = next(messages, None)
+        if first is None:
+            return iter(())
+        messages = itertools.chain([first], messages)
+        # CDR begins with a 0, whatever the message.
+        if not first.data.startswith(_ZSTD):
+            return messages
+        packer = zstandard.ZstdDecompressor()
+        return (_unpacked(message, packer) for message in messages)
+
+    def _stream(
+        self, file: RosbagsFile, route: dict[int, tuple[str, str]]
+    ) -> Iterator[RawMessage]:
+        try:
+            for time_ns, channel_id, data in file.rows(route.keys()):
+                yield RawMessage(*route[channel_id], time_ns, data)
+        except DamageError as error:
+            self._warn(f"{file.path.name} is damaged: the rest of it is lost ({error})")
+
+    def _merge(self, routes: list[dict[int, tuple[str, str]]]) -> Iterator[RawMessage]:
+        """Yield the messages of the MCAP files."""
         # Spans wait, the earliest last, until the stream of messages reaches their first time.
         waiting = sorted(
             (
@@ -179,7 +224,8 @@ class BagReader:
         while waiting or active:
             while waiting and (not active or waiting[-1][0] <= active[0][0]):
                 _, order, file_index, span = waiting.pop()
-                rows = self._load(self._files[file_index], span)
+                file = self._files[file_index]
+                rows = self._load(file, span) if isinstance(file, McapFile) else []
                 if rows:
                     entry = (rows[0].log_time_ns, order, 0, rows, routes[file_index])
                     heapq.heappush(active, entry)
@@ -199,8 +245,8 @@ class BagReader:
 
     def _spans(self) -> Iterator[tuple[int, Span]]:
         for index, file in enumerate(self._files):
-            for span in file.spans:
-                yield index, span
+            if isinstance(file, McapFile):
+                yield from ((index, span) for span in file.spans)
 
     def _load(self, file: McapFile, span: Span) -> list[Row]:
         try:
@@ -219,49 +265,69 @@ class BagReader:
 
     def _find_files(self) -> list[Path]:
         if not self.path.exists():
-            raise InputError(f"{self.path} does not exist: give a bag folder or an .mcap file")
+            raise InputError(f"{self.path} does not exist: {_EXPECTED}")
         if not self.path.is_dir():
             return [self.path]
         listed = self._read_metadata()
         present = [path for path in listed if path.is_file()]
         for path in listed:
             if path not in present:
-                self._warn(f"{path.name} is listed in {_METADATA_FILE} but missing: not used")
+                self._warn(f"{path.name} is listed in {METADATA_FILE} but missing: not used")
         if present:
             return present
-        found = _glob(self.path, _RECORDINGS) or _glob(self.path, _FOREIGN)
-        if not found:
-            raise InputError(f"{self.path} holds no bag: expected an .mcap file in it")
-        return found
+        for pattern in _RECORDINGS:
+            if found := _glob(self.path, pattern):
+                return found
+        raise InputError(f"{self.path} holds no bag: expected an .mcap, .db3 or .bag file in it")
 
     def _read_metadata(self) -> list[Path]:
-        path = self.path / _METADATA_FILE
+        path = self.path / METADATA_FILE
         try:
             metadata = yaml.safe_load(path.read_text(encoding="utf-8"))
             self._metadata = dict(metadata["rosbag2_bagfile_information"])
             names = [Path(str(name)) for name in self._metadata["relative_file_paths"]]
         except FileNotFoundError:
-            self._warn(f"no {_METADATA_FILE} (interrupted recording?): all files are used")
+            self._warn(f"no {METADATA_FILE} (interrupted recording?): all files are used")
             return []
         except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
-            self._warn(f"{_METADATA_FILE} cannot be read: all files are used")
+            self._warn(f"{METADATA_FILE} cannot be read: all files are used")
             return []
-        if str(self._metadata.get("compression_mode", "")).upper() == "MESSAGE":
-            raise InputError(
-                f"{self.path} compresses each message, which MCAP bags do not: "
-                f"convert it with: {_convert_command(self.path)}"
-            )
+        mode, packing = (self._metadata.get(f"compression_{key}") for key in ("mode", "format"))
+        if str(mode).lower() == "message" and packing != "zstd":
+            raise InputError(f"{self.path} has messages compressed by {packing}: expected zstd")
         # Bags of ROS 2 Dashing and older name the files with the folder in front.
         return [
             self.path / name if (self.path / name).is_file() else self.path / name.name
             for name in names
         ]
 
-    def _open(self, path: Path) -> McapFile:
+    def _open(self, path: Path) -> McapFile | RosbagsFile:
         try:
-            file = read_mcap(self._check_format(path))
+            return self._read(path)
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+
+    def _read(self, path: Path) -> McapFile | RosbagsFile:
+        with path.open("rb") as file:
+            head = file.read(16)
+        if head.startswith((_ZSTD, _LZ4)):
+            path = self._unpack_file(path, head)
+            with path.open("rb") as file:
+                head = file.read(16)
+        if not head:
+            raise InputError(f"{path} is empty: {_EXPECTED}")
+        if head == _SQLITE3:
+            return read_sqlite3(self._recovered(path))
+        if head.startswith(_ROS1):
+            return read_ros1(path)
+        if head.startswith(MAGIC):
+            return self._read_mcap(path)
+        if any(magic.startswith(head) for magic in (MAGIC, _SQLITE3, _ROS1)):
+            raise _cut_short(path)
+        raise InputError(f"{path} is no bag: {_EXPECTED}")
+
+    def _read_mcap(self, path: Path) -> McapFile:
+        file = read_mcap(path)
         if file.cut_off_at is not None:
             self._warn(
                 f"{path.name} is cut off at byte {file.cut_off_at}: "
@@ -269,36 +335,45 @@ class BagReader:
             )
         return file
 
-    def _check_format(self, path: Path) -> Path:
-        """Return the path of an MCAP file, or raise."""
-        with path.open("rb") as file:
-            head = file.read(16)
-        if head.startswith(MAGIC):
+    def _unpack_file(self, path: Path, head: bytes) -> Path:
+        """Return the path of an unpacked copy."""
+        unpacked = self._place() / path.stem
+        with path.open("rb") as packed, unpacked.open("wb") as file:
+            try:
+                if head.startswith(_ZSTD):
+                    zstandard.ZstdDecompressor().copy_stream(packed, file)
+                else:
+                    with lz4.frame.open(packed) as stream:
+                        shutil.copyfileobj(stream, file)
+            except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+                self._warn(f"{path.name} cannot be unpacked to its end ({error})")
+        return unpacked
+
+    def _recovered(self, path: Path) -> Path:
+        """Return a sqlite3 file with what an interrupted writer has left beside it."""
+        left = [Path(f"{path}{suffix}") for suffix in _LEFTOVERS]
+        left = [beside for beside in left if beside.is_file() and beside.stat().st_size]
+        if not left:
             return path
-        if not head:
-            raise InputError(f"{path} is empty: give a bag folder or an .mcap file")
-        if head.startswith((_ZSTD, _LZ4)):
-            tool = "zstd" if head.startswith(_ZSTD) else "lz4"
-            raise InputError(
-                f"{path} is compressed as a whole: unpack it with: {tool} -d {path}; chunks of a "
-                "bag may be compressed"
-            )
-        if MAGIC.startswith(head):
-            raise _cut_short(path)
-        if head == _SQLITE3:
-            raise InputError(
-                f"{path} is a sqlite3 bag: convert it with: {_convert_command(self.path)}"
-            )
-        if head.startswith(_ROS1):
-            raise InputError(
-                f"{path} is a ROS 1 bag: convert it with: pip install rosbags && "
-                f"rosbags-convert --src {path} --dst {path.with_suffix('')} --dst-storage mcap"
-            )
-        raise InputError(f"{path} is not an MCAP file: give a bag folder or an .mcap file")
+        names = ", ".join(beside.name for beside in left)
+        self._warn(f"{names} was left beside {path.name} (interrupted recording): used too")
+        copies = [Path(shutil.copy(one, self._place())) for one in (path, *left)]
+        try:
+            with contextlib.closing(sqlite3.connect(copies[0])) as database:
+                database.execute("PRAGMA journal_mode = DELETE").fetchall()
+        except sqlite3.Error:
+            return path
+        return copies[0]
+
+    def _place(self) -> Path:
+        """Return the folder of what is unpacked, which vanishes with the reader."""
+        if self._unpacked is None:
+            self._unpacked = TemporaryDirectory(prefix="fden_")
+        return Path(self._unpacked.name)
 
     # Topics
 
-    def _route(self, file: McapFile) -> dict[int, tuple[str, str]]:
+    def _route(self, file: McapFile | RosbagsFile) -> dict[int, tuple[str, str]]:
         """Return topic and type name by channel id."""
         route: dict[int, tuple[str, str]] = {}
         for channel in file.channels.values():
@@ -319,6 +394,7 @@ class BagReader:
         counts: Counter[tuple[str, str]] = Counter()
         profiles: dict[tuple[str, str], dict[Qos, None]] = {}
         schemas: dict[tuple[str, str], tuple[str, str]] = {}
+        hashes: dict[tuple[str, str], str] = {}
         for file, route in zip(self._files, self._routes, strict=True):
             for channel_id, key in route.items():
                 channel = file.channels[channel_id]
@@ -326,6 +402,7 @@ class BagReader:
                 counts[key] += file.counts[channel_id]
                 offered = parse_profiles(channel.metadata.get("offered_qos_profiles"))
                 profiles.setdefault(key, {}).update(dict.fromkeys(offered))
+                hashes[key] = channel.metadata.get("topic_type_hash", "")
                 schemas[key] = (schema.data.decode("utf-8", "replace"), schema.encoding)
         listed = _listed_profiles(self._metadata)
         return tuple(
@@ -336,6 +413,7 @@ class BagReader:
                 offered_qos=tuple(profiles[name, type_name]) or listed.get(name, ()),
                 schema=schemas[name, type_name][0],
                 schema_encoding=schemas[name, type_name][1],
+                type_hash=hashes[name, type_name],
             )
             for name, type_name in sorted(counts)
         )
@@ -346,7 +424,7 @@ class BagReader:
                 f"{self.path} holds no ROS 2 messages: expected topics encoded in CDR"
             )
         for file in self._files:
-            if file.cut_off_at is not None:
+            if isinstance(file, McapFile) and file.cut_off_at is not None:
                 raise _cut_short(file.path)
 
 
@@ -371,6 +449,14 @@ def decode(message: RawMessage) -> Any:
         ) from error
 
 
+def _unpacked(message: RawMessage, packer: zstandard.ZstdDecompressor) -> RawMessage:
+    """Return a message that is compressed by itself, unpacked; damaged, it stays as it is."""
+    try:
+        return message._replace(data=packer.decompressobj().decompress(message.data))
+    except zstandard.ZstdError:
+        return message
+
+
 def _cut_short(path: Path) -> InputError:
     return InputError(
         f"{path} is cut off before its first topic, at {path.stat().st_size} bytes: copy it anew"
@@ -388,8 +474,13 @@ def _listed_profiles(metadata: dict[str, Any]) -> dict[str, tuple[Qos, ...]]:
         return {}
 
 
-def _glob(folder: Path, patterns: tuple[str, ...]) -> list[Path]:
-    found = [path for pattern in patterns for path in folder.glob(pattern) if path.is_file()]
+def is_bag_file(path: Path) -> bool:
+    """Return whether a file is one of a bag by its name."""
+    return path.is_file() and any(path.match(pattern) for pattern in _RECORDINGS)
+
+
+def _glob(folder: Path, pattern: str) -> list[Path]:
+    found = (path for path in folder.glob(pattern) if path.is_file())
     return sorted(found, key=_natural_order)
 
 
@@ -397,11 +488,3 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
     """Order ``x_2`` before ``x_10``."""
     parts = re.split(r"(\d+)", path.name)
     return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
-
-
-def _convert_command(path: Path) -> str:
-    target = f"{path.with_suffix('')}_mcap"
-    return (
-        f"echo 'output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]' > convert.yaml "
-        f"&& ros2 bag convert -i {path} -o convert.yaml"
-    )

@@ -5,19 +5,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import contextlib
+import itertools
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from fden_ros.core.streams.samples import Sink
-from fden_ros.errors import InputError
+from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
+from fden_ros.recording.candidates import hint_of
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
+from fden_ros.recording.stamps import (
+    LOOKED_AT,
+    TRANSFORMS,
+    carried_stamp,
+    problems,
+    raw_stamp,
+    restamped,
+)
 from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
-from fden_ros.recording.topics import find_topic
+from fden_ros.recording.topics import NoTopicError, find_topic, topic_with_messages
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
@@ -29,8 +40,6 @@ from fden_ros.ros.inputs import (
 from fden_ros.ros.messages import stamp_ns
 
 _ALWAYS = ("force", "displacement")
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-
 
 #: Line of a parameter file that says what in a recording is force and displacement, as options.
 SELECTION_LINE = "# Recording: "
@@ -48,6 +57,7 @@ class Selection:
     fields: Mapping[str, str] = field(default_factory=dict)
     columns: Columns | None = None  #: of a table
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
+    stamps: str = "header"  #: of a bag's messages; or ``recording``, the time of their recording
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -86,6 +96,7 @@ class BagSource:
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
         self._parameters = parameters
+        self._selection = selection
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
         # The surface and the like first: what carries them could be taken for the displacement.
@@ -93,11 +104,15 @@ class BagSource:
         wanted += ["force"] if moves_probe(parameters) else _ALWAYS
         for stream in wanted:
             self._fields[stream] = selection.fields.get(stream)
-            self.topics[stream] = self._find(stream, selection.topics.get(stream))
+            try:
+                self.topics[stream] = self._find(stream, selection.topics.get(stream))
+            except NoTopicError as error:
+                raise InputError(str(error), self._hint(wanted)) from None
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
         self._notes: list[str] = []
+        self.stamp_problems: list[str] = []
         self._inputs: Inputs | None = None
 
     def _find_transforms(self) -> None:
@@ -114,9 +129,22 @@ class BagSource:
 
     def _find(self, stream: str, topic: str | None) -> Topic:
         if self._fields[stream] is not None and topic is not None:
-            return self.reader.topic(topic)
+            return topic_with_messages(str(self.reader.path), self.reader.topics, topic)
         present, where = self.reader.topics, str(self.reader.path)
         return find_topic(where, present, topic, stream, self.topics.values())
+
+    def _hint(self, wanted: Collection[str]) -> Callable[[], Hint]:
+        """Return what lists the numbers of the bag, for what of force and displacement is open."""
+        known = {stream: topic.name for stream, topic in self.topics.items()}
+        unclear = [stream for stream in wanted if stream in _ALWAYS and stream not in known]
+        for stream in tuple(unclear):
+            self._fields[stream] = self._selection.fields.get(stream)
+            try:
+                known[stream] = self._find(stream, self._selection.topics.get(stream)).name
+                unclear.remove(stream)
+            except InputError:
+                pass
+        return hint_of(self.reader, unclear, {**self._selection.topics, **known})
 
     @property
     def force(self) -> Topic:
@@ -146,7 +174,7 @@ class BagSource:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was wrong with the bag."""
-        return (*self.reader.warnings, *self._notes)
+        return (*self.stamp_problems, *self.reader.warnings, *self._notes)
 
     @property
     def frame(self) -> str:
@@ -168,17 +196,50 @@ class BagSource:
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for stream, topic in self.topics.items():
             handlers.setdefault(topic.name, []).append(self._handler(stream, topic))
-        for done, message in enumerate(self.reader.messages(handlers), start=1):
+        for done, message in enumerate(self.messages(handlers), start=1):
             before(message.log_time_ns, message)
             for handle in handlers[message.topic]:
                 handle(message)
             yield done
 
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Yield the messages of topics, with the stamps that are asked for.
+
+        What is wrong with the stamps of force, displacement and the like joins the warnings.
+        """
+        if self._selection.stamps == "recording":
+            return map(restamped, self.reader.messages(topics))
+        self.stamp_problems = problems(
+            {
+                topic.name: self._stamps(topic, self._fields[stream])
+                for stream, topic in self.topics.items()
+                if stream not in TRANSFORM_TOPICS
+            }
+        )
+        return self.reader.messages(topics)
+
+    def _stamps(self, topic: Topic, field: str | None) -> list[tuple[int, int]]:
+        """Return header stamps and times of recording (ns) of a topic's first messages."""
+        decode = decoder_of(topic) if field is not None else None
+        pairs = []
+        for message in itertools.islice(self.reader.messages([topic.name]), LOOKED_AT):
+            header: int | None = None
+            if decode is None:
+                header = raw_stamp(message)
+            else:
+                with contextlib.suppress(Exception):  # counted as damaged where it is used
+                    stamp = carried_stamp(decode(message.data))
+                    header = message.log_time_ns if stamp is None else stamp_ns(stamp)
+            if header is not None:
+                pairs.append((header, message.log_time_ns))
+        return pairs
+
     def _handler(self, stream: str, topic: Topic) -> Callable[[RawMessage], None]:
         field, inputs = self._fields[stream], self._inputs
         assert inputs is not None
         if field is not None:
-            return _FieldHandler(stream, topic, FieldPath(field), inputs, self.note)
+            is_stamped = self._selection.stamps == "header"
+            return _FieldHandler(stream, topic, FieldPath(field), inputs, self.note, is_stamped)
         handle = handler_of(stream, message_class(topic.type_name), inputs)
         return lambda message: handle(message.data)
 
@@ -198,9 +259,10 @@ class _FieldHandler:
         path: FieldPath,
         inputs: Inputs,
         note: Callable[[str], None],
+        is_stamped: bool,
     ) -> None:
         self._stream, self._topic, self._path = stream, topic, path
-        self._inputs, self._note = inputs, note
+        self._inputs, self._note, self._is_stamped = inputs, note, is_stamped
         self._decode = decoder_of(topic)
         self._seen = False
 
@@ -236,9 +298,10 @@ class _FieldHandler:
         return value
 
     def _stamp(self, sample: Any, log_time_ns: int) -> int:
-        header = getattr(sample, "header", None)
-        stamp = getattr(header, "stamp", None) or getattr(sample, "stamp", None)
-        if stamp is not None and hasattr(stamp, "nanosec"):
+        if not self._is_stamped:
+            return log_time_ns
+        stamp = carried_stamp(sample)
+        if stamp is not None:
             return stamp_ns(stamp)
         self._note(
             f"{self._topic.name} carries no stamps: the times of recording are used, which jitter"

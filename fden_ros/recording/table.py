@@ -18,7 +18,7 @@ from typing import NamedTuple
 from fden_ros.errors import InputError
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
-_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 
 _NS = Decimal(1_000_000_000)
 _DELIMITERS = ",;\t "
@@ -271,7 +271,7 @@ def looks_like_a_table(path: str | Path) -> bool:
     suffix = path.suffix.lower()
     if suffix in TABLE_SUFFIXES:
         return not path.is_dir()
-    return suffix not in _BAG_SUFFIXES and path.is_file() and _begins_as_text(path)
+    return suffix not in BAG_SUFFIXES and path.is_file() and _begins_as_text(path)
 
 
 def _begins_as_text(path: Path) -> bool:

@@ -16,12 +16,16 @@ _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 # Words in a topic's name: what it most likely carries, and what is wanted rather than measured.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
-_WORDS = {
+WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
     "surface": {"surface", "marker", "skin", "breathing", "respiration", "ultrasound", "laser"},
 }
-_WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
+WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
+
+
+class NoTopicError(InputError):
+    """No topic carries a quantity by its type alone: its field has to be named."""
 
 
 def find_topic(
@@ -52,9 +56,9 @@ def find_topic(
     """
     usable = TYPE_NAMES[stream].values()
     if name is not None:
-        topic = topic_named(where, present, name)
+        topic = topic_with_messages(where, present, name)
         if topic.type_name not in usable:
-            raise InputError(
+            raise NoTopicError(
                 f"{name} carries {topic.type_name}, which holds no {stream} by itself: name the "
                 f"field with --{stream}-field, or choose a topic of {', '.join(sorted(usable))}"
             )
@@ -65,16 +69,39 @@ def find_topic(
     chosen = _sensible(candidates, stream)
     if len(chosen) == 1:
         return chosen[0]
-    listed = ", ".join(f"{t.name} ({t.type_name})" for t in chosen or present) or "none"
+    listed = ", ".join(map(_described, chosen or present)) or "none"
     problem = "several topics could carry" if chosen else "no topic can carry"
     hint = f"name it with --{stream}-topic"
+    if not chosen:
+        hint += f", and the number in it with --{stream}-field"
     if (
         stream == "displacement"
         and not chosen
         and any(t.type_name == _TRANSFORMS for t in present)
     ):
         hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
-    raise InputError(f"{where}: {problem} the {stream}: {listed}; {hint}")
+    kind = InputError if chosen else NoTopicError
+    raise kind(f"{where}: {problem} the {stream}: {listed}; {hint}")
+
+
+def topic_with_messages(where: str, present: Sequence[Topic], name: str) -> Topic:
+    """Return the topic called `name`.
+
+    Raises
+    ------
+    InputError
+        If there is none, or nothing was recorded on it; the line says `where`.
+    """
+    topic = topic_named(where, present, name)
+    if not topic.message_count:
+        raise InputError(
+            f"{where}: topic {topic.name} has no messages: choose another, or record it anew"
+        )
+    return topic
+
+
+def _described(topic: Topic) -> str:
+    return f"{topic.name} ({topic.type_name}{'' if topic.message_count else ', no messages'})"
 
 
 def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
@@ -84,9 +111,9 @@ def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
     if len(named) == 1:
         return named
     for keep in (
-        lambda t: not _words(t) & _WANTED,
+        lambda t: not _words(t) & WANTED,
         lambda t: t.type_name != joints,
-        lambda t: _words(t) & _WORDS.get(stream, {stream}),
+        lambda t: _words(t) & WORDS.get(stream, {stream}),
     ):
         candidates = [t for t in candidates if keep(t)] or candidates
         if len(candidates) == 1:

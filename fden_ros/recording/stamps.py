@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whose time a message of a bag has: its header's, or that of its recording."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fden_ros.recording.cdr import serialize
+from fden_ros.recording.reader import RawMessage, decode
+from fden_ros.ros.inputs import TYPE_NAMES
+
+#: What a stamp may be taken from, the default first.
+STAMPS = ("header", "recording")
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+#: Messages at the beginning of a topic whose stamps are looked at.
+LOOKED_AT = 200
+#: Two topics of one clock are recorded with delays that differ by less than this [s].
+_SAME_CLOCK = 1.0
+#: Fewer equal stamps may be chance.
+_STANDSTILL = 10
+_REMEDY = "take the times of recording with --stamps recording"
+
+_NS = 1_000_000_000
+#: Types that begin with a header, whose stamp follows the encapsulation's 4 bytes.
+_STAMPED = {name for kinds in TYPE_NAMES.values() for name in kinds.values()} - {TRANSFORMS}
+_BODY = 4
+
+
+def restamped(message: RawMessage) -> RawMessage:
+    """Return an input message with its time of recording as header stamp; others as they are."""
+    if message.type_name == TRANSFORMS:
+        transforms = decode(message)
+        for one in transforms.transforms:
+            one.header.stamp.sec, one.header.stamp.nanosec = divmod(message.log_time_ns, _NS)
+        return message._replace(data=serialize(transforms))
+    if message.type_name not in _STAMPED or len(message.data) < _BODY + 8:
+        return message
+    stamp = struct.pack(_format(message.data), *divmod(message.log_time_ns, _NS))
+    return message._replace(data=message.data[:_BODY] + stamp + message.data[_BODY + 8 :])
+
+
+def raw_stamp(message: RawMessage) -> int | None:
+    """Return the header stamp (ns) of an input message; None of other types."""
+    if message.type_name not in _STAMPED or len(message.data) < _BODY + 8:
+        return None
+    seconds, nanoseconds = struct.unpack_from(_format(message.data), message.data, _BODY)
+    return int(seconds * _NS + nanoseconds)
+
+
+def carried_stamp(sample: Any) -> Any:
+    """Return the stamp of a decoded message: that of its header or its own; None without."""
+    header = getattr(sample, "header", None)
+    stamp = getattr(header, "stamp", None) or getattr(sample, "stamp", None)
+    return stamp if hasattr(stamp, "nanosec") else None
+
+
+def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
+    """Return why header stamps cannot be used as they are, a line each.
+
+    Parameters
+    ----------
+    stamps : mapping
+        By topic pairs of header stamp and time of recording (ns), of its first messages.
+    """
+    lines = []
+    delays: dict[str, float] = {}
+    for topic, pairs in stamps.items():
+        headers, times = {header for header, _ in pairs}, {time for _, time in pairs}
+        if headers == {0}:
+            lines.append(f"all header stamps of {topic} are 0, which is none: {_REMEDY}")
+        elif len(headers) == 1 and len(times) >= _STANDSTILL:
+            lines.append(f"all header stamps of {topic} are the same: {_REMEDY}")
+        elif pairs:
+            delays[topic] = 1e-9 * float(np.median([time - header for header, time in pairs]))
+    for topic, delay in delays.items():
+        first, least = min(delays.items(), key=lambda item: abs(item[1]))
+        if abs(delay - least) > _SAME_CLOCK:
+            lines.append(
+                f"header stamps of {topic} are {delay:.6g} s before its times of recording, those "
+                f"of {first} {least:.6g} s: of two clocks? Then {_REMEDY}"
+            )
+    return lines
+
+
+def _format(data: bytes) -> str:
+    return "<iI" if data[1] & 1 else ">iI"
