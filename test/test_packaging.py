@@ -192,7 +192,6 @@ def test_without_a_compiler_one_line_says_what_to_install(tmp_path):
     assert "apt-get install build-essential python3-dev" in failed.stderr.splitlines()[-1]
 
 
-
 @pytest.mark.parametrize("module", ["fden_ros.nodes.identifier", "fden_ros.cli"])
 @pytest.mark.parametrize("given", [None, "3"])
 def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(module, given):

@@ -32,6 +32,7 @@ from fden_ros.cli import main
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactDetector, Onset
 from fden_ros.core.estimation.estimate import Member
+from fden_ros.core.estimation.parts import ended
 from fden_ros.core.site import origin_of
 from fden_ros.core.streams.samples import Pair
 from fden_ros.errors import InputError
@@ -92,7 +93,7 @@ def pressed(tissue: np.ndarray, noise: float, seed: int, *depths: float) -> list
 def test_the_expected_deviations_are_those_that_the_identifier_states():
     tissue = LIVER.draws(1)
     (contact,) = pressed(tissue[0], SENSORS.force_sd, 1, PRESS.depth)
-    (expected,) = Forecast(CONFIG, SENSORS, LIVER).stated(PRESS, tissue)
+    (expected,) = ended(Forecast(CONFIG, SENSORS, LIVER).stated(PRESS, tissue))
     np.testing.assert_allclose(expected.deviations, contact.estimate.deviations, rtol=0.25)
 
 
@@ -100,7 +101,7 @@ def test_a_loud_sensor_leaves_the_scales_of_the_errors_open_in_a_plan_too():
     # With a part of the scales Gn was expected known better than stated by a tenth to a third.
     tissues, loud = LIVER.draws(4), replace(SENSORS, force_sd=0.05)
     stated = [pressed(one, 0.05, k, PRESS.depth)[0].estimate for k, one in enumerate(tissues)]
-    expected = Forecast(CONFIG, loud, LIVER).stated(PRESS, tissues)
+    expected = ended(Forecast(CONFIG, loud, LIVER).stated(PRESS, tissues))
     pairs = zip(stated, expected, strict=True)
     ratios = np.array([one.deviations / two.deviations for one, two in pairs])
     np.testing.assert_allclose(np.exp(np.log(ratios).mean(axis=0))[1:], 1.0, atol=0.15)

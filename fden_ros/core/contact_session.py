@@ -28,8 +28,9 @@ from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
-#: A summary is given so long after the release [ns]: the last solution is sought meanwhile.
-_SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
+#: A summary is given this long after the release [ns], where the last solution has been found by
+#: then, and at the latest after this [ns]: what is left of it is done at once.
+_SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 8 * NANOSECONDS // 10
 
 
 @dataclass
@@ -38,11 +39,18 @@ class _Left:
 
     press: Press
     end_ns: int  #: stamp of the release
-    worked_ns: int  #: until when it was worked on the summary
+    worked_ns: int = 0  #: until when it was worked on the summary; 0: not yet
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether the summary is to be given at a stamp."""
+        elapsed_ns = stamp_ns - self.end_ns
+        is_found = not self.press.site.is_working
+        return elapsed_ns >= (_SUMMARY_AFTER_NS if is_found else _SUMMARY_BY_NS)
 
     def work(self, stamp_ns: int) -> None:
         """Go on with the last solution by the work of the time until a stamp."""
-        seconds, self.worked_ns = (stamp_ns - self.worked_ns) / NANOSECONDS, stamp_ns
+        seconds = (stamp_ns - (self.worked_ns or stamp_ns)) / NANOSECONDS
+        self.worked_ns = stamp_ns
         self.press.site.work(seconds)
 
 
@@ -160,7 +168,7 @@ class ContactSession:
             yield from self._touch(event)
         elif self._press is None:
             yield from self._hover(pair)
-            if self._left and pair.stamp_ns - self._left.end_ns >= _SUMMARY_AFTER_NS:
+            if self._left and self._left.is_due(pair.stamp_ns):
                 yield from self._report(pair.stamp_ns)
         else:
             yield from self._press.take(pair)
@@ -246,7 +254,7 @@ class ContactSession:
             return
         if not press.has_ended:
             press.begin_end()
-            self._left = _Left(press, end_ns, end_ns)
+            self._left = _Left(press, end_ns)
             self._air.watch(end_ns, press.site, press.onset)
         self._press = None
         self._common.sums.clear()

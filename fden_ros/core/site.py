@@ -423,6 +423,11 @@ class Site:
             self._is_leaving = True
             self._estimator.begin_finish()
 
+    @property
+    def is_working(self) -> bool:
+        """Whether that is not done yet."""
+        return self._is_leaving and self._estimator is not None and self._estimator.is_working
+
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time in the air [s]."""
         if self._is_leaving and self._estimator is not None:

@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -22,13 +23,14 @@ from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
+from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Input, Taken, loss_counter, taker
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.lag import Lag
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
-from fden_ros.offline.advice import shortfall
+from fden_ros.offline.advice import shortfall_in_parts
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import INPUT_MESSAGES, Inputs
@@ -75,7 +77,7 @@ class Session:
         self._said_stale: Time | None = None
         self._seen_pairs = self._seen_failures = 0
         self.lacks = ""  #: the newest contact to converge, and what would help
-        self._to_advise: ContactSummary | None = None  # what its contact lacks is not said yet
+        self._advice: tuple[int, Advanced[str]] | None = None  # for a contact
         self._is_open = False
         self._lag_deadline = 0.0
         self._read_lag_deadline()
@@ -106,7 +108,7 @@ class Session:
     def finish(self) -> None:
         """Report the open contact; listen no more."""
         self.pipeline.finish()
-        self._advise()
+        self._finish_advice()
         self._log_failures()
         self.close()
 
@@ -150,8 +152,12 @@ class Session:
 
     def _take(self) -> None:
         with self._lock:
-            if self._is_open:
-                self.backlog.work()
+            if not self._is_open:
+                return
+            self.backlog.work()
+            # No press waits for it.
+            if not self.backlog.waiting and not self.pipeline.in_contact:
+                self._advise()
 
     # Out
 
@@ -161,7 +167,8 @@ class Session:
             output = self._with_lag(output)
         self._publish_messages(output)
         if isinstance(output, ContactSummary):
-            self._to_advise = output
+            advice = partial(shortfall_in_parts, output, self.pipeline.config)
+            self._advice = output.contact_id, Advanced(advice)
 
     def _with_lag(self, state: TissueState) -> TissueState:
         """Return a state with its age: from the receipt of the sample that completed it to now."""
@@ -174,13 +181,18 @@ class Session:
         self._lag_deadline = float(self._node.get_parameter("lag_deadline").value)
 
     def _advise(self) -> None:
-        """Say what the newest contact lacks."""
-        summary, self._to_advise = self._to_advise, None
-        if summary is None:
+        """Go on with what the newest contact lacks, by a part."""
+        if self._advice is not None and self._advice[1].advance(1):
+            self._finish_advice()
+
+    def _finish_advice(self) -> None:
+        """Say what the newest contact lacks, if it was not said."""
+        if self._advice is None:
             return
-        self.lacks = shortfall(summary, self.pipeline.config)
+        (contact_id, advice), self._advice = self._advice, None
+        self.lacks = advice.result()
         if self.lacks:
-            self._node.get_logger().info(f"contact {summary.contact_id}: {self.lacks}")
+            self._node.get_logger().info(f"contact {contact_id}: {self.lacks}")
 
     def _publish_messages(self, output: Output) -> None:
         output = placed(output, self.inputs.displacement_frame)
@@ -192,8 +204,6 @@ class Session:
             if not self._is_open:
                 return
             self._read_lag_deadline()
-            if self._to_advise is not None and not self.pipeline.in_contact:
-                self._advise()
             self._log_failures()
             self._check_stale()
 

@@ -13,12 +13,13 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.errors import InputError
 from fden_ros.planning.motion import Sensors
-from fden_ros.planning.plan import Plan, plan
+from fden_ros.planning.plan import Plan, Search
 from fden_ros.planning.remedies import (
     LARGEST_COMPRESSION,
     WORDS,
@@ -37,11 +38,16 @@ _NAMES = ("G", "Gn")
 
 
 def shortfall(summary: ContactSummary, config: PipelineConfig) -> str:
+    """Return what `shortfall_in_parts` does, all of it now."""
+    return ended(shortfall_in_parts(summary, config))
+
+
+def shortfall_in_parts(summary: ContactSummary, config: PipelineConfig) -> Parts[str]:
     """Return what a contact that has not converged lacks, why, and what would help.
 
     Empty where it has converged, or where a flag or the end of a range says why.
     """
-    why, mend = _reason(summary, config), cure(summary, config)
+    why, mend = _reason(summary, config), (yield from _cure(summary, config))
     return f"{why}; {mend}" if why and mend else why
 
 
@@ -50,6 +56,10 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
 
     Empty: nothing is known that would.
     """
+    return ended(_cure(summary, config))
+
+
+def _cure(summary: ContactSummary, config: PipelineConfig) -> Parts[str]:
     estimate, budget = summary.estimate, summary.budget
     if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
         return "begin 1 s in the air, and touch faster or with a larger face, for G and Gn"
@@ -57,7 +67,7 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
         return ""
     if budget is not None and _is_linear_part_hidden(estimate, budget):
         return uncover(budget, config.geometry, estimate.boundary_stress)
-    planned = next_press(summary, config)
+    planned = yield from _next_press(summary, config)
     if planned is not None and planned.is_possible:
         return planned.line()
     mend = _by_largest_source(summary, config)
@@ -89,6 +99,10 @@ def _by_largest_source(summary: ContactSummary, config: PipelineConfig) -> str:
 
 def next_press(summary: ContactSummary, config: PipelineConfig) -> Plan | None:
     """Return the press that a contact asks for; None: its sensors are not known."""
+    return ended(_next_press(summary, config))
+
+
+def _next_press(summary: ContactSummary, config: PipelineConfig) -> Parts[Plan | None]:
     estimate, budget = summary.estimate, summary.budget
     seconds = (summary.end_ns - summary.start_ns) / NANOSECONDS
     if estimate is None or budget is None or not budget.stress_noise or seconds <= 0.0:
@@ -96,7 +110,8 @@ def next_press(summary: ContactSummary, config: PipelineConfig) -> Plan | None:
     noise = budget.stress_noise / config.geometry.stress_per_force
     sensors = Sensors(max(summary.sample_count / seconds, 1.0), noise)
     try:
-        return plan(config, sensors, tissue=TissueBelief.found(estimate))
+        search = Search(config, sensors, tissue=TissueBelief.found(estimate))
+        return (yield from search.in_parts())
     except (InputError, np.linalg.LinAlgError):
         return None
 

@@ -24,7 +24,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.modes import find_modes
-from fden_ros.core.estimation.parts import ended
+from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_posterior import PressPosterior
@@ -132,10 +132,10 @@ class Forecast:
         found = [touch.origin_sd for touch in self._touches.values()]
         return float(np.median(found)) if found else _FIRST_ORIGIN_SD
 
-    def compared(self, motion: Motion, tissues: Array, presses: int = 1) -> list[Expected]:
+    def compared(self, motion: Motion, tissues: Array, presses: int = 1) -> Parts[list[Expected]]:
         """Return what up to so many presses tell of tissues (k, 3), at one place of the scales.
 
-        Tissues that no number can hold are left out.
+        Tissues that no number can hold are left out. A part is a tissue.
         """
         setting = self._setting(self._origin_sd)
         kernel, characteristic, roughness = _COMPARED * setting.stated.characteristic_sd
@@ -146,6 +146,7 @@ class Forecast:
         lasting += [True] * (posterior.model.size - len(lasting))
         found: list[Expected] = []
         for seed, tissue in enumerate(tissues):
+            yield points.times.size
             state = self._state(posterior, tissue)
             try:
                 evaluation = posterior.evaluate(points, state)
@@ -180,8 +181,8 @@ class Forecast:
         untold = 0.0 if touch.is_told else _UNTOLD
         return np.array([thickness + untold, thickness + untold, untold])
 
-    def stated(self, motion: Motion, tissues: Array) -> list[Stated]:
-        """Return what the estimator will state of tissues (k, 3) after a motion."""
+    def stated(self, motion: Motion, tissues: Array) -> Parts[list[Stated]]:
+        """Return what the estimator will state of tissues (k, 3) after a motion, in parts."""
         found: list[Stated] = []
         geometry, length = self.config.geometry, self.config.geometry.length
         common = self._posterior(self._setting(self._origin_sd), motion.deepest)
@@ -196,8 +197,9 @@ class Forecast:
                 own = self._measured(motion, points, response, seed)
                 state = self._state(posterior, tissue)
                 scales = posterior.grid[len(posterior.grid) // 2].scales
-                parts = find_modes(posterior, own, [state], scales, (), strain, NEARLY_FOUND)
-                modes = ended(parts)
+                modes = yield from find_modes(
+                    posterior, own, [state], scales, (), strain, NEARLY_FOUND
+                )
             except UNSOLVABLE:
                 continue
             _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)

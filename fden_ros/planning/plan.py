@@ -19,6 +19,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.errors import InputError
 from fden_ros.planning.forecast import Expected, Forecast, Stated
 from fden_ros.planning.motion import FREQUENCY, Motion, Sensors
@@ -229,9 +230,13 @@ class Search:
 
     def plan(self) -> Plan:
         """Return the best motion and what to expect."""
-        motion = self._chosen()
-        stated = self.forecast.stated(motion, self._draws[:_STATED])
-        known = self.counted(motion, MOST_PRESSES)
+        return ended(self.in_parts())
+
+    def in_parts(self) -> Parts[Plan]:
+        """Return that in parts."""
+        motion = yield from self._chosen()
+        stated = yield from self.forecast.stated(motion, self._draws[:_STATED])
+        known = yield from self.counted(motion, MOST_PRESSES)
         if not stated or not known:
             raise InputError("no tissue that may be there has a finite stress")
         pairs = zip(stated, known, strict=False)
@@ -251,40 +256,50 @@ class Search:
             target=self.target,
         )
 
-    def compared(self, motion: Motion) -> list[Expected]:
+    def compared(self, motion: Motion) -> Parts[list[Expected]]:
         """Return what a motion tells of a few tissues."""
         return self.forecast.compared(motion, self._draws[:_COMPARED])
 
-    def counted(self, motion: Motion, presses: int = 1) -> list[Expected]:
+    def counted(self, motion: Motion, presses: int = 1) -> Parts[list[Expected]]:
         """Return what a motion tells of the tissues for which a plan is stated."""
         return self.forecast.compared(motion, self._draws[:_COUNTED], presses)
 
-    def _chosen(self) -> Motion:
+    def _chosen(self) -> Parts[Motion]:
         limits = self.limits
         hold = min(1.0, limits.time - 2.0 * self.depth / limits.speed)
         best = Motion(self.depth, limits.speed, hold, limits.speed)
-        best = min((replace(best, depth=part * self.depth) for part in _DEPTHS), key=self.score)
+        best = yield from self._best([replace(best, depth=part * self.depth) for part in _DEPTHS])
         for part in _SLOWER:
             # Slower is worse, but for a touch that shows more of the surface.
             if not self._hides[best]:
                 break
-            best = min([best, replace(best, speed=part * limits.speed)], key=self.score)
-        best = min([best, *(replace(best, hold=hold) for hold in _HOLDS)], key=self.score)
+            best = yield from self._best([best, replace(best, speed=part * limits.speed)])
+        best = yield from self._best([best, *(replace(best, hold=hold) for hold in _HOLDS)])
         depth = min(best.depth, self.depth / (1.0 + _AMPLITUDE))
         swing = replace(best, depth=depth, amplitude=_AMPLITUDE * depth, cycles=_CYCLES)
-        best = min([best, swing], key=self.score)
+        best = yield from self._best([best, swing])
         least = _AS_GOOD * self.scores[best]
         good = [motion for motion, score in self.scores.items() if score <= least]
         return min(good, key=lambda motion: motion.seconds)
 
+    def _best(self, motions: Sequence[Motion]) -> Parts[Motion]:
+        """Return the motion that comes nearest to the target, the first of several."""
+        for motion in motions:
+            yield from self._weigh(motion)
+        return min(motions, key=lambda motion: self.scores[motion])
+
     def score(self, motion: Motion) -> float:
         """Return how far a motion is from the target [1]; infinite: it is not allowed."""
+        ended(self._weigh(motion))
+        return self.scores[motion]
+
+    def _weigh(self, motion: Motion) -> Parts[None]:
+        """Find how far a motion is from the target [1]; infinite: it is not allowed."""
         if motion not in self.scores:
-            found = self.compared(motion)
+            found = yield from self.compared(motion)
             self._hides[motion] = any(one.is_hidden for one in found)
             is_allowed = found and self._is_allowed(motion, found)
             self.scores[motion] = self._distance(found) if is_allowed else math.inf
-        return self.scores[motion]
 
     def _distance(self, found: list[Expected]) -> float:
         """Return the geometric mean over tissues."""

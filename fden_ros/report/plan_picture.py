@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
+from fden_ros.core.estimation.parts import ended
 from fden_ros.planning.motion import Motion
 from fden_ros.planning.plan import NAMES, Plan, Search
 from fden_ros.report import style
@@ -55,7 +56,7 @@ def draw_plan(figure: Figure, search: Search, plan: Plan) -> None:
 
 
 def _deviations(search: Search, motion: Motion) -> np.ndarray:
-    found = search.counted(motion)
+    found = ended(search.counted(motion))
     if not found:
         return np.full(3, np.inf)
     return np.median([one.deviations()[0] for one in found], axis=0)

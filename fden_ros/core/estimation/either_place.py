@@ -206,6 +206,11 @@ class EitherPlace(Estimator):
         for place in self._places:
             place.estimator.begin_finish()
 
+    @property
+    def is_working(self) -> bool:
+        """Whether that is under way."""
+        return any(place.estimator.is_working for place in self._places)
+
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time without samples [s]."""
         for place in self._places:

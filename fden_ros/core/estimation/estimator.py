@@ -102,6 +102,11 @@ class Estimator:
     def begin_finish(self) -> None:
         """Begin to bring the estimate to its best at the end of a contact."""
 
+    @property
+    def is_working(self) -> bool:
+        """Whether that is under way."""
+        return False
+
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time without samples [s]."""
 

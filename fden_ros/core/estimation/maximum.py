@@ -49,6 +49,8 @@ _HELD = 1e4
 #: Times that a touch held at a sample is moved on [1], and how far at most, in standard deviations
 #: [1].
 _MOST_SEARCHES, _REACH = 2, 0.5
+#: What an evaluation costs beside its points, in points [1]: of 100 points it takes twice as long.
+EVALUATION_COST = 150
 #: Largest step of ln G, ln Gn and alpha [1].
 _LARGEST_STEP = np.array([3.0, 0.7, 0.15])
 #: Damping at first [1], and by which factors it falls and rises.
@@ -122,6 +124,7 @@ class MaximumSearch:
         self._density, self._points, self._scales = density, points, scales
         self._converged, self._held, self._most = converged, held, most
         self._shortens = self._is_smooth = True
+        self._cost = points.times.size + EVALUATION_COST
 
     def from_start(self, start: Array, known: Evaluation | None = None) -> Parts[Maximum]:
         """Return the maximum that a start leads to; a part is a step.
@@ -141,9 +144,8 @@ class MaximumSearch:
         is_solved = is_at_kink = False
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
-        cost = self._points.times.size
         if known is None:
-            yield cost
+            yield self._cost
         for count in range(self._most):
             if self._density.limit.is_reached:
                 break
@@ -162,8 +164,7 @@ class MaximumSearch:
             if left < converged and is_at_kink and searches:
                 searches -= 1
                 before = state
-                state = self._along_kink(state, free.normal, metric)
-                yield 10 * cost
+                state = yield from self._along_kink(state, free.normal, metric)
                 if state is not before:
                     found = self._density.evaluate(self._points, state)
                     continue
@@ -175,9 +176,8 @@ class MaximumSearch:
             if tried > MOST_STEPS:
                 break
             equations = free._replace(normal=normal)
-            taken, damping, tries = self._step(state, equations, damping, metric)
+            taken, damping, tries = yield from self._step(state, equations, damping, metric)
             tried += tries
-            yield tries * cost
             if taken is None:
                 # A sample at the surface: its stress begins there, and so does its derivative.
                 if is_at_kink and left < NEARLY_FOUND:
@@ -220,7 +220,7 @@ class MaximumSearch:
         off = state - self._density.belief.mean
         return float(white @ white + off @ metric.precision @ off)
 
-    def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Array:
+    def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Parts[Array]:
         """Return the best state as the touch moves, all else with it; or the state itself."""
         touch = self._density.model.touch_gradient(self._points, state)
         along = loops.solve(normal, touch)
@@ -237,16 +237,18 @@ class MaximumSearch:
         best = 0.0
         for reach in (_REACH, 0.2 * _REACH, 0.04 * _REACH):
             best = min((best + reach * part for part in np.linspace(-1.0, 1.0, 9)), key=misfit)
+            yield 3 * self._points.times.size
         lowered = misfit(0.0) - misfit(best)
         return state + best * along if lowered > NEARLY_FOUND else state
 
     def _step(
         self, state: Array, equations: _Equations, damping: float, metric: _Metric
-    ) -> tuple[tuple[Array, Evaluation] | None, float, int]:
+    ) -> Parts[tuple[tuple[Array, Evaluation] | None, float, int]]:
         """Return the first damped step that lowers the misfit, or None; damping and tries."""
         for tries in range(1, _MOST_TRIES + 1):
             normal = equations.normal + damping * np.diag(equations.damped)
             tried = self._try(state, loops.solve(normal, equations.towards), metric)
+            yield self._cost if self._is_smooth else self._cost // 3
             if tried is not None:
                 tried = self._shortened(state, tried, equations, metric)
             # Derivatives are for steps that are taken: the next first one, too, as it seems.
@@ -254,6 +256,7 @@ class MaximumSearch:
             if tried is not None and self._is_smooth:
                 found = tried.evaluation
                 if found is None:
+                    yield self._cost
                     found = self._density.evaluate(self._points, tried.state)
                 self._is_smooth = tries == 1
                 return (tried.state, found), damping, tries

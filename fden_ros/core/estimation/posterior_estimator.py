@@ -231,6 +231,11 @@ class PosteriorEstimator(Estimator):
         if self.press is not None:
             self.press.begin_last()
 
+    @property
+    def is_working(self) -> bool:
+        """Whether that is under way."""
+        return self.press is not None and self.press.is_working
+
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time without samples [s]."""
         if self.press is not None:

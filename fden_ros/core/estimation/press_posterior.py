@@ -48,13 +48,14 @@ from fden_ros.core.law.characteristic import elastic_response
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 #: A solution goes on by so many points evaluated for each second of samples [1/s], and is used at
-#: the block in which it ends: 2000 points, some 2 to 4 ms, a block of 10 ms. Work is counted and
+#: the block in which it ends: 1200 points, some 2 to 4 ms, a block of 10 ms. Work is counted and
 #: not timed, so that what comes of a recording is what came of it live.
-_WORK_RATE = 2e5
+_WORK_RATE = 1.2e5
 #: At most so much of it at a block [1]: 0.25 s of samples.
-_MOST_WORK = 5e4
-#: A look for a change has this much more, since it has to tell within 0.1 s [1].
-_LOOK_HASTE = 2.0
+_MOST_WORK = 3e4
+#: A look for a change has this much more, since it has to tell within 0.1 s; and in the air, where
+#: no filter has its part, the last solution [1].
+_LOOK_HASTE, _LAST_HASTE = 5.0, 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -155,6 +156,11 @@ class PressPosterior:
         return sum(event.since is not None for event in self.events)
 
     @property
+    def is_working(self) -> bool:
+        """Whether anything is under way."""
+        return not (self._begun is None and self._look is None and self._placing is None)
+
+    @property
     def is_solving(self) -> bool:
         """Whether a solution is under way."""
         return self._begun is not None
@@ -240,8 +246,9 @@ class PressPosterior:
         elif self._placing is not None:
             if self._placing.advance(work):
                 self._end_placing()
-        elif self._begun is not None and self._begun.found.advance(work):
-            self.go_on()
+        elif self._begun is not None:
+            if self._begun.found.advance(_LAST_HASTE * work if self._is_over else work):
+                self.go_on()
 
     def _suspect(self, since: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""

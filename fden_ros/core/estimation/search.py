@@ -16,7 +16,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
-from fden_ros.core.estimation.maximum import CONVERGED, NEARLY_FOUND
+from fden_ros.core.estimation.maximum import CONVERGED, EVALUATION_COST, NEARLY_FOUND
 from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
@@ -104,7 +104,9 @@ class Search:
         FloatingPointError, OverflowError, numpy.linalg.LinAlgError
             If there is none.
         """
-        self.posterior.limit = Limit(_MOST_EVALUATIONS * self.points.times.size)
+        self.posterior.limit = Limit(
+            _MOST_EVALUATIONS * (EVALUATION_COST + self.points.times.size)
+        )
         return (yield from self.posterior.limit.counted(self._solved()))
 
     def _solved(self) -> Parts[Solved]:

@@ -23,7 +23,7 @@ from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Density, Linear
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.loops import ResponseState, WalkState
-from fden_ros.core.estimation.maximum import Maximum
+from fden_ros.core.estimation.maximum import EVALUATION_COST, Maximum
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 
@@ -81,7 +81,7 @@ _PLACE_COST = 10
 
 def cost_of(points: Points, grid: Sequence[WeighedScales]) -> int:
     """Return what a mixture over a grid costs, in points evaluated."""
-    return points.times.size + _PLACE_COST * len(grid)
+    return EVALUATION_COST + points.times.size + _PLACE_COST * len(grid)
 
 
 def averaged(
