@@ -17,6 +17,8 @@ from fden_ros.report.numbers import DASH, order, parameter, stiffness
 
 #: Significant digits of a value.
 _DIGITS = 4
+#: And of a measured slope.
+_MEASURED_DIGITS = 3
 
 
 def table_of(
@@ -52,7 +54,7 @@ def contact_table(summaries: Iterable[ContactSummary]) -> Table:
     """Return one row a contact, of at most 80 columns."""
     shown = list(summaries)
     on_path = any(summary.is_of_path for summary in shown)
-    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m")
+    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "measured")
     table = table_of(
         {**dict.fromkeys(numbers, 0), "status": 10, "tissue": 12},
         (_cells(summary, on_path=on_path) for summary in shown),
@@ -111,6 +113,7 @@ def _cells(summary: ContactSummary, *, on_path: bool) -> list[str]:
         g_n,
         alpha,
         stiffness(summary.apparent_stiffness, _DIGITS) if is_plausible else DASH,
+        stiffness(summary.measured.loading, _MEASURED_DIGITS),
         status_words(summary, on_path=on_path),
         DASH if on_path else label_words(summary),
     ]
