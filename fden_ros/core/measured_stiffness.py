@@ -11,8 +11,8 @@ force on, whose deviation is at most 1 % of the slope; else the one of the least
 
 A run is kept as *pieces* of the way, the newest the finest, two older ones joined where there are
 too many of a length: some hundred at most, whatever the run's length. The deviation is that of
-the pieces from a cubic, their correlation included, or of the noise that is stated where that is
-larger, and what the cubic part bends the slope by.
+the pieces from a cubic, their correlation included, or of the noise that is stated, or of that in
+the last run, where these are larger, and what the cubic part bends the slope by.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ _MOST_CORRELATED = 0.8
 #: of 32 pieces of a sine's half period takes 3.6 times as long, of a smoothest (minimum jerk)
 #: motion 5 times.
 _REST = 8.0
-#: After a rest, motion on in the same direction counts once the force has changed by this part of
-#: what it had before [1]: as tissue relaxes, the last millimetre of a controller that creeps there
-#: looks softer, by 20 to 40 % on silicone, with 0.17 of the force.
+#: Motion on in the same direction, after a rest or where a controller shook, counts once the force
+#: has changed by this part of what it had before [1]: as tissue relaxes, the last millimetre of a
+#: controller that creeps there looks softer, by 20 to 40 % on silicone, with 0.17 of the force.
 _LEAST_OF_LAST = 0.25
 #: Samples over which the displacement's noise is a running mean.
 _NOISE_SAMPLES = 64
@@ -167,7 +167,7 @@ class _Run:
         self.sign, self.start, self.length = sign, start, length
         self.least_change = least_change
         self.newest_ns = stamp_ns
-        self.width = self.duration = 0.0
+        self.width = self.duration = self.noise = 0.0
         self.open = _Open(0.0, stamp_ns)
         self._is_first = True
         self._levels: list[deque[_Piece]] = [deque()]
@@ -240,6 +240,10 @@ class StiffnessMeter:
         self._computed_ns = 0
         self._last: deque[float] = deque(maxlen=4)
         self._roughness = 0.0
+        #: Noise in the last run [N]: a window may be too short to show that of the robot's shaking.
+        self._seen = 0.0
+        #: By the direction of the last run with a slope, see `_LEAST_OF_LAST` [N].
+        self._least: dict[float, float] = {}
         self._count = 0
 
     def skip(self) -> None:
@@ -262,19 +266,16 @@ class StiffnessMeter:
         self._is_due |= run.add(stamp_ns, displacement, force)
         if run.rests(stamp_ns):
             is_new = self._finish_run()
-            least = max(run.least_change, _LEAST_OF_LAST * _change(np.array(run.pieces())))
-            self._run = self._begun(run.sign, displacement, stamp_ns, least)
+            self._run = self._begun(run.sign, displacement, stamp_ns)
             return is_new
         if not self._is_due or stamp_ns - self._computed_ns < self._period_ns:
             return False
         self._computed_ns = stamp_ns
         return self._measure(run)
 
-    def _begun(
-        self, sign: float, displacement: float, stamp_ns: int, least_change: float = 0.0
-    ) -> _Run:
+    def _begun(self, sign: float, displacement: float, stamp_ns: int) -> _Run:
         length = max(_LEAST_PIECE, _PIECE_DEVIATIONS * self._roughness)
-        return _Run(sign, displacement, stamp_ns, length, least_change)
+        return _Run(sign, displacement, stamp_ns, length, self._least.get(sign, 0.0))
 
     def _learn_noise(self, displacement: float) -> None:
         last = self._last
@@ -288,11 +289,18 @@ class StiffnessMeter:
 
     def _finish_run(self) -> bool:
         run, self._run = self._run, None
-        return run is not None and self._is_due and self._measure(run)
+        if run is None:
+            return False
+        is_new = self._is_due and self._measure(run)
+        if run.noise:
+            self._seen = run.noise
+            least = max(run.least_change, _LEAST_OF_LAST * _change(np.array(run.pieces())))
+            self._least = {run.sign: least}
+        return is_new
 
     def _measure(self, run: _Run) -> bool:
         self._is_due = False
-        found = _slope(run, self._noise)
+        found = _slope(run, max(self._noise, self._seen))
         if found is None:
             return False
         way = "loading" if run.sign > 0.0 else "unloading"
@@ -307,7 +315,8 @@ class _Window(NamedTuple):
     middle: float  #: [m]
     line: float  #: slope [N/m]
     sd: float  #: [N/m]
-    noise: float  #: of a sample of the force [N]
+    noise: float  #: of a sample of the force, as if it were white [N]
+    own_noise: float  #: as it is in this window alone [N]
 
     @property
     def is_known(self) -> bool:
@@ -333,6 +342,7 @@ def _slope(run: _Run, noise: float) -> MeasuredStiffness | None:
             break
     if best is None:
         return None
+    run.noise = best.own_noise
     depth = run.start + run.sign * best.middle
     return MeasuredStiffness(best.line, best.sd, depth, best.width, run.newest_ns)
 
@@ -382,15 +392,16 @@ def _window(columns: Array, noise: float) -> _Window:
     residuals = forces - design @ (curved @ forces)
     freedom = len(forces) - 4
     scaled = residuals / np.sqrt(variances)
-    of_sample = max(float(scaled @ scaled) / freedom, noise**2)
     correlated = _correlation(scaled)
-    of_sample *= (1.0 + correlated) / (1.0 - correlated)
+    own = float(scaled @ scaled) / freedom * (1.0 + correlated) / (1.0 - correlated)
+    of_sample = max(own, noise**2)
     slope, bend = straight[1], straight[1] - curved[1]
     by_noise = of_sample * float(slope**2 @ variances)
     bent = float(bend @ forces) ** 2 - of_sample * float(bend**2 @ variances)
     student = float(stdtrit(freedom, 0.975)) / _NORMAL_95
     sd = math.sqrt(student**2 * by_noise + max(bent, 0.0)) / half
-    return _Window(width, middle, float(slope @ forces) / half, sd, math.sqrt(of_sample))
+    line = float(slope @ forces) / half
+    return _Window(width, middle, line, sd, math.sqrt(of_sample), math.sqrt(own))
 
 
 def _correlation(residuals: Array) -> float:
