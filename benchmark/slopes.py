@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmark.score import TWO_SIDED_95, Share, share
-from benchmark.trial import feed, last_summaries
+from benchmark.trial import feed_samples, last_summaries
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
@@ -44,7 +44,7 @@ class SmoothMotion:
     def __init__(self, scenario: Scenario, config: PipelineConfig) -> None:
         pairs: list[Pair] = []
         joined = Synchronizer(config.synchronize, pairs.append, Counter(), StaticLinks())
-        feed_smooth(joined, scenario)
+        feed_samples(joined, simulate(_smooth(scenario)))
         self.stamps = np.array([pair.stamp_ns for pair in pairs])
         free = config.contact.compliance_free
         self.places = np.array([free(pair, pair.force) for pair in pairs])
@@ -73,9 +73,9 @@ def _rising(ways: Array, forces: Array) -> tuple[Array, Array]:
     return ways[further], forces[further]
 
 
-def feed_smooth(joined: Synchronizer, scenario: Scenario) -> None:
-    """Feed the scenario's motion without noise."""
-    quiet = replace(
+def _smooth(scenario: Scenario) -> Scenario:
+    """Return the scenario with next to no noise."""
+    return replace(
         scenario,
         # A signal without any is taken for one that is stuck.
         force=replace(scenario.force, noise_n=1e-7),
@@ -89,4 +89,3 @@ def feed_smooth(joined: Synchronizer, scenario: Scenario) -> None:
             displacement_step_m=0.0,
         ),
     )
-    feed(joined, simulate(quiet), to_the_end=False)

@@ -240,7 +240,7 @@ class StiffnessMeter:
         self._computed_ns = 0
         self._last: deque[float] = deque(maxlen=4)
         self._roughness = 0.0
-        #: Noise in the last run [N]: a window may be too short to show that of the robot's shaking.
+        #: Noise in the last run [N]: a window may be too short to show how the robot shakes.
         self._seen = 0.0
         #: By the direction of the last run with a slope, see `_LEAST_OF_LAST` [N].
         self._least: dict[float, float] = {}

@@ -81,6 +81,14 @@ def stiffness(found: ApparentStiffness | MeasuredStiffness | None, most_digits: 
     return DASH if found is None else result(found.value, found.sd, most_digits)
 
 
+def slope(found: MeasuredStiffness | None) -> str:
+    """Return a measured slope [N/m], to the first digit of its deviation; a dash: not known."""
+    if found is None:
+        return DASH
+    digits = 1 + math.floor(math.log10(found.value)) - math.floor(math.log10(found.sd))
+    return f"{float(f'{found.value:.{max(1, min(digits, 4))}g}'):.4g}"
+
+
 def measured_words(measured: BothWays) -> str:
     """Return the measured slopes in words; empty where there is none."""
     words = (
