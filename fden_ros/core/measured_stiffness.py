@@ -356,11 +356,12 @@ def _change(columns: Array) -> float:
 def _windows(columns: Array, change: float, noise: float) -> Iterator[_Window]:
     """Yield windows that hold enough of the force's change [N], from the narrowest on."""
     widths = np.cumsum(columns[:, 0])
-    least = _LEAST_PART * change
-    count, last = _LEAST_PIECES, len(columns)
+    rises = _lines(columns) * widths[_LEAST_PIECES - 1 :]
+    last = len(columns)
+    count = _LEAST_PIECES
     while True:
-        line = _line(columns[:count])
-        if line * widths[count - 1] >= least or count == last:
+        is_enough = rises[count - _LEAST_PIECES] >= max(_LEAST_PART * change, _LEAST_RISE * noise)
+        if is_enough or count == last:
             yield _window(columns[:count], noise)
         if count == last:
             return
@@ -368,11 +369,16 @@ def _windows(columns: Array, change: float, noise: float) -> Iterator[_Window]:
         count = min(max(wider, count + 1), last)
 
 
-def _line(columns: Array) -> float:
-    """Return the slope of the line over displacement [N/m]."""
+def _lines(columns: Array) -> Array:
+    """Return the slopes of the lines through the windows of 8 pieces, of 9 and so on [N/m]."""
     weights, _, places, squares, _, forces, _ = columns.T
-    away = places - weights @ places / weights.sum()
-    return float((weights * away) @ forces / (weights @ (away * away + squares)))
+    # From the newest end, so that a narrow window at the end of a long way is not rounded off.
+    away = places - places[0]
+    moments = np.stack([np.ones_like(away), away, away**2 + squares, forces, away * forces])
+    sums = np.cumsum(weights * moments, axis=1)[:, _LEAST_PIECES - 1 :]
+    total, first, second, force, both = sums
+    slopes: Array = (total * both - first * force) / (total * second - first**2)
+    return slopes
 
 
 def _window(columns: Array, noise: float) -> _Window:
