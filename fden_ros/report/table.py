@@ -17,7 +17,9 @@ from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
 
 #: Significant digits of a value.
 _DIGITS = 4
-_SLOPE = "slope: dF/dd in N/m as measured where loading was deepest"
+#: And of N/m, so that the table keeps to 80 columns.
+_STIFFNESS_DIGITS = 3
+_SLOPE = "slope: dF/dd in N/m as measured, half a window above the deepest point"
 
 
 def table_of(
@@ -116,7 +118,7 @@ def _cells(summary: ContactSummary, *, on_path: bool) -> list[str]:
         g,
         g_n,
         alpha,
-        stiffness(summary.apparent_stiffness, _DIGITS) if is_plausible else DASH,
+        stiffness(summary.apparent_stiffness, _STIFFNESS_DIGITS) if is_plausible else DASH,
         slope(summary.measured.loading),
         status_words(summary, on_path=on_path),
         DASH if on_path else label_words(summary),
