@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchmark.score import Outcome
-from benchmark.trial import outcome_of
+from benchmark.slopes import slopes_held
+from benchmark.trial import outcome_from, through
+from fden_ros.parameters import check, pipeline_config
 from simulation.disturbance import Disturbances, SurfaceMotion
 from simulation.scenario import (
     DisplacementSensor,
@@ -294,8 +296,13 @@ def trial_of(
     case: Case, number: int, parameters: Mapping[str, Any], ratio: float = 0.0
 ) -> Outcome:
     """Simulate recording `number` of a case, identify it, and judge it."""
-    recording = simulate(scenario_of(case, number, ratio))
-    return outcome_of(recording, {**parameters, **parameters_of(recording)}, case.held_s)
+    scenario = scenario_of(case, number, ratio)
+    recording = simulate(scenario)
+    own = {**parameters, **parameters_of(recording)}
+    config = pipeline_config(check(own))
+    pipeline, outputs = through(recording, config)
+    outcome = outcome_from(recording, pipeline, outputs, case.held_s)
+    return replace(outcome, measured=slopes_held(scenario, config, outputs))
 
 
 def peak_n(scenario: Scenario) -> float:

@@ -8,7 +8,8 @@ come first: *silent* presses have a summary that is converged, without a warning
 more than five stated deviations and 3 % (0.01 of alpha); *live* are unflagged CONVERGED states
 that are off likewise; then root mean square of error over stated deviation of ln G, ln Gn and
 alpha. *Invented*: contacts where there was none; *missed*: of presses of ten times the noise;
-*split*: further contacts within a press.
+*split*: further contacts within a press; *measured*: slopes of force over displacement, of loading
+and of unloading, whose 95 % interval holds that of the motion without noise.
 """
 
 from __future__ import annotations
@@ -20,7 +21,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.harness import Benchmark, Goal, Report, Table, at_most, by_case, few, within, worst
+from benchmark.harness import (
+    Benchmark,
+    Goal,
+    Report,
+    Table,
+    at_least,
+    at_most,
+    by_case,
+    few,
+    within,
+    worst,
+)
 from benchmark.presses import CASES, Case, peak_n, scenario_of, trial_of
 from benchmark.score import NAMES, Outcome, Share, figures_of, median, rms, share, total
 from fden_ros.core.outputs import Flag
@@ -85,6 +97,7 @@ def row_of(case: Case, outcomes: Sequence[Outcome], ratio: float = 0.0) -> dict[
         "invented": sum(contact.number < 0 for contact in contacts),
         "missed": Share(presses - found, presses) if is_clear else None,
         "split": sum(contact.number >= 0 for contact in contacts) - found,
+        "measured": total(outcome.measured for outcome in outcomes),
         "stuck": sum(outcome.stuck for outcome in outcomes),
         "held": median(np.array([outcome.held for outcome in outcomes])),
     }
@@ -143,6 +156,8 @@ def goals_of(
             0.02,
         ),
     ]
+    measured = total(outcome.measured for outcomes in found.values() for outcome in outcomes)
+    goals.append(at_least("measured slopes in their 95 %", measured.value, 0.9))
     lost = [o for o in found.get("preload_2mm", ()) if not _is_last_right(o)]
     of = len(found.get("preload_2mm", ()))
     goals.append(

@@ -47,6 +47,9 @@ class Share(NamedTuple):
         return float(found.low), float(found.high)
 
 
+_NONE = Share(0, 0)
+
+
 def share(values: Iterable[object]) -> Share:
     """Return how many of the values are true."""
     known = [bool(value) for value in values]
@@ -122,6 +125,9 @@ class Outcome:
         Stated deviations at the end of the first press's hold, shape (3,).
     stuck : int
         Samples dropped as stuck.
+    measured : Share
+        Of the measured slopes of the contacts those whose 95 % interval holds that of the motion
+        without noise.
     """
 
     presses: int
@@ -130,6 +136,7 @@ class Outcome:
     live: Flag
     held: Array
     stuck: int = 0
+    measured: Share = _NONE
 
 
 def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:

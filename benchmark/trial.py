@@ -18,6 +18,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS, Position
+from fden_ros.core.streams.synchronize import Synchronizer
 from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import START_NS, Recording
 
@@ -70,19 +71,24 @@ def samples_of(recording: Recording) -> Iterator[tuple[bool, int, float, Positio
 
 def feed(pipeline: Pipeline, recording: Recording, *, to_the_end: bool = True) -> None:
     """Feed a simulated recording, and finish unless more comes of it."""
+    feed_samples(pipeline, recording)
+    if to_the_end:
+        pipeline.finish()
+
+
+def feed_samples(sink: Pipeline | Synchronizer, recording: Recording) -> None:
+    """Feed all samples of a simulated recording by stamp."""
     surfaces = deque[tuple[int, float]]()
     if recording.surface is not None:
         values = recording.surface.value.tolist()
         surfaces.extend(zip(recording.surface.stamp_ns.tolist(), values, strict=True))
     for is_force, stamp_ns, value, place in samples_of(recording):
         while surfaces and surfaces[0][0] <= stamp_ns:
-            pipeline.add_surface(*surfaces.popleft())
+            sink.add_surface(*surfaces.popleft())
         if is_force:
-            pipeline.add_force(stamp_ns, value)
+            sink.add_force(stamp_ns, value)
         else:
-            pipeline.add_displacement(stamp_ns, value, place)
-    if to_the_end:
-        pipeline.finish()
+            sink.add_displacement(stamp_ns, value, place)
 
 
 def identified(

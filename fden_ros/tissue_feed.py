@@ -29,6 +29,7 @@ from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
 from fden_ros.control.prediction import Prediction, Predictor
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.measured_stiffness import BothWays
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, geometry_of, read_parameter_file, uncertainty_of
@@ -174,6 +175,15 @@ class TissueFeed:
         """Return dF/dd for a motion of `time_scale` seconds and its deviation [N/m], or None."""
         reading = self.reading()
         return None if reading is None else reading.stiffness(time_scale)
+
+    def measured(self) -> BothWays:
+        """Return the slopes of force over displacement of the newest loading and unloading.
+
+        As they are measured: no law, and no convergence, touch or time scale is asked for; each
+        has its deviation, depth and stamp. None of both while no message comes in time.
+        """
+        with self._lock:
+            return self._live.measured(time.monotonic())
 
     def predict_force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction | None:
         """Return the force of a planned motion, or None if that cannot be known.

@@ -225,6 +225,8 @@ ROOMS = (
     "core.classification",
     "core.plausibility",
     "core.config",
+    "core.measured_stiffness",
+    "core.measured_contacts",
     "core.outputs",
     "core.block",
     "core.lift_off",

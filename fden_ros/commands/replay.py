@@ -125,6 +125,7 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
     from rich.markup import escape
 
     from fden_ros.offline.replay import result_object
+    from fden_ros.report.numbers import measured_words
     from fden_ros.report.table import contact_table
 
     if as_json:
@@ -132,6 +133,8 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         return
     console = Console()
     console.print(contact_table(result.summaries))
+    if unseen := measured_words(result.measured_unseen):
+        console.print(f"no contact, but measured: {unseen}")
     used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())
     console.print(
         f"{result.samples} samples, {sum(result.rejected.values())} rejected; {escape(used)}"

@@ -22,6 +22,7 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.law.relaxation import SHORTEST_STEP
+from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 
@@ -81,6 +82,8 @@ _BY_STATUS = {
     Status.STALE: Refusal.STALE,
     Status.NO_CONTACT: Refusal.NO_CONTACT,
 }
+#: With these there is no state of this moment.
+_WITHOUT_STATE = (Refusal.NEVER_HEARD, Refusal.LOST, Refusal.LATE, Refusal.STALE)
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,11 @@ class Reading:
         assert apparent is not None
         ratio = (time_scale / apparent.time_scale) ** -self.estimate.fractional_order
         return apparent.value * ratio, apparent.sd * ratio
+
+    @property
+    def measured(self) -> BothWays:
+        """Slopes of force over displacement of the newest loading and unloading, by no law."""
+        return self.state.measured
 
 
 class LiveTissue:
@@ -249,6 +257,13 @@ class LiveTissue:
             return None
         age = max(now - self._arrival, 0.0) + max(self._lag, state.lag)
         return Reading(state, state.estimate, age)
+
+    def measured(self, now: float) -> BothWays:
+        """Return the newest measured slopes: they need no estimate, but an identifier in time."""
+        state = self._state
+        if state is None or self.refusal(now) in _WITHOUT_STATE:
+            return NOT_MEASURED
+        return state.measured
 
     def predictor(self, now: float) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.

@@ -22,6 +22,7 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import ApparentStiffness as ApparentStiffness
 from fden_ros.core.law.apparent_stiffness import apparent_stiffness
 from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus
 from fden_ros.core.streams.samples import Position
 
@@ -104,6 +105,7 @@ class TissueState:
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
     lag: float = 0.0  #: from sample to estimate [s], as whoever has a clock states it
+    measured: BothWays = NOT_MEASURED  #: the newest slopes of force over displacement
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,8 @@ class ContactSummary:
     #: What makes the estimate uncertain where it has not converged.
     budget: Budget | None = None
     rig: RigKnowledge | None = None  #: with which the next site begins
+    #: Slopes of force over displacement where it was deepest; of a place on a path the newest.
+    measured: BothWays = NOT_MEASURED
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
     @property
@@ -217,6 +221,7 @@ def stale(state: TissueState | None, flags: Flag = Flag.NONE) -> TissueState:
         signals=None,
         innovation=None,
         apparent_stiffness=None,
+        measured=NOT_MEASURED,
         order_source=OrderSource.NONE,
         lag=0.0,
     )

@@ -20,7 +20,16 @@ from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.input_warnings import Direction, input_warnings, unusual
-from fden_ros.core.outputs import Failure, Flag, Output, TissueState, failure_of
+from fden_ros.core.measured_contacts import MeasuredContacts
+from fden_ros.core.measured_stiffness import BothWays
+from fden_ros.core.outputs import (
+    ContactSummary,
+    Failure,
+    Flag,
+    Output,
+    TissueState,
+    failure_of,
+)
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
@@ -79,6 +88,7 @@ class Pipeline:
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._direction = Direction()
         self.problems, self.standing_flags = _problems(config)
+        self._measured = MeasuredContacts(config)
         self._restart_streams()
         self._session: ContactSession | ContinuousSession
         if config.is_continuous:
@@ -118,6 +128,11 @@ class Pipeline:
     def in_contact(self) -> bool:
         """Whether the probe presses."""
         return self._session.in_contact
+
+    @property
+    def measured_unseen(self) -> BothWays:
+        """Slopes of force over displacement outside of any contact, where it was deepest."""
+        return self._measured.unseen
 
     @property
     def rig(self) -> RigKnowledge:
@@ -188,6 +203,7 @@ class Pipeline:
         if isinstance(zero, str):
             return zero
         self._tare_offset += zero
+        self._measured.skip()
         return None
 
     def reset(self) -> str | None:
@@ -196,6 +212,7 @@ class Pipeline:
             return "the probe is in contact: lift it, then reset"
         self._put_out(self._session.break_off(self.newest_ns))
         self._session.forget()
+        self._measured.forget()
         self._restart_streams()
         self._begin_epoch(0)
         return None
@@ -260,14 +277,19 @@ class Pipeline:
                 self._clock_jumps += 1
                 self._put_out(self._session.break_off(self.newest_ns))
                 self._session.forget(keeps_contact=True)
+                self._measured.forget()
                 self._begin_epoch(pair.epoch)
             gap_ns = self._gaps.step(pair.stamp_ns)
             if gap_ns:
                 is_long = gap_ns > self._max_gap_ns
                 self._put_out(self._session.see_gap(self.newest_ns, is_long=is_long))
+                self._measured.skip()
             self.pair_count += 1
             self.newest_ns = pair.stamp_ns
+            self._measured.add(pair)
             self._put_out(self._session.take(pair))
+            session = self._session
+            self._measured.assign(session.contact_count, in_contact=session.in_contact)
         except Exception as error:
             self._fail(pair.stamp_ns, error)
 
@@ -282,6 +304,10 @@ class Pipeline:
             # Samples were rejected since the last state.
             self._rejected_reported = self.rejected.total()
             output = replace(output, flags=output.flags | Flag.INPUT_REJECTED)
+        if isinstance(output, TissueState):
+            output = replace(output, measured=self._measured.newest)
+        elif isinstance(output, ContactSummary):
+            output = replace(output, measured=self._measured.of(output.contact_id))
         try:
             self._emit_output(output)
         except Exception as error:

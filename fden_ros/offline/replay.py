@@ -14,6 +14,7 @@ from typing import Any
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import KEYS, Estimate
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import Parameters, pipeline_config
@@ -27,6 +28,10 @@ _LOGGER = logging.getLogger(__name__)
 #: A progress bar moves by this many messages at once.
 _PROGRESS_STEP = 500
 
+#: Keys of the measured slopes, of loading and of unloading, and what is stated of each beside it.
+MEASURED_KEYS = ("measured_stiffness", "measured_stiffness_unloading")
+MEASURED_PARTS = ("sd", "depth")
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -38,6 +43,8 @@ class Replay:
     summaries: tuple[ContactSummary, ...]
     inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
     failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
+    #: Slopes of force over displacement where no contact was seen, and it was deepest.
+    measured_unseen: BothWays = NOT_MEASURED
 
     @property
     def has_identified(self) -> bool:
@@ -109,6 +116,7 @@ def replay(
         summaries=tuple(summaries),
         inputs=source.inputs,
         failures=tuple(pipeline.failures),
+        measured_unseen=NOT_MEASURED if summaries else pipeline.measured_unseen,
     )
 
 
@@ -142,6 +150,7 @@ def result_object(result: Replay) -> dict[str, Any]:
         "rejected": result.rejected,
         "warnings": list(result.warnings),
         "contacts": [contact_object(summary) for summary in result.summaries],
+        "unseen": measured_object(result.measured_unseen),
     }
 
 
@@ -162,6 +171,7 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "apparent_stiffness": stiffness.value if stiffness is not None else None,
         "apparent_stiffness_sd": stiffness.sd if stiffness is not None else None,
         "apparent_stiffness_time_scale": stiffness.time_scale if stiffness is not None else None,
+        **measured_object(summary.measured),
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
         "valid_parameters": list(estimate.valid.names) if estimate is not None else [],
@@ -188,6 +198,16 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "budget": _budget_object(summary.budget),
         "rig": _rig_object(summary.rig),
     }
+
+
+def measured_object(measured: BothWays) -> dict[str, float | None]:
+    """Return the measured slopes [N/m], their deviations and depths [m]; null: not known."""
+    found: dict[str, float | None] = {}
+    for name, slope in zip(MEASURED_KEYS, measured, strict=True):
+        found[name] = slope.value if slope is not None else None
+        for part in MEASURED_PARTS:
+            found[f"{name}_{part}"] = getattr(slope, part, None)
+    return found
 
 
 def _modes_object(estimate: Estimate | None) -> list[dict[str, Any]]:

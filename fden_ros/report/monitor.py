@@ -111,6 +111,9 @@ def _contact(state: TissueState) -> str:
     found = state.apparent_stiffness
     if found is not None:
         parts.append(f"{stiffness(found, 3)} N/m at {found.time_scale:g} s")
+    measured = state.measured.loading
+    if measured is not None:
+        parts.append(f"measured {stiffness(measured, 3)} N/m")
     return ", ".join(parts)
 
 

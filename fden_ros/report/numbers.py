@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import ApparentStiffness
 
 DASH = "–"
@@ -75,9 +76,27 @@ def order(estimate: Estimate, *, with_deviation: bool = True) -> str:
     return text if estimate.determines(2) else f"({text})"
 
 
-def stiffness(found: ApparentStiffness | None, most_digits: int = 17) -> str:
+def stiffness(found: ApparentStiffness | MeasuredStiffness | None, most_digits: int = 17) -> str:
     """Return the stiffness [N/m] as a result; a dash where there is none."""
     return DASH if found is None else result(found.value, found.sd, most_digits)
+
+
+def slope(found: MeasuredStiffness | None) -> str:
+    """Return a measured slope [N/m], to the first digit of its deviation; a dash: not known."""
+    if found is None:
+        return DASH
+    digits = 1 + math.floor(math.log10(found.value)) - math.floor(math.log10(found.sd))
+    return f"{float(f'{found.value:.{max(1, min(digits, 4))}g}'):.4g}"
+
+
+def measured_words(measured: BothWays) -> str:
+    """Return the measured slopes in words; empty where there is none."""
+    words = (
+        f"{stiffness(found, 4)} N/m {way} at {1e3 * found.depth:.3g} mm"
+        for way, found in zip(("loading", "unloading"), measured, strict=True)
+        if found is not None
+    )
+    return ", ".join(words)
 
 
 def law(estimate: Estimate | None) -> str:

@@ -184,6 +184,8 @@ def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
         }
     if not summary.flags & Flag.IMPLAUSIBLE:
         row["apparent"] = stiffness(summary.apparent_stiffness)
+    measured = summary.measured
+    row["measured"], row["unloading"] = map(stiffness, (measured.loading, measured.unloading))
     return {
         **row,
         "id": summary.contact_id,

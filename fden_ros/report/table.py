@@ -13,10 +13,13 @@ from rich.text import Text
 
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag
-from fden_ros.report.numbers import DASH, order, parameter, stiffness
+from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
 
 #: Significant digits of a value.
 _DIGITS = 4
+#: And of N/m, so that the table keeps to 80 columns.
+_STIFFNESS_DIGITS = 3
+_SLOPE = "slope: dF/dd in N/m as measured, half a window above the deepest point"
 
 
 def table_of(
@@ -35,9 +38,11 @@ def table_of(
         Cells, in rich's markup.
     title : str, optional
     between : int
-        Blanks between two columns.
+        Blanks between two columns, beside that of the box; 0: none at the edges either.
     """
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0))
+    table = Table(
+        title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0), show_edge=between > 0
+    )
     for heading, width in columns.items():
         if width:
             table.add_column(Text(heading), min_width=width)
@@ -52,17 +57,22 @@ def contact_table(summaries: Iterable[ContactSummary]) -> Table:
     """Return one row a contact, of at most 80 columns."""
     shown = list(summaries)
     on_path = any(summary.is_of_path for summary in shown)
-    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m")
+    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
     table = table_of(
-        {**dict.fromkeys(numbers, 0), "status": 10, "tissue": 12},
+        {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 9},
         (_cells(summary, on_path=on_path) for summary in shown),
         "Places" if on_path else "Contacts",
         between=0,
     )
     if on_path:
-        table.caption = "contact.mode continuous: dF/dd and α at places on the path"
-    elif any(s.estimate is not None and s.estimate.valid != ParameterSet.ALL for s in shown):
-        table.caption = "in brackets: prior knowledge, which the data did not determine"
+        table.caption = (
+            "contact.mode continuous: dF/dd and α at places on the path; slope: dF/dd in N/m as "
+            "measured by the newest loading"
+        )
+        return table
+    table.caption = _SLOPE
+    if any(s.estimate is not None and s.estimate.valid != ParameterSet.ALL for s in shown):
+        table.caption += "; in brackets: prior knowledge, which the data did not determine"
     return table
 
 
@@ -110,7 +120,8 @@ def _cells(summary: ContactSummary, *, on_path: bool) -> list[str]:
         g,
         g_n,
         alpha,
-        stiffness(summary.apparent_stiffness, _DIGITS) if is_plausible else DASH,
+        stiffness(summary.apparent_stiffness, _STIFFNESS_DIGITS) if is_plausible else DASH,
+        slope(summary.measured.loading),
         status_words(summary, on_path=on_path),
         DASH if on_path else label_words(summary),
     ]

@@ -23,6 +23,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
     ApparentStiffness,
     Classification,
@@ -39,6 +40,9 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.planning.tissue import TissueBelief
+
+#: Fields of the messages: of loading, of unloading.
+_MEASURED = ("measured_stiffness", "measured_stiffness_unloading")
 
 
 def stamp_ns(stamp: Time) -> int:
@@ -84,6 +88,11 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
     if state.apparent_stiffness is not None:
         valid |= TissueEstimate.VALID_APPARENT_STIFFNESS
         _fill_apparent_stiffness(message, state.apparent_stiffness)
+    _fill_measured(message, state.measured)
+    if state.measured.loading is not None:
+        valid |= TissueEstimate.VALID_MEASURED_STIFFNESS
+    if state.measured.unloading is not None:
+        valid |= TissueEstimate.VALID_MEASURED_STIFFNESS_UNLOADING
     message.valid = valid
     return message
 
@@ -135,6 +144,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
         covariances = np.concatenate([m.covariance.ravel() for m in members])
         message.mode_covariances = covariances.tolist()
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
+    _fill_measured(message, summary.measured)
     _fill_classes(message, summary)
     _fill_rig(message, summary.rig)
     return message
@@ -183,6 +193,16 @@ def _fill_apparent_stiffness(
     message.apparent_stiffness_time_scale = stiffness.time_scale
 
 
+def _fill_measured(message: TissueEstimate | PalpationSummary, measured: BothWays) -> None:
+    for name, found in zip(_MEASURED, measured, strict=True):
+        if found is None:
+            continue
+        setattr(message, name, found.value)
+        for part in ("sd", "depth", "width"):
+            setattr(message, f"{name}_{part}", getattr(found, part))
+        setattr(message, f"{name}_time", to_stamp(found.stamp_ns))
+
+
 def _fill_classes(
     message: TissueClassification | PalpationSummary, output: Classification | ContactSummary
 ) -> None:
@@ -225,6 +245,7 @@ def state_of(message: TissueEstimate) -> TissueState:
         else None,
         apparent_stiffness=_apparent_stiffness_of(message),
         lag=message.lag,
+        measured=_measured_of(message),
     )
 
 
@@ -261,6 +282,7 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         decided=Decided(message.decision_time, message.decision_strain) if message.label else None,
         position_frame=message.position_frame_id,
         apparent_stiffness=_apparent_stiffness_of(message),
+        measured=_measured_of(message),
     )
 
 
@@ -280,6 +302,20 @@ def _apparent_stiffness_of(
         message.apparent_stiffness_sd,
         message.apparent_stiffness_time_scale,
     )
+
+
+def _measured_of(message: TissueEstimate | PalpationSummary) -> BothWays:
+    return BothWays(*(_slope_of(message, name) for name in _MEASURED))
+
+
+def _slope_of(message: TissueEstimate | PalpationSummary, name: str) -> MeasuredStiffness | None:
+    value = getattr(message, name)
+    if not value:  # one that is known is above 0
+        return None
+    sd, depth, width, time = (
+        getattr(message, f"{name}_{part}") for part in ("sd", "depth", "width", "time")
+    )
+    return MeasuredStiffness(value, sd, depth, width, stamp_ns(time))
 
 
 def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) -> Estimate:

@@ -1,0 +1,420 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The slope of force over displacement where the probe is, as it is measured.
+
+No law, no touch, no zero of the force and no origin: a *run* is motion in one direction, and the
+slope is that of the least-squares line, over displacement, through the newest part of the newest
+run. Of a curve up to the second degree that is the slope in the middle of the window, at the
+depth that is stated with it. The window is the narrowest, from a quarter of the run's change of
+force on, whose deviation is at most 2 % of the slope; else the one of the least deviation.
+
+A run is kept as *pieces* of the way, the newest the finest, two older ones joined where there are
+too many of a length: some hundred at most, whatever the run's length. The deviation is that of
+the pieces from a cubic, their correlation included, or of the noise that is stated, or of that in
+the last run, where these are larger, and what the cubic part bends the slope by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtrit
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.streams.samples import NANOSECONDS
+
+#: Pieces are at least so long [m]: a stroke of 0.1 mm has 20.
+_LEAST_PIECE = 5e-6
+#: And at least so many deviations of the displacement's noise: one sample in 30,000 leaves it.
+_PIECE_DEVIATIONS = 4.0
+#: Pieces of one length before the two oldest are joined: the oldest is a tenth of a window.
+_PER_LEVEL = 10
+#: Pieces that a window has at least: a cubic takes four of them.
+_LEAST_PIECES = 8
+#: A window's least part of the force's change in its run: an exponential bends it by 0.2 %.
+_LEAST_PART = 0.25
+#: Each window that is tried is wider than the last by this factor.
+_WIDER = 1.4
+#: A window is wide enough where the deviation is at most this part of the slope [1]: on silicones
+#: 0.01 is no closer to the curve's own slope (0.2 to 0.5 % in the median), and lies further up.
+_FINE = 0.02
+#: A slope below this number of its deviations is not known.
+_LEAST_RATIO = 4.0
+#: And one where the force changes by fewer deviations of its noise than this: drift of the zero in
+#: an approach is below 1.
+_LEAST_RISE = 3.0
+#: Correlation of neighbouring pieces above this counts as this: the factor is 3 then.
+_MOST_CORRELATED = 0.8
+#: A piece that takes this many times as long as the run's pieces of its length is rest: the last
+#: of 32 pieces of a sine's half period takes 3.6 times as long, of a smoothest (minimum jerk)
+#: motion 5 times.
+_REST = 8.0
+#: Motion on in the same direction, after a rest or where a controller shook, counts once the force
+#: has changed by this part of what it had before [1]: as tissue relaxes, the last millimetre of a
+#: controller that creeps there looks softer, by 20 to 40 % on silicone, with 0.17 of the force.
+_LEAST_OF_LAST = 0.25
+#: Samples over which the displacement's noise is a running mean.
+_NOISE_SAMPLES = 64
+#: Standard deviation of white noise over the mean magnitude of its third differences.
+_THIRD_DIFFERENCE = math.sqrt(math.pi / 2.0) / math.sqrt(20.0)
+_NORMAL_95 = 1.959964
+
+
+class MeasuredStiffness(NamedTuple):
+    """Slope of force over displacement, in one direction."""
+
+    value: float  #: dF/dd [N/m]
+    sd: float  #: its standard deviation, of noise and curvature [N/m]
+    depth: float  #: displacement in the middle of the window [m]
+    width: float  #: of the window [m]
+    stamp_ns: int  #: of the window's newest sample
+
+
+class BothWays(NamedTuple):
+    """That of loading and of unloading; None: not known."""
+
+    loading: MeasuredStiffness | None = None
+    unloading: MeasuredStiffness | None = None
+
+
+#: Nothing is known.
+NOT_MEASURED = BothWays()
+
+
+class _Piece(NamedTuple):
+    """Part of a run: means over its way."""
+
+    width: float  #: [m]
+    duration: float  #: [s]
+    place: float  #: from the run's beginning [m]
+    square: float  #: of the distance from `place` [m^2]
+    cube: float  #: of it [m^3]
+    force: float  #: [N]
+    variance: float  #: of `force`, over that of a sample [1]
+
+    def joined(self, other: _Piece) -> _Piece:
+        """Return both as one."""
+        width = self.width + other.width
+        own, its = self.width / width, other.width / width
+        place = own * self.place + its * other.place
+        a, b = self.place - place, other.place - place
+        return _Piece(
+            width,
+            self.duration + other.duration,
+            place,
+            own * (self.square + a * a) + its * (other.square + b * b),
+            own * (self.cube + a * (3.0 * self.square + a * a))
+            + its * (other.cube + b * (3.0 * other.square + b * b)),
+            own * self.force + its * other.force,
+            own * own * self.variance + its * its * other.variance,
+        )
+
+
+class _Open:
+    """The piece that is being gathered."""
+
+    def __init__(self, start: float, start_ns: int) -> None:
+        self.start, self.start_ns = start, start_ns  #: where and when it began [m, ns]
+        self.count = 0
+        self.sums = (0.0, 0.0, 0.0, 0.0)
+
+    def add(self, place: float, force: float) -> None:
+        """Take a sample: place from the run's beginning [m], force [N]."""
+        first, second, third, forces = self.sums
+        way = place - self.start
+        square = way * way
+        self.sums = (first + way, second + square, third + square * way, forces + force)
+        self.count += 1
+
+    def closed(self, width: float, stamp_ns: int) -> _Piece:
+        """Return it as a piece."""
+        way, square, cube, force = (total / self.count for total in self.sums)
+        return _Piece(
+            width,
+            (stamp_ns - self.start_ns) / NANOSECONDS,
+            self.start + way,
+            square - way * way,
+            cube - way * (3.0 * square - 2.0 * way * way),
+            force,
+            1.0 / self.count,
+        )
+
+
+class _Run:
+    """Motion in one direction, from a displacement on.
+
+    Parameters
+    ----------
+    sign : float
+        1: into the tissue, -1: out of it.
+    start : float
+        Where it begins [m].
+    stamp_ns : int
+        When.
+    length : float
+        Of a piece, at least [m].
+    least_change : float
+        It says nothing before the force has changed by this [N].
+    """
+
+    def __init__(
+        self, sign: float, start: float, stamp_ns: int, length: float, least_change: float = 0.0
+    ) -> None:
+        self.sign, self.start, self.length = sign, start, length
+        self.least_change = least_change
+        self.newest_ns = stamp_ns
+        self.width = self.duration = self.noise = 0.0
+        self.open = _Open(0.0, stamp_ns)
+        self._is_first = True
+        self._levels: list[deque[_Piece]] = [deque()]
+
+    def way(self, displacement: float) -> float:
+        """Return how far a displacement is along the run [m]."""
+        return self.sign * (displacement - self.start)
+
+    def add(self, stamp_ns: int, displacement: float, force: float) -> bool:
+        """Take a sample; return whether a piece has been closed."""
+        way = self.way(displacement)
+        self.open.add(way, self.sign * force)
+        steps = math.floor((way - self.open.start) / self.length)
+        if steps < 1:
+            return False
+        width = steps * self.length
+        piece, start = self.open.closed(width, stamp_ns), self.open.start + width
+        self.open = _Open(start, stamp_ns)
+        if self._is_first:
+            # It may hold the rest, or the turn, from before.
+            self._is_first = False
+            return False
+        self.width += piece.width
+        self.duration += piece.duration
+        self.newest_ns = stamp_ns
+        self._push(piece)
+        return True
+
+    def rests(self, stamp_ns: int) -> bool:
+        """Whether the present piece takes so long that the probe is at rest."""
+        if not self.duration:
+            return False
+        usual = self.duration / self.width * self.length
+        return (stamp_ns - self.open.start_ns) / NANOSECONDS > _REST * usual
+
+    def _push(self, piece: _Piece) -> None:
+        for level in self._levels:
+            level.append(piece)
+            if len(level) <= _PER_LEVEL:
+                return
+            piece = level.popleft().joined(level.popleft())
+        self._levels.append(deque([piece]))
+
+    def pieces(self) -> list[_Piece]:
+        """Return the pieces, the newest first."""
+        return [piece for level in self._levels for piece in reversed(level)]
+
+
+class StiffnessMeter:
+    """Measures the stiffness of both directions, sample by sample.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of the force's noise that is stated, or the least that is believed [N].
+    period : float
+        Slopes are computed once in this time [s].
+    """
+
+    def __init__(self, noise: float, period: float) -> None:
+        self._noise = noise
+        self._period_ns = round(period * NANOSECONDS)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all samples."""
+        self.newest = NOT_MEASURED
+        self._run: _Run | None = None
+        self._is_due = False
+        self._computed_ns = 0
+        self._last: deque[float] = deque(maxlen=4)
+        self._roughness = 0.0
+        #: Noise in the last run [N]: a window may be too short to show how the robot shakes.
+        self._seen = 0.0
+        #: By the direction of the last run with a slope, see `_LEAST_OF_LAST` [N].
+        self._least: dict[float, float] = {}
+        self._count = 0
+
+    def skip(self) -> None:
+        """Begin a new run: samples are missing."""
+        self._finish_run()
+        self._last.clear()
+
+    def add(self, stamp_ns: int, displacement: float, force: float) -> bool:
+        """Take a sample [m, N]; return whether there is a new slope."""
+        self._learn_noise(displacement)
+        run = self._run
+        if run is None:
+            self._run = self._begun(1.0, displacement, stamp_ns)
+            return False
+        way = run.way(displacement)
+        if way < run.open.start - run.length:
+            is_new = self._finish_run()
+            self._run = self._begun(-run.sign, displacement, stamp_ns)
+            return is_new
+        self._is_due |= run.add(stamp_ns, displacement, force)
+        if run.rests(stamp_ns):
+            is_new = self._finish_run()
+            self._run = self._begun(run.sign, displacement, stamp_ns)
+            return is_new
+        if not self._is_due or stamp_ns - self._computed_ns < self._period_ns:
+            return False
+        self._computed_ns = stamp_ns
+        return self._measure(run)
+
+    def _begun(self, sign: float, displacement: float, stamp_ns: int) -> _Run:
+        length = max(_LEAST_PIECE, _PIECE_DEVIATIONS * self._roughness)
+        return _Run(sign, displacement, stamp_ns, length, self._least.get(sign, 0.0))
+
+    def _learn_noise(self, displacement: float) -> None:
+        last = self._last
+        last.append(displacement)
+        if len(last) < 4:
+            return
+        a, b, c, d = last
+        size = abs(d - a + 3.0 * (b - c)) * _THIRD_DIFFERENCE
+        self._count = min(self._count + 1, _NOISE_SAMPLES)
+        self._roughness += (size - self._roughness) / self._count
+
+    def _finish_run(self) -> bool:
+        run, self._run = self._run, None
+        if run is None:
+            return False
+        is_new = self._is_due and self._measure(run)
+        if run.noise:
+            self._seen = run.noise
+            least = max(run.least_change, _LEAST_OF_LAST * _change(np.array(run.pieces())))
+            self._least = {run.sign: least}
+        return is_new
+
+    def _measure(self, run: _Run) -> bool:
+        self._is_due = False
+        found = _slope(run, max(self._noise, self._seen))
+        if found is None:
+            return False
+        way = "loading" if run.sign > 0.0 else "unloading"
+        self.newest = self.newest._replace(**{way: found})
+        return True
+
+
+class _Window(NamedTuple):
+    """A window of pieces, the newest first: shape (n,)."""
+
+    width: float  #: [m]
+    middle: float  #: [m]
+    line: float  #: slope [N/m]
+    sd: float  #: [N/m]
+    noise: float  #: of a sample of the force, as if it were white [N]
+    own_noise: float  #: as it is in this window alone [N]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the slope stands out from its deviation, and the force's change from noise."""
+        rise = self.line * self.width
+        return self.line >= _LEAST_RATIO * self.sd and rise >= _LEAST_RISE * self.noise
+
+
+def _slope(run: _Run, noise: float) -> MeasuredStiffness | None:
+    """Return the slope at the end of a run; None: it is not known."""
+    pieces = run.pieces()
+    if len(pieces) < _LEAST_PIECES:
+        return None
+    columns = np.array(pieces)
+    change = _change(columns)
+    if change < run.least_change:
+        return None
+    best: _Window | None = None
+    for window in _windows(columns, change, noise):
+        if window.is_known and (best is None or window.sd < best.sd):
+            best = window
+        if best is not None and best.sd <= _FINE * best.line:
+            break
+    if best is None:
+        return None
+    run.noise = best.own_noise
+    depth = run.start + run.sign * best.middle
+    return MeasuredStiffness(best.line, best.sd, depth, best.width, run.newest_ns)
+
+
+def _change(columns: Array) -> float:
+    """Return by how much the force has grown along a run [N]."""
+    forces = columns[:, 5]
+    return float(forces[:3].mean() - forces.min())
+
+
+def _windows(columns: Array, change: float, noise: float) -> Iterator[_Window]:
+    """Yield windows that hold enough of the force's change [N], from the narrowest on."""
+    widths = np.cumsum(columns[:, 0])
+    rises = _lines(columns) * widths[_LEAST_PIECES - 1 :]
+    last = len(columns)
+    count = _LEAST_PIECES
+    while True:
+        is_enough = rises[count - _LEAST_PIECES] >= max(_LEAST_PART * change, _LEAST_RISE * noise)
+        if is_enough or count == last:
+            yield _window(columns[:count], noise)
+        if count == last:
+            return
+        wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
+        count = min(max(wider, count + 1), last)
+
+
+def _lines(columns: Array) -> Array:
+    """Return the slopes of the lines through the windows of 8 pieces, of 9 and so on [N/m]."""
+    weights, _, places, squares, _, forces, _ = columns.T
+    # From the newest end, so that a narrow window at the end of a long way is not rounded off.
+    away = places - places[0]
+    moments = np.stack([np.ones_like(away), away, away**2 + squares, forces, away * forces])
+    sums = np.cumsum(weights * moments, axis=1)[:, _LEAST_PIECES - 1 :]
+    total, first, second, force, both = sums
+    slopes: Array = (total * both - first * force) / (total * second - first**2)
+    return slopes
+
+
+def _window(columns: Array, noise: float) -> _Window:
+    """Return the slope of a window with its deviation."""
+    weights, _, places, squares, cubes, forces, variances = columns.T
+    width = float(weights.sum())
+    half = 0.5 * width
+    middle = float(weights @ places) / width
+    # Means of the powers of the distance from the middle, in halves, over each piece.
+    first, square = (places - middle) / half, squares / half**2
+    second = first**2 + square
+    third = first * (first**2 + 3.0 * square) + cubes / half**3
+    design = np.stack([np.ones_like(first), first, second, third], axis=1)
+    by_weight = design.T * weights
+    straight = np.linalg.solve(by_weight[:3] @ design[:, :3], by_weight[:3])
+    curved = np.linalg.solve(by_weight @ design, by_weight)
+    residuals = forces - design @ (curved @ forces)
+    freedom = len(forces) - 4
+    scaled = residuals / np.sqrt(variances)
+    correlated = _correlation(scaled)
+    own = float(scaled @ scaled) / freedom * (1.0 + correlated) / (1.0 - correlated)
+    of_sample = max(own, noise**2)
+    slope, bend = straight[1], straight[1] - curved[1]
+    by_noise = of_sample * float(slope**2 @ variances)
+    bent = float(bend @ forces) ** 2 - of_sample * float(bend**2 @ variances)
+    student = float(stdtrit(freedom, 0.975)) / _NORMAL_95
+    sd = math.sqrt(student**2 * by_noise + max(bent, 0.0)) / half
+    line = float(slope @ forces) / half
+    return _Window(width, middle, line, sd, math.sqrt(of_sample), math.sqrt(own))
+
+
+def _correlation(residuals: Array) -> float:
+    """Return that of neighbours [1], from 0 on: a negative one narrows nothing."""
+    total = float(residuals @ residuals)
+    if not total:
+        return 0.0
+    lagged = float(residuals[1:] @ residuals[:-1])
+    return min(max(lagged / total, 0.0), _MOST_CORRELATED)
