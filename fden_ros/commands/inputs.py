@@ -97,8 +97,6 @@ def selection_of(args: argparse.Namespace) -> Any:
     """Return the :class:`~fden_ros.recording.source.Selection` that the options make."""
     from fden_ros.recording.source import Selection
 
-    if args.rows is not None and args.columns is None:
-        args.parser.error("--rows is for tables: give --columns too")
     _take_from_files(args)
     topics, fields = (
         {name: value for name in _STREAMS if (value := getattr(args, f"{name}_{part}"))}
@@ -110,7 +108,7 @@ def selection_of(args: argparse.Namespace) -> Any:
 def _take_from_files(args: argparse.Namespace) -> None:
     """Fill in what ``fden configure`` has written of a recording, where no option says it."""
     from fden_ros.recording.source import SELECTION_LINE
-    from fden_ros.recording.table import looks_like_a_table
+    from fden_ros.recording.text import looks_like_a_table
 
     paths = [path for path in map(vars(args).get, ("bag", "recording")) if path is not None]
     paths += getattr(args, "places", [])

@@ -16,7 +16,8 @@ from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_su
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
-from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
+from fden_ros.recording.table import Columns, TableReader, stated_columns
+from fden_ros.recording.text import looks_like_a_table
 from fden_ros.recording.topics import find_topic
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
@@ -294,7 +295,7 @@ class TableSource:
             "displacement": self._columns.displacement,
             "surface": self._columns.surface,
         }
-        return {stream: f"column {column.name}" for stream, column in columns.items() if column}
+        return {stream: self._table.named(column) for stream, column in columns.items() if column}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -308,8 +309,10 @@ class TableSource:
             before(row.stamp_ns, None)
             if row.surface is not None:
                 inputs.places["surface"].add_value("", row.stamp_ns, row.surface)
-            inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
-            inputs.add_force_value("", row.stamp_ns, row.force)
+            if row.displacement is not None:
+                inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
+            if row.force is not None:
+                inputs.add_force_value("", row.stamp_ns, row.force)
             yield done
 
 
