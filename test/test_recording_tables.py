@@ -6,13 +6,21 @@
 from __future__ import annotations
 
 import gzip
+import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from fden_ros.cli import main
 from fden_ros.errors import InputError
+from fden_ros.parameters import check
+from fden_ros.recording.source import Selection, open_source
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
+
+POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
 
 #: Time [s], force [N] and displacement [m] of the rows that every table below holds.
 ROWS = [(0.0, 0.0, 0.0), (0.1, 0.25, 0.0005), (0.2, 1234.5, 0.0015), (0.3, 2.75, 0.012)]
@@ -224,3 +232,122 @@ def test_a_column_that_holds_no_numbers_is_none(tmp_path: Path) -> None:
     reader = TableReader(path, stated_columns(path))
     assert [row.force for row in reader.rows()] == [1.0, 2.0]
     assert reader.skipped == 1
+
+
+# A testing machine's recording
+
+
+SLOPE = 500.0  # N/m
+
+
+def machine_rows(air: float = 0.0, offset: float = 0.0, steps: int = 400) -> str:
+    """Return the rows of a press at 0.1 mm/s, after so much air [m], noise of 2 mN, at 10 Hz."""
+    noise = np.random.default_rng(7).normal(0.0, 2e-3, steps)
+    way = 1e-5 * np.arange(steps)
+    depth = np.maximum(way - air, 0.0)
+    force = offset + SLOPE * depth * np.exp(100.0 * depth) + noise
+    return "".join(
+        f"{0.1 * i:.1f},{f:.5f},{1e3 * w:.4f}\n"
+        for i, (f, w) in enumerate(zip(force, way, strict=True))
+    )
+
+
+@pytest.mark.parametrize(
+    ("air", "offset", "is_touched"),
+    [(0.0, 0.0, True), (0.0, 0.008, True), (1e-3, 0.0, False), (0.0, 0.5, False)],
+)
+def test_a_recording_without_air_is_told_by_its_first_rise(
+    tmp_path: Path, air: float, offset: float, is_touched: bool
+) -> None:
+    path = tmp_path / "press.csv"
+    path.write_text(NEWTONS + machine_rows(air, offset))
+    source = open_source(path, check({}))
+    assert (source.parameters.origin.source == "given") is is_touched
+    assert source.parameters.force.measure_bias is not is_touched
+    assert bool(source.set_by_recording) is is_touched
+    # An option outdoes what it looks like, and a configured origin is left alone.
+    told = open_source(path, check({}), Selection(from_touch=not is_touched))
+    assert (told.parameters.origin.source == "given") is not is_touched
+    stated = check({"origin.source": "given", "origin.displacement": 1e-3})
+    assert open_source(path, stated).parameters == stated
+
+
+@pytest.mark.parametrize(
+    ("preamble", "area", "thickness"),
+    [
+        ("Cylinder Diameter: 50mm;\nCylinder Height: 30mm;\n", 1.963495e-3, 0.03),
+        ('"Specimen diameter","50,0","mm"\n"Specimen thickness","0.03","m"\n', 1.963495e-3, 0.03),
+        ("Specimen diameter (mm): 80\nIndenter diameter (mm): 10\nThickness (mm): 20\n",
+         7.853982e-5, 0.02),
+        ("Fläche: 400 mm²\nProbendicke: 12,5 mm\n", 4e-4, 0.0125),
+        ("Load cell: 1kN\nDiameter: 50\nSpeed (mm/min): 10\n", 0.0, 0.0),
+    ],
+)  # fmt: skip
+def test_the_specimen_is_taken_from_the_preamble(
+    tmp_path: Path, preamble: str, area: float, thickness: float
+) -> None:
+    path = tmp_path / "press.csv"
+    path.write_text(preamble + NEWTONS + machine_rows(), encoding="utf-8")
+    geometry = open_source(path, check({})).parameters.geometry
+    assert (geometry.area, geometry.thickness) == pytest.approx((area, thickness), rel=1e-5)
+    stated = {"geometry.area": 1e-4, "geometry.thickness": 0.01}
+    geometry = open_source(path, check(stated)).parameters.geometry
+    assert (geometry.area, geometry.thickness) == (1e-4, 0.01)
+
+
+def replayed(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    main(["replay", *map(str, arguments), "--json"])
+    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+
+
+def test_options_say_what_a_testing_machine_has_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "presses.csv"
+    rows = machine_rows(steps=300)
+    path.write_text(
+        "Test," + NEWTONS + "".join(f"{name},{row}\n" for name in "ab" for row in rows.split())
+    )
+    sizes = ("--diameter", "50mm", "--height", "0.03")
+    found = replayed(capsys, path, "--from-touch", *sizes, "--rows", "Test=b")
+    assert found["samples"] == 300
+    assert found["inputs"]["force"] == "column Load (N)"
+    assert "force.measure_bias false" in " ".join(found["set_by_recording"])
+    (contact,) = found["contacts"]
+    assert not {"origin_uncertain", "geometry_unstated"} & set(contact["flags"])
+    assert contact["g"] is not None
+    same = replayed(
+        capsys, path, "--from-touch", "--area", "1963.4954mm2", "--thickness", "3cm",
+        "--rows", "Test=b",
+    )  # fmt: skip
+    assert same["contacts"][0]["g"] == pytest.approx(contact["g"], rel=1e-6)
+
+
+def test_the_air_of_a_recording_without_air_does_not_drift(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "press.csv"
+    path.write_text(NEWTONS + machine_rows(offset=0.3, steps=600))
+    found = replayed(capsys, path, "--no-from-touch", "--diameter", "50mm", "--height", "30mm")
+    assert not [line for line in found["warnings"] if "drifts" in line]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--from-touch",), "is no table: --from-touch is for tables"),
+        (("--rows", "a=b"), "is no table: --rows is for tables"),
+        (("--diameter", "50furlong"), "is no size"),
+        (("--area", "-1"), "is no size"),
+        (("--diameter", "5mm", "--area", "1mm2"), "not allowed with"),
+    ],
+)
+def test_options_of_tables_that_do_not_fit_are_refused_in_a_line(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    try:
+        code = main(["replay", str(POSE), *arguments])
+    except SystemExit as error:
+        code = int(str(error.code))
+    line = capsys.readouterr().err
+    assert code in (1, 2) and line.count("\n") == 1 and words in line

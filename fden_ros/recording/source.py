@@ -15,6 +15,7 @@ from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
+from fden_ros.recording.machine import machine_values
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
@@ -49,6 +50,7 @@ class Selection:
     fields: Mapping[str, str] = field(default_factory=dict)
     columns: Columns | None = None  #: of a table
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
+    from_touch: bool | None = None  #: whether a table begins at the touch; None: as it looks
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -70,6 +72,9 @@ def open_source(
     if is_table(path, chosen):
         columns = chosen.columns or stated_columns(path)
         return TableSource(path, parameters, replace(chosen, columns=columns))
+    if chosen.from_touch or chosen.where is not None:
+        option = "--from-touch" if chosen.from_touch else "--rows"
+        raise InputError(f"{path} is no table: {option} is for tables")
     return BagSource(path, parameters, chosen)
 
 
@@ -84,9 +89,11 @@ class BagSource:
         As :func:`open_source`.
     """
 
+    set_by_recording: tuple[str, ...] = ()
+
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
-        self._parameters = parameters
+        self.parameters = parameters
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
         # The surface and the like first: what carries them could be taken for the displacement.
@@ -141,7 +148,7 @@ class BagSource:
         names = {stream: topic.name + fields[stream] for stream, topic in self.topics.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
-        order = (*_ALWAYS, *measured_inputs(self._parameters), *TRANSFORM_TOPICS)
+        order = (*_ALWAYS, *measured_inputs(self.parameters), *TRANSFORM_TOPICS)
         return {stream.lstrip("/"): names[stream] for stream in order if stream in names}
 
     @property
@@ -165,7 +172,7 @@ class BagSource:
         `before` is called with the time of recording (ns) and the message before its sample goes
         in.
         """
-        self._inputs = Inputs(self._parameters, sink)
+        self._inputs = Inputs(self.parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for stream, topic in self.topics.items():
             handlers.setdefault(topic.name, []).append(self._handler(stream, topic))
@@ -280,7 +287,11 @@ class TableSource:
                 "joint_state, so that it is taken off the displacement"
             )
         self._table = TableReader(path, selection.columns, selection.where)
-        self._parameters = parameters
+        values, self.set_by_recording = machine_values(
+            self._table, parameters, selection.from_touch
+        )
+        #: The parameters, with what the table says or needs.
+        self.parameters = parameters.changed(values) if values else parameters
 
     @property
     def total(self) -> int:
@@ -294,6 +305,7 @@ class TableSource:
             "force": self._columns.force,
             "displacement": self._columns.displacement,
             "surface": self._columns.surface,
+            "time": self._columns.time,
         }
         return {stream: self._table.named(column) for stream, column in columns.items() if column}
 
@@ -304,7 +316,7 @@ class TableSource:
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the rows in the order of the file."""
-        inputs = Inputs(self._parameters, sink)
+        inputs = Inputs(self.parameters, sink)
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
             if row.surface is not None:

@@ -209,12 +209,15 @@ class TableReader:
         return (f"{self.skipped} rows of {self.path.name} hold no number where one is needed",)
 
     def named(self, column: Column) -> str:
-        """Return a column for a reader of words: its heading beside its number."""
-        headings = self.layout.headings
-        if column.name in headings or not column.name.isdigit():
-            return f"column {column.name}"
-        heading = headings[int(column.name) - 1 :][:1]
-        return f"column {column.name}" + "".join(f" ({name})" for name in heading)
+        """Return a column in words: with the heading of a number, and the unit below it."""
+        if column.name.startswith("@"):
+            return f"{column.name[1:]} rows a second"
+        index = self._index(column.name)
+        heading = self.layout.headings[index : index + 1]
+        words = [f"column {column.name}"]
+        words += [f"({name})" for name in heading if name != column.name]
+        words += [f"[{unit}]" for unit in self.layout.units[index : index + 1] if unit]
+        return " ".join(words)
 
     def rows(self) -> Iterator[Row]:
         """Yield the rows; stamps are shifted to begin at 1 s where the table's begin below 0.

@@ -393,6 +393,9 @@ class ContactDetector:
             assert self._began_ns is not None
             came &= onset_ns - self._began_ns > _LEAST_AIR_NS
         seen = surface.first > 0 and air_seen and came
+        if not (seen or self._has_released):
+            # There was no air yet in which the force could drift: what rose was this contact.
+            self.drifts = 0
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
         way = (approach.time - approach.time[first], approach.displacement, approach.force)
