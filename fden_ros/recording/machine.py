@@ -33,6 +33,8 @@ _RISE, _RISE_PART = 20.0, 0.01
 _PART_AT_HALF = 0.2
 #: A tared force begins within so many deviations of its noise, or this part of the largest, of 0.
 _ZERO, _ZERO_PART = 5.0, 0.01
+#: A probe that goes back behind its first place, by this part of its way, comes from the air.
+_BEHIND = 0.02
 #: The noise is that of the quietest 12 of the first 48 rows; of a force that rises fast the others
 #: show the curve. The force must have risen within 20,000 rows, which is 40 s at 500 Hz.
 _LEAST_ROWS, _NOISE_ROWS, _MOST_ROWS = 12, 48, 20_000
@@ -88,6 +90,8 @@ def machine_values(
 def begins_at_touch(rows: Sequence[Row]) -> bool:
     """Return whether the force rises from zero as soon as the probe moves: there is no air.
 
+    Nor does the probe leave for the air later.
+
     Parameters
     ----------
     rows : sequence of Row
@@ -99,11 +103,14 @@ def begins_at_touch(rows: Sequence[Row]) -> bool:
     noise, largest = _noise(force[:_NOISE_ROWS]), float(np.abs(force).max())
     is_tared = abs(force[0]) <= max(_ZERO * noise, _ZERO_PART * largest)
     rise = max(_RISE * noise, _RISE_PART * largest)
-    force = (force - force[0]) * np.sign(force[np.argmax(np.abs(force))])
+    pressed = int(np.argmax(np.abs(force)))
+    way = (way - way[0]) * np.sign(way[pressed] - way[0])
+    if way.min() < -_BEHIND * way.max():
+        return False
+    force = (force - force[0]) * np.sign(force[pressed])
     risen = np.flatnonzero(force > rise)
     if not (is_tared and risen.size):
         return False
-    way = np.abs(way - way[0])
     length = way[risen[0]]
     if length <= 0.0:
         return False
