@@ -191,7 +191,7 @@ def test_columns_that_are_given_are_read_below_any_preamble(
         ("Time (s),Load A (N),Load B (N),Depth (mm)", "the force: Load A (N), Load B (N)"),
         ("Time (s),Load (N),Load (N),Depth (mm)", "the force: 2, 3"),
         ("Time (s),Load (N),Stroke (mm),Depth (mm)", "the displacement: Stroke (mm), Depth (mm)"),
-        ("Time (s),Load (N),Depth,Width", "do not say what is displacement"),
+        ("Time (s),Load (N),Depth,Width", "which column is the displacement:"),
         ("a,b,c,d", "it has a, b, c, d"),
     ],
 )
@@ -276,6 +276,16 @@ def test_a_recording_without_air_is_told_by_its_first_rise(
     assert (told.parameters.origin.source == "given") is not is_touched
     stated = check({"origin.source": "given", "origin.displacement": 1e-3})
     assert open_source(path, stated).parameters == stated
+
+
+@pytest.mark.parametrize(("back", "is_touched"), [(0.0, True), (-1e-4, False)])
+def test_a_probe_that_goes_back_behind_its_first_place_comes_from_the_air(
+    tmp_path: Path, back: float, is_touched: bool
+) -> None:
+    path = tmp_path / "press.csv"
+    path.write_text(NEWTONS + machine_rows() + f"41,0.5,1\n42,0,{1e3 * back}\n")
+    source = open_source(path, check({}))
+    assert (source.parameters.origin.source == "given") is is_touched
 
 
 @pytest.mark.parametrize(

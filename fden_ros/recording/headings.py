@@ -16,9 +16,9 @@ WORDS = {
     "time": {"time", "t", "stamp", "timestamp", "clock", "elapsed", "zeit", "uhrzeit", "temps"},
     "force": {"force", "f", "fz", "load", "kraft", "last"},
     "displacement": {
-        "displacement", "depth", "position", "indentation", "penetration", "z", "x", "pos",
+        "displacement", "depth", "position", "indentation", "penetration", "x", "y", "z", "pos",
         "press", "disp", "stroke", "extension", "compression", "deflection", "deformation",
-        "travel", "crosshead", "weg", "traverse", "eindringtiefe",
+        "travel", "distance", "crosshead", "weg", "eindringtiefe", "verformung",
     },
     "stress": {"stress", "spannung"},
     "modulus": {"modulus"},
@@ -27,7 +27,7 @@ WORDS = {
 #: German compounds end so: Standardkraft, Prüfzeit.
 _ENDINGS = {"time": "zeit", "force": "kraft", "displacement": "weg"}
 #: Letters that are a quantity only where the heading begins with them.
-_LETTERS = {"t", "f", "z", "x"}
+_LETTERS = {"t", "f", "x", "y", "z"}
 #: Words of what is derived from a quantity, in its unit.
 _DERIVED = {
     "error", "sd", "std", "noise", "rate", "speed", "velocity", "offset", "bias", "threshold",
@@ -92,11 +92,17 @@ class Heading:
             known = [factor_of(quantity, text) for text in brackets]
             return next((factor for factor in known if factor is not None), None)
         parts = [part for part in re.split(r"[^A-Za-zµμ0-9%]+", self.text) if part]
+        if "in" in parts[:-1]:
+            # "Weg in mm" is no length in inches.
+            parts.remove("in")
         named = [factor_of(quantity, part) for part in parts[1:] if part.lower() not in _LETTERS]
         factors = [factor for factor in named if factor is not None]
         if len(factors) == 1:
             return factors[0]
-        return 1.0 if not factors and self._is_of_a_message(quantity) else None
+        if factors or not self._is_of_a_message(quantity):
+            return None
+        # `rostopic echo -p` writes %time in ns.
+        return 1e-9 if quantity == "time" and self.text.startswith("%") else 1.0
 
     @property
     def has_unit(self) -> bool:

@@ -72,9 +72,10 @@ def machine_values(
         return values, tuple(lines)
     rows = list(islice(table.rows(), _MOST_ROWS))
     places = [row.displacement for row in rows if row.displacement is not None]
-    if not places or (from_touch is None and not begins_at_touch(rows)):
-        return values, tuple(lines)
     sign = -1.0 if parameters.displacement.inverted else 1.0
+    signs = sign, -1.0 if parameters.force.inverted else 1.0
+    if not places or (from_touch is None and not begins_at_touch(rows, signs)):
+        return values, tuple(lines)
     touched: dict[str, Value] = {
         "origin.source": "given",
         "origin.displacement": sign * places[0],
@@ -87,7 +88,7 @@ def machine_values(
     return {**values, **touched}, (*lines, f"{_shown(touched)}, {why}")
 
 
-def begins_at_touch(rows: Sequence[Row]) -> bool:
+def begins_at_touch(rows: Sequence[Row], signs: tuple[float, float] = (1.0, 1.0)) -> bool:
     """Return whether the force rises from zero as soon as the probe moves: there is no air.
 
     Nor does the probe leave for the air later.
@@ -96,6 +97,8 @@ def begins_at_touch(rows: Sequence[Row]) -> bool:
     ----------
     rows : sequence of Row
         The first of a recording.
+    signs : (float, float)
+        Of displacement and force, which are to grow as the probe presses.
     """
     way, force = _streams(rows)
     if force.size < _LEAST_ROWS:
@@ -103,11 +106,9 @@ def begins_at_touch(rows: Sequence[Row]) -> bool:
     noise, largest = _noise(force[:_NOISE_ROWS]), float(np.abs(force).max())
     is_tared = abs(force[0]) <= max(_ZERO * noise, _ZERO_PART * largest)
     rise = max(_RISE * noise, _RISE_PART * largest)
-    pressed = int(np.argmax(np.abs(force)))
-    way = (way - way[0]) * np.sign(way[pressed] - way[0])
+    way, force = (sign * (v - v[0]) for sign, v in zip(signs, (way, force), strict=True))
     if way.min() < -_BEHIND * way.max():
         return False
-    force = (force - force[0]) * np.sign(force[pressed])
     risen = np.flatnonzero(force > rise)
     if not (is_tared and risen.size):
         return False
@@ -115,7 +116,8 @@ def begins_at_touch(rows: Sequence[Row]) -> bool:
     if length <= 0.0:
         return False
     # What the force was before the probe moved says nothing of the way.
-    halfway = np.interp(0.5 * length, way[: risen[0] + 1], force[: risen[0] + 1])
+    order = np.argsort(way[: risen[0] + 1], kind="stable")
+    halfway = np.interp(0.5 * length, way[order], force[order])
     return bool(halfway > _PART_AT_HALF * rise)
 
 

@@ -127,9 +127,9 @@ def stated_columns(path: str | Path) -> Columns:
     missing = [quantity for quantity, fitting in found.items() if not fitting]
     if missing:
         raise InputError(
-            f"{path} is a table whose headings do not say {_listed(missing)} with a unit: give "
-            "the columns of time, force and displacement, such as "
-            "--columns time_s,force_N,depth_mm*1e-3; "
+            f"{path} is a table whose headings do not say, with a unit, which column is the "
+            f"{' and the '.join(missing)}: give the columns of time, force and displacement, "
+            "such as --columns time_s,force_N,depth_mm*1e-3; "
             f"it has {', '.join(names) or 'no headings'}"
         )
     chosen = Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
@@ -143,10 +143,6 @@ def stated_columns(path: str | Path) -> Columns:
             f"--columns '{chosen}'"
         )
     return chosen
-
-
-def _listed(quantities: Sequence[str]) -> str:
-    return f"what is {' and '.join(quantities)}"
 
 
 def _headings(layout: Layout) -> list[Heading]:

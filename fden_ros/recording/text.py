@@ -46,7 +46,7 @@ _EITHER = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
 _CLOCK = re.compile(
     r"(?:(?P<date>[^\s:T]+|\S.*?\d{4})(?:T|\s+))?"
     r"(?P<first>\d{1,2}):(?P<second>\d{2}(?P<part>[.,]\d+)?)"
-    r"(?::(?P<third>\d{2}(?:[.,]\d*)?))?\s*(?P<half>[aApP])?\.?(?:[mM]\.?)?"
+    r"(?::(?P<third>\d{2}(?:[.,:]\d*)?))?\s*(?P<half>[aApP])?\.?(?:[mM]\.?)?"
     r"(?:Z|[-+]\d{2}:?\d{2})?"
 )
 _NS = 1_000_000_000
@@ -308,7 +308,7 @@ def clock_ns(cell: str) -> tuple[int | None, int]:
         hours, minutes, seconds = 0, first, Decimal(second)
     else:
         hours, minutes = first, int(second)
-        seconds = Decimal((match["third"] or "0").replace(",", "."))
+        seconds = Decimal(re.sub("[,:]", ".", match["third"] or "0"))
     if match["half"] is not None:
         hours = hours % 12 + 12 * (match["half"] in "pP")
     day = _day(match["date"]) if match["date"] else None
