@@ -100,6 +100,17 @@ STATED = {
     "times of day": "Time,Load (N),Depth (mm)\n" + PLAIN.replace("0.", "23:59:59.", 1).replace(
         "\n0.", "\n23:59:59."
     ),
+    "times of day, footer": "Time of day;Load (N);Depth (mm)\n"
+    + "".join(f"10:15:0{t};{f};{1e3 * d}\n" for t, f, d in ROWS) + "Operator;A;B\n",
+    "clock with thousandths": "Time,Load (N),Depth (mm)\n"
+    + "".join(f"10:15:00:{1e3 * t:03.0f},{f},{1e3 * d}\n" for t, f, d in ROWS),
+    "echo of a topic": "%time,field.wrench.force.z,field.pose.position.z\n"
+    + "".join(f"{1700000000000000000 + int(1e9 * t)},{f},{d}\n" for t, f, d in ROWS),
+    "German units in words": "Nr;Prüfzeit in s;Standardkraft in N;Verformung in mm\n"
+    + comma("".join(f"1;{t};{f};{1e3 * d}\n" for t, f, d in ROWS)),
+    "bars": NEWTONS.replace(",", "|") + PLAIN.replace(",", "|"),
+    "results before the rows": ',"Maximum Load","Extension"\n,(N),(mm)\n1,12.3,4.5\n\n'
+    + "Time,Load,Extension\n(s),(N),(mm)\n" + PLAIN,
     "measured beside desired": "time_s,force_N,press_desired_mm,press_actual_mm\n"
     + "".join(f"{t},{f},9,{1e3 * d}\n" for t, f, d in ROWS),
     "commanded force": "Time (s),Target load (N),Load (N),Depth (mm)\n"

@@ -221,6 +221,7 @@ class TableReader:
         Where most rows have one of the quantities alone, as where each topic has rows of its own,
         those are yielded; else a row needs them all.
         """
+        self.skipped = 0
         shift: int | None = None
         is_sparse = self._is_sparse()
         stamp_of = self._stamps()

@@ -111,9 +111,9 @@ class Layout:
         return [cell for cell in found if cell.lower() not in _NOTHING]
 
     def is_clock(self, index: int) -> bool:
-        """Return whether a column holds times of day, or dates with them."""
+        """Return whether most cells of a column are times of day, or dates with them."""
         cells = self.cells(index)
-        return bool(cells) and all(map(_CLOCK.fullmatch, cells))
+        return sum(_CLOCK.fullmatch(cell) is not None for cell in cells) > 0.5 * len(cells)
 
     def holds_numbers(self, index: int) -> bool:
         """Return whether most cells of a column are numbers."""
