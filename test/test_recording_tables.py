@@ -184,8 +184,10 @@ def test_dates_and_times_of_day_are_times(
         (PREAMBLE + "Load (N),Load (N),t\n" + lines("9,{1:.4f},{0:.3f},{2:.4f}"), "3,2,4*1e-3"),
         ('t,"Load, raw [N]",Depth\n' + PLAIN, 't,"Load, raw [N]",Depth*1e-3'),
         ("t;f;d\n" + GERMAN, "@10,f,d*1e-3"),
+        ("Time (s);Stress (kPa);Strain (%)\n"
+         + comma(lines("{};{};{}", force=1e-3, displacement=1e2)), "1,2,3"),
     ],
-)
+)  # fmt: skip
 def test_columns_that_are_given_are_read_below_any_preamble(
     tmp_path: Path, text: str, columns: str
 ) -> None:

@@ -279,8 +279,12 @@ class TableReader:
         if column.factor is not None:
             return float(column.factor)
         headings = _headings(self.layout)
-        stated = headings[index].factor(quantity) if index < len(headings) else None
-        return 1.0 if stated is None else stated
+        if index >= len(headings):
+            return 1.0
+        # With geometry.kind pass_through the columns are stress and strain.
+        kinds = (quantity, {"force": "stress", "displacement": "strain"}.get(quantity, quantity))
+        stated = (headings[index].factor(kind) for kind in kinds)
+        return next((factor for factor in stated if factor is not None), 1.0)
 
     def _stamps(self) -> Callable[[int, Sequence[str]], int]:
         """Return what gives a row's stamp [ns] from its number and its cells."""
