@@ -65,6 +65,7 @@ setup(
         "mcap>=1.1",
         "mcap-ros2-support>=0.5",
         "numpy>=1.26",
+        "python-dateutil>=2.8.2",
         "rich>=13.7",
         "rosbags>=0.11",
         "scipy>=1.11",

@@ -29,11 +29,12 @@ from fden_ros.configure.robots import robot_named, robot_names
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.transforms import FrameTree
+from fden_ros.errors import InputError
 from fden_ros.nodes import guide
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import live_topics, read_sections
-from fden_ros.recording.table import guessed_columns
+from fden_ros.recording.table import stated_columns
 
 # What `fden configure` finds on simulated rigs, and says where a recording cannot tell
 
@@ -251,7 +252,9 @@ def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, caps
     assert run("configure", PRESS, "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["parameters"]["force.inverted"] is False
-    assert run("configure", PRESS, "--columns", "time_s,force_N,depth_mm", "--json") == 0
+    table = tmp_path / "press.csv"
+    table.write_text(PRESS.read_text(encoding="utf-8").replace("depth_mm", "depth", 1))
+    assert run("configure", table, "--columns", "time_s,force_N,depth", "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     units = [f for f in answer["findings"] if f["subject"] == "displacement unit"]
     assert units[0]["value"] == "mm"
@@ -286,8 +289,14 @@ def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys
         (["time_s", "force_N", "temperature_K"], None),
     ],
 )
-def test_headings_with_units_say_the_columns(headings, columns):
-    assert guessed_columns(headings) == columns
+def test_headings_with_units_say_the_columns(tmp_path, headings, columns):
+    table = tmp_path / "press.csv"
+    table.write_text(",".join(headings) + "\n0.0,0.1,0.2\n0.1,0.2,0.3\n")
+    if columns is None:
+        with pytest.raises(InputError, match="do not say"):
+            stated_columns(table)
+    else:
+        assert str(stated_columns(table)) == columns
 
 
 # Measured

@@ -207,7 +207,7 @@ def test_a_wrong_sign_shows_as_the_readme_says():
 
 
 def test_depth_in_mm_shows_as_the_readme_says():
-    heard = identified({}, "time_s,force_N,depth_mm")
+    heard = identified({}, "time_s,force_N,depth_mm*1")
     assert not any(heard.converged)
     assert all(summary.flags & Flag.IMPLAUSIBLE for summary in heard.summaries)
     warning = heard.result.warnings[0]

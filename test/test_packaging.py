@@ -42,6 +42,7 @@ ROSDEP_KEYS = {
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
     "pytest-xdist": "python3-pytest-xdist",
+    "python-dateutil": "python3-dateutil",
     "pyyaml": "python3-yaml",
     "rich": "python3-rich",
     "ros-jazzy-domain-coordinator": "domain_coordinator",
@@ -49,7 +50,11 @@ ROSDEP_KEYS = {
     "scipy": "python3-scipy",
     "zstandard": "mcap-ros2-support",
 }
-IMPORT_NAMES = {"mcap-ros2-support": "mcap_ros2", "pyyaml": "yaml"}
+IMPORT_NAMES = {
+    "mcap-ros2-support": "mcap_ros2",
+    "python-dateutil": "dateutil",
+    "pyyaml": "yaml",
+}
 
 
 def manifest(path: str = "package.xml") -> ElementTree.Element:

@@ -56,7 +56,7 @@ def identified(
 
 
 WRONG = {
-    "mm": ("time_s,force_N,depth_mm", RIGID, "mm (factor 0.001: 0.3)"),
+    "mm": ("time_s,force_N,depth_mm*1", RIGID, "mm (factor 0.001: 0.3)"),
     "mm/10": ("time_s,force_N,depth_mm*1e-1", RIGID, "cm (factor 0.01: 0.3)"),
     # A hundredfold G is soft tissue too: only a prior of this one tells that the unit is wrong.
     "g": (
@@ -138,7 +138,7 @@ def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
     config = tmp_path / "probe.yaml"
     config.write_text("/**: {ros__parameters: {geometry: {area: 3.14e-4, thickness: 0.02}}}\n")
     command = ["replay", str(once), "--config", str(config), "--json", "--columns"]
-    assert main([*command, "time_s,force_N,depth_mm"]) == 3
+    assert main([*command, "time_s,force_N,depth_mm*1"]) == 3
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and "nothing was identified" in printed.err
     assert all("implausible" in c["flags"] for c in json.loads(printed.out)["contacts"])

@@ -26,8 +26,8 @@ _ROWS = "\n".join(
 )
 
 DESCRIPTION = f"""\
-Identify alpha, G and Gn from one of the paper's experiments. FILE is CSV with a line of column
-names (comma, semicolon or tab; # begins a comment):
+Identify alpha, G and Gn from one of the paper's experiments. FILE is a table with a line of column
+names, or of headings with units such as "Time (s)":
 
   {"KIND":14}{"columns":50}gives
 {_ROWS}
@@ -39,6 +39,7 @@ EPILOG = """\
 examples:
   fden fit dynamic sweep.csv
   fden fit creep creep.csv --stress 50
+  fden fit relaxation relaxation.csv --strain 0.1
   fden fit nonlinearity coefficients.csv --alpha 0.131 --alpha-sd 0.011
   fden fit nonlinearity creep_tests/ --json | jq '.g, .g_sd'
 
@@ -52,6 +53,7 @@ _UNITS = {
     "g_i": ("Gi", "Pa s^α"),
     "x_b": ("xb", ""),
     "x_c": ("xc", "s^-α"),
+    "f_c": ("fc", "Pa s^α"),
 }
 _TITLES = {
     "slope": "by the slope of |G*|",
@@ -68,6 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     numbers = parser.add_argument_group("what the file does not say")
     numbers.add_argument(
         "--stress", type=positive, metavar="PA", help="creep: the constant stress"
+    )
+    numbers.add_argument(
+        "--strain", type=positive, metavar="X", help="relaxation: the constant strain, a ratio"
     )
     numbers.add_argument(
         "--from",
@@ -107,6 +112,7 @@ def _options(args: argparse.Namespace) -> Options:
         args.parser.error("--alpha-sd needs --alpha")
     return Options(
         stress=args.stress,
+        strain=args.strain,
         start=args.start,
         alpha=args.alpha,
         alpha_sd=args.alpha_sd or 0.0,

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +34,7 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--config`` and the options that say where each quantity is."""
     add_config_options(parser)
     add_selection_options(parser)
+    add_machine_options(parser)
 
 
 def add_selection_options(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +75,35 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_machine_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what a testing machine has recorded."""
+    group = parser.add_argument_group("a testing machine's table")
+    group.add_argument(
+        "--from-touch",
+        action=argparse.BooleanOptionalAction,
+        help="it begins at the touch or at a preload, tared, without air: the first sample is the "
+        "strain origin, the force's bias is 0, and the rig is rigid (config/bench.yaml); found by "
+        "itself, but for the rig, where the force rises from zero with the first motion",
+    )
+    size = as_argument(_size)
+    face = group.add_mutually_exclusive_group()
+    face.add_argument(
+        "--diameter",
+        type=size,
+        metavar="D",
+        help="of the specimen, or of the face that presses into it: 50mm, or in m",
+    )
+    face.add_argument("--area", type=as_argument(_area), metavar="A", help="1963mm2, or in m^2")
+    group.add_argument(
+        "--height",
+        "--thickness",
+        type=size,
+        metavar="H",
+        help="of the specimen: 30mm, or in m; sizes that stand before the table's headings are "
+        "taken where none is given",
+    )
+
+
 def add_config_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--config`` and the node whose sections of the file count."""
     parser.add_argument(
@@ -93,18 +124,40 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
 
 
 def parameters_of(args: argparse.Namespace) -> Parameters:
-    """Return the checked parameters of every ``--config`` for ``--node``."""
+    """Return the checked parameters of every ``--config`` for ``--node``, and of sizes given."""
     from fden_ros.parameters import read_parameter_files
+    from fden_ros.shipped import shipped
 
-    return read_parameter_files(args.config or [], args.node)
+    files = list(args.config or [])
+    if getattr(args, "from_touch", None):
+        # What the files say outdoes it.
+        files.insert(0, shipped("config/bench.yaml"))
+    parameters = read_parameter_files(files, args.node)
+    sizes = _sizes_of(args)
+    if sizes and parameters.geometry.kind != "flat_punch":
+        args.parser.error(
+            "--diameter, --area and --height are for geometry.kind flat_punch, not for "
+            f"{parameters.geometry.kind}"
+        )
+    return parameters.changed(sizes) if sizes else parameters
+
+
+def _sizes_of(args: argparse.Namespace) -> dict[str, float]:
+    """Return the sizes of a specimen that the options state."""
+    from fden_ros.recording.machine import area_of
+
+    diameter, area = getattr(args, "diameter", None), getattr(args, "area", None)
+    sizes = {
+        "geometry.area": area if diameter is None else area_of(diameter),
+        "geometry.thickness": getattr(args, "height", None),
+    }
+    return {name: size for name, size in sizes.items() if size is not None}
 
 
 def selection_of(args: argparse.Namespace) -> Any:
     """Return the :class:`~fden_ros.recording.source.Selection` that the options make."""
     from fden_ros.recording.source import Selection
 
-    if args.rows is not None and args.columns is None:
-        args.parser.error("--rows is for tables: give --columns too")
     if args.stamps is not None and args.columns is not None:
         args.parser.error("--stamps is for bags: the first of --columns is a table's time")
     _take_from_files(args)
@@ -112,13 +165,15 @@ def selection_of(args: argparse.Namespace) -> Any:
         {name: value for name in _STREAMS if (value := getattr(args, f"{name}_{part}"))}
         for part in ("topic", "field")
     )
-    return Selection(topics, fields, args.columns, args.rows, args.stamps or "header")
+    from_touch = getattr(args, "from_touch", None)
+    stamps = args.stamps or "header"
+    return Selection(topics, fields, args.columns, args.rows, stamps, from_touch)
 
 
 def _take_from_files(args: argparse.Namespace) -> None:
     """Fill in what ``fden configure`` has written of a recording, where no option says it."""
     from fden_ros.recording.source import SELECTION_LINE
-    from fden_ros.recording.table import looks_like_a_table
+    from fden_ros.recording.text import looks_like_a_table
 
     paths = [path for path in map(vars(args).get, ("bag", "recording")) if path is not None]
     paths += getattr(args, "places", [])
@@ -159,6 +214,26 @@ def _columns(text: str) -> Any:
     from fden_ros.recording.table import Columns
 
     return Columns.parse(text)
+
+
+def _size(text: str, quantity: str = "displacement") -> float:
+    """Return a size in SI units, from a number with or without its unit."""
+    from fden_ros.recording.units import factor_of
+
+    match = re.fullmatch(r"\s*([\d.]+(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?", text)
+    factor = factor_of(quantity, match[2] or ("m2" if quantity == "area" else "m")) if match else 0
+    try:
+        size = float(match[1]) * (factor or 0.0) if match else 0.0
+    except ValueError:
+        size = 0.0
+    if size > 0.0:
+        return size
+    examples = "1963mm2, or 1.963e-3 in m^2" if quantity == "area" else "50mm, or 0.05 in m"
+    raise InputError(f"{text!r} is no size: expected a number with its unit, such as {examples}")
+
+
+def _area(text: str) -> float:
+    return _size(text, "area")
 
 
 def _where(text: str) -> tuple[str, str]:

@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     progress = sys.stderr.isatty()
     if args.output is None:
         result = replay(args.bag, parameters, selection, progress=progress)
-        return _shown(result, parameters, args.json)
+        return _shown(result, args.json)
     from fden_ros.offline.results import replay_to_bag
 
     # As Ctrl-C does: what was written so far is removed on the way out.
@@ -83,14 +83,15 @@ def run(args: argparse.Namespace) -> int:
         overwrite=args.force,
         progress=progress,
     )
-    code = _shown(result, parameters, args.json)
+    code = _shown(result, args.json)
     if not args.json:
         print(f"wrote {args.output}")
     return code
 
 
-def _shown(result: Replay, parameters: Parameters, as_json: bool) -> int:
+def _shown(result: Replay, as_json: bool) -> int:
     """Print a replay; return the exit code."""
+    parameters = result.parameters
     lacking = _lacking(result, parameters)
     _show(result, lacking, as_json)
     if result.has_identified:
@@ -139,6 +140,8 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
     console.print(
         f"{result.samples} samples, {sum(result.rejected.values())} rejected; {escape(used)}"
     )
+    for line in result.set_by_recording:
+        console.print(f"set by the recording: {escape(line)}")
     for reason, count in result.rejected.items():
         console.print(f"  {reason}: {count}")
     for words in lacking:

@@ -22,7 +22,8 @@ from fden_ros.progress import progress
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
 from fden_ros.recording.source import TRANSFORMS, BagSource, Selection
-from fden_ros.recording.table import TableReader, looks_like_a_table, stated_columns
+from fden_ros.recording.table import TableReader, stated_columns
+from fden_ros.recording.text import looks_like_a_table
 from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.messages import stamp_ns
 
@@ -111,14 +112,21 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     columns = selection.columns or stated_columns(path)
     selection = Selection(columns=columns, where=selection.where)
     table = TableReader(path, columns, selection.where)
-    rows = np.array([(r.stamp_ns, r.force, r.displacement) for r in table.rows()], dtype=object)
-    if rows.shape[0] < _LEAST_SAMPLES:
-        raise InputError(f"{path} has {rows.shape[0]} rows: at least {_LEAST_SAMPLES} are needed")
-    stamps, values = rows[:, 0].astype(np.int64), rows[:, 1:].astype(float)
-    times, kept = _times(stamps, int(stamps.min()), np.isfinite(values).all(axis=1))
-    streams = Streams(str(path), times, values[kept, :1], times, values[kept, 1:])
-    names = {"force": columns.force.name, "displacement": columns.displacement.name}
-    inputs = {stream: f"column {name}" for stream, name in names.items()}
+    rows = list(table.rows())
+    stamps = np.array([row.stamp_ns for row in rows], dtype=np.int64)
+    # What a row does not hold becomes NaN.
+    values = np.array([row[1:3] for row in rows], dtype=float).reshape(-1, 2)
+    good = np.isfinite(values)
+    least = int(good.sum(axis=0).min())
+    if least < _LEAST_SAMPLES:
+        raise InputError(f"{path} has {least} rows: at least {_LEAST_SAMPLES} are needed")
+    first = int(stamps.min())
+    if good.all(axis=1).sum() >= _LEAST_SAMPLES:
+        good[:] = good.all(axis=1, keepdims=True)
+    (force_times, force), (times, motion) = (_times(stamps, first, good[:, i]) for i in (0, 1))
+    streams = Streams(str(path), force_times, values[force, :1], times, values[motion, 1:])
+    named = {"force": columns.force, "displacement": columns.displacement}
+    inputs = {stream: table.named(column) for stream, column in named.items()}
     return Reading(path, streams, selection, inputs, warnings=table.warnings)
 
 

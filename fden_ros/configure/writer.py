@@ -14,10 +14,11 @@ import yaml
 from fden_ros.configure.finding import SUBJECTS, Finding
 from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
+from fden_ros.errors import InputError
 from fden_ros.parameters import PARAMETERS, Value
 from fden_ros.parameters.files import LIVE_LINE
 from fden_ros.recording.source import SELECTION_LINE, Selection
-from fden_ros.recording.table import guessed_columns, headings_of
+from fden_ros.recording.table import stated_columns
 
 _WIDTH = 95
 #: Units in which a person reads the values.
@@ -165,7 +166,10 @@ def _chosen(reading: Reading) -> list[str]:
 
 def _said(reading: Reading) -> str | None:
     """Return the columns that the headings of a table say by themselves."""
-    return guessed_columns(headings_of(reading.path))
+    try:
+        return str(stated_columns(reading.path))
+    except InputError:
+        return None
 
 
 def _source(reading: Reading, stream: str) -> str:

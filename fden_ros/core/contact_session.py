@@ -137,9 +137,10 @@ class ContactSession:
         return site_id, self._press.contact_id if self._press is not None else 0
 
     @property
-    def air_events(self) -> tuple[int, int]:
-        """How often the force fell below its value in the air, and how often it drifted."""
-        return self._detector.below_baseline, self._detector.drifts
+    def air_events(self) -> tuple[int, int, bool]:
+        """As :func:`~fden_ros.core.input_warnings.input_warnings` takes them."""
+        detector = self._detector
+        return detector.below_baseline, detector.drifts, detector.has_seen_air
 
     @property
     def warnings(self) -> dict[str, int]:

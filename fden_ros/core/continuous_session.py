@@ -127,7 +127,7 @@ class ContinuousSession:
 
     #: No touch is looked for.
     in_contact = False
-    air_events = (0, 0)
+    air_events = (0, 0, False)
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected

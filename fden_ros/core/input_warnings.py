@@ -14,6 +14,12 @@ from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 #: Samples that are usually without a partner when two streams begin.
 _USUAL_UNPAIRED = 2
+_DRIFT = "the force drifts in the air: tare, or let the sensor warm up"
+#: Where no touch was seen it may be the tissue's.
+_RISE = (
+    "the force rises without a touch: did the data begin in contact (begin in the air; a testing "
+    "machine's table: --from-touch), or does it drift (tare, or let the sensor warm up)?"
+)
 #: Means over this time are compared with the first of them [ns].
 _BLOCK_NS = 100_000_000
 
@@ -73,7 +79,7 @@ class Direction:
 def input_warnings(
     config: SynchronizeConfig,
     synchronizer: Synchronizer,
-    air_events: tuple[int, int],
+    air_events: tuple[int, int, bool],
     direction: Direction,
     rejected: Mapping[str, int],
     clock_jumps: int,
@@ -86,19 +92,20 @@ def input_warnings(
     synchronizer, direction
         What saw the samples.
     air_events : tuple of int
-        How often the force fell below its value in the air, and how often it drifted there.
+        How often the force fell below its value in the air, how often it rose without a contact,
+        and whether there was air at all.
     rejected : mapping
         Counts of rejected samples, keyed ``"<stream>.<reason>"``.
     clock_jumps : int
         How often the clock jumped.
     """
-    falls, drifts = air_events
+    falls, drifts, has_air = air_events
     counts = {
         of_stream("force", synchronizer.force_guard, config.force_limit): 1,
         of_stream("displacement", synchronizer.displacement_guard, config.displacement_limit): 1,
         "the clock jumped back: everything learned was reset": clock_jumps,
         f"the force fell below its value in the air: {direction.hint}": falls,
-        "the force drifts in the air: tare, or let the sensor warm up": drifts,
+        _DRIFT if has_air else _RISE: drifts,
         "the force repeated one value: is the sensor dead, or at its end?": rejected.get(
             f"force.{Reason.STUCK}", 0
         ),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
-from fden_ros.recording.table import cells_of, delimiter_of, is_number, lines_of
+from fden_ros.recording.headings import Heading, candidates
+from fden_ros.recording.text import is_number, layout_of, looks_like_a_table, numeral
 
 #: The columns that experiments read, and their units.
 UNITS = {
@@ -23,9 +25,18 @@ UNITS = {
     "strain": "a ratio",
     "strain_coefficient": "a ratio",
     "stress_pa": "Pa",
+    "relaxation_modulus_pa": "Pa",
     "omega_rad_s": "rad/s",
     "storage_modulus_pa": "Pa",
     "loss_modulus_pa": "Pa",
+}
+
+#: What each is in the words of an instrument's headings.
+_QUANTITIES = {
+    "time_s": "time",
+    "strain": "strain",
+    "stress_pa": "stress",
+    "relaxation_modulus_pa": "modulus",
 }
 
 #: A held quantity may vary by this part of its mean.
@@ -43,15 +54,56 @@ class Table:
     rows : tuple of tuple of str
     lines : tuple of int
         Line of each row in the file, counted from 1.
+    units : tuple of str
+        Of a row of units below the names; empty where there is none.
+    decimals : tuple of str
+        Decimal mark of each column.
     """
 
     path: Path
     names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
+    units: tuple[str, ...] = ()
+    decimals: tuple[str, ...] = ()
 
     def __contains__(self, name: str) -> bool:
-        return name in self.names
+        return bool(self._places(name))
+
+    def _places(self, name: str) -> list[tuple[int, float]]:
+        """Return the columns that can be `name`, with their factors to its unit.
+
+        It is the column of this name, or one whose heading has the quantity and its unit. A table
+        that states no unit at all is in SI units, see :meth:`notes`.
+        """
+        if name in self.names:
+            return [(self.names.index(name), 1.0)]
+        quantity = _QUANTITIES.get(name)
+        if quantity is None:
+            return []
+        units = (*self.units, *[""] * len(self.names))
+        headings = [Heading(*one) for one in zip(self.names, units, strict=False)]
+        if not any(heading.has_unit for heading in headings):
+            named = (i for i, heading in enumerate(headings) if heading.names(quantity))
+            return [(index, 1.0) for index in named]
+        of_unit = "stress" if quantity == "modulus" else quantity
+        found = candidates(headings, quantity, unit=of_unit)
+        if found or quantity != "strain":
+            return found
+        bare = (i for i, one in enumerate(headings) if one.names(quantity) and not one.has_unit)
+        return [(index, 1.0) for index in bare]
+
+    def notes(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return a line on each of the columns `names` whose unit was not stated."""
+        lines = []
+        for name in names:
+            if name == "strain" or name in self.names or name not in self:
+                continue
+            index, factor = self._places(name)[0]
+            heading = Heading(self.names[index], *self.units[index : index + 1])
+            if factor == 1.0 and not heading.has_unit:
+                lines.append(f"{heading.text} states no unit: it is taken to be in {UNITS[name]}")
+        return tuple(lines)
 
     def column(self, name: str) -> Array:
         """Return a column as numbers, shape (n,).
@@ -61,14 +113,22 @@ class Table:
         InputError
             If it is missing, or holds text, nothing, or a number that is not finite.
         """
-        if name not in self.names:
+        places = self._places(name)
+        if not places:
             raise InputError(self._missing(name))
-        index = self.names.index(name)
+        if len(places) > 1:
+            several = ", ".join(repr(self.names[index]) for index, _ in places)
+            raise InputError(
+                f"{self.path}: several columns could be {name}: {several}; convert one to "
+                f"{UNITS[name]} and name it {name}"
+            )
+        ((index, factor),) = places
+        decimal = self.decimals[index] if index < len(self.decimals) else "."
         values = []
         for line, row in zip(self.lines, self.rows, strict=True):
             cell = row[index] if index < len(row) else ""
             try:
-                value = float(cell)
+                value = factor * float(numeral(cell, decimal) or cell)
             except ValueError:
                 problem = f"{cell!r} is not a number" if cell else "is empty"
                 raise InputError(f"{self.path}, line {line}: {name} {problem}") from None
@@ -125,13 +185,13 @@ class Table:
             )
         return values
 
-    def held(self, name: str, values: Array) -> float:
+    def held(self, name: str, values: Array, test: str = "a creep test has one stress") -> float:
         """Return the mean of `values`, or raise if they change."""
         mean = float(values.mean())
         if np.ptp(values) > CONSTANT * abs(mean):
             raise InputError(
-                f"{self.path}: {name} goes from {values.min():g} to {values.max():g}; a creep "
-                "test has one stress: one file each"
+                f"{self.path}: {name} goes from {values.min():g} to {values.max():g}; {test}: "
+                "one file each"
             )
         return mean
 
@@ -160,7 +220,7 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a CSV file with a line of names; comma, semicolon or tab, ``#`` begins a comment.
+    """Read a table with a line of names, as :mod:`fden_ros.recording.text` finds it written.
 
     Raises
     ------
@@ -168,25 +228,24 @@ def read_table(path: str | Path) -> Table:
         If the file cannot be read, is empty, or has names only.
     """
     path = Path(path)
-    kept = list(lines_of(path))
-    if not kept:
-        raise InputError(f"{path} is empty; give a line of column names and then numbers")
-    rows = cells_of([line for _, line in kept], delimiter_of(kept[0][1]))
-    cells = [tuple(cell.strip() for cell in row) for row in rows]
-    names = cells[0]
-    if all(is_number(cell) for cell in names):
-        raise InputError(f"{path}: line {kept[0][0]} holds numbers; it must hold the column names")
+    layout = layout_of(path)
+    names = layout.headings
+    if not names or all(map(is_number, names)):
+        line = layout.before + 1
+        raise InputError(f"{path}: line {line} holds numbers; it must hold the column names")
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled is not None:
         raise InputError(f"{path}: there are two columns {doubled}; keep one")
-    if len(cells) == 1:
+    rows = [(number, tuple(cell.strip() for cell in cells)) for number, cells in layout.rows()]
+    if not rows:
         raise InputError(f"{path} has names but no rows of numbers")
-    return Table(path, names, tuple(cells[1:]), tuple(number for number, _ in kept[1:]))
+    lines, cells = zip(*rows, strict=True)
+    return Table(path, names, cells, lines, layout.units, layout.decimals)
 
 
 def csv_files(folder: str | Path) -> list[Path]:
     """Return the CSV files of a folder, by name."""
-    paths = sorted(p for p in Path(folder).iterdir() if p.suffix.lower() in (".csv", ".tsv"))
+    paths = sorted(p for p in Path(folder).iterdir() if looks_like_a_table(p))
     if not paths:
         raise InputError(f"{folder} holds no .csv file")
     return paths

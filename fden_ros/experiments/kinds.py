@@ -24,6 +24,8 @@ class Options:
     ----------
     stress : float, optional
         Constant stress of a creep test [Pa].
+    strain : float, optional
+        Constant strain of a relaxation test [1].
     start : float, optional
         Rows before this time [s] are left out; None: 1 s for creep, else nothing.
     alpha, alpha_sd : float
@@ -31,6 +33,7 @@ class Options:
     """
 
     stress: float | None = None
+    strain: float | None = None
     start: float | None = None
     alpha: float | None = None
     alpha_sd: float = 0.0
@@ -59,6 +62,14 @@ _ALL = "alpha, G, Gn, Gi, xb"
 EXPERIMENTS = {
     "dynamic": Experiment((("omega_rad_s, storage_modulus_pa, loss_modulus_pa", "alpha, G"),)),
     "creep": Experiment((("time_s, strain [, stress_pa]", "alpha, xc, G"),), ("stress", "from")),
+    "relaxation": Experiment(
+        (
+            ("time_s, stress_pa [, strain]", "alpha, fc, G"),
+            ("or time_s, relaxation_modulus_pa", "alpha, fc, G"),
+            ("or a folder of files at several strains", _ALL),
+        ),
+        ("strain", "from"),
+    ),
     "nonlinearity": Experiment(
         (
             ("stress_pa, strain_coefficient", "G, Gn, Gi, xb"),

@@ -35,17 +35,17 @@ from fden_ros.experiments.regression import (
 )
 from fden_ros.experiments.result import Fit, Parameter, plain, r_squared
 
-#: Stresses at which creep must be known.
-_LEAST_STRESSES = 3
+#: Stresses of creep, or strains of relaxation, at which there must be tests.
+LEAST_LEVELS = 3
 #: Gn outside of this is no tissue; the fits stay within.
-_LOG_RANGE = (math.log(0.3), math.log(100.0))
+LOG_RANGE = (math.log(0.3), math.log(100.0))
 
 
 def from_file(path: Path, options: Options) -> Fit:
     """Return the fit of a folder of creep tests, or of a file of stresses and coefficients."""
     if path.is_dir():
         tests = [read_creep_test(p, replace(options, stress=None)) for p in csv_files(path)]
-        if len({test.stress for test in tests}) < _LEAST_STRESSES:
+        if len({test.stress for test in tests}) < LEAST_LEVELS:
             raise InputError(
                 f"{path} holds creep tests at fewer than 3 stresses; nonlinearity needs 3 or more"
             )
@@ -54,7 +54,7 @@ def from_file(path: Path, options: Options) -> Fit:
     coefficient = table.positive("strain_coefficient")
     stress = table.positive("stress_pa")
     table.checked_strain(coefficient)
-    table.require_rows(_LEAST_STRESSES, "a nonlinearity fit")
+    table.require_rows(LEAST_LEVELS, "a nonlinearity fit")
     fit = fit_nonlinearity(stress, coefficient, options.alpha, options.alpha_sd)
     if options.alpha is not None:
         return fit
@@ -97,15 +97,15 @@ def fit_nonlinearity(
     require_positive(stress=stress, strain_coefficient=coefficient)
     order = np.argsort(stress, kind="stable")
     stress, coefficient = stress[order], coefficient[order]
-    if np.unique(stress).size < _LEAST_STRESSES:
+    if np.unique(stress).size < LEAST_LEVELS:
         raise InputError("nonlinearity needs creep tests at 3 different stresses or more")
     factor = 1.0 if fractional_order is None else float(gamma(1.0 + fractional_order))
     static = stress / factor
-    solution = _fit_pairs(static, coefficient)
+    solution = fit_pairs(static, coefficient)
     by_order = 0.0 if fractional_order is None else float(digamma(1.0 + fractional_order))
     # ln G carries -ln Gamma(1 + alpha), and with it alpha's own uncertainty.
     solution.covariance[0, 0] += (by_order * fractional_order_sd) ** 2
-    parameters = _parameters(solution, 0)
+    parameters = law_parameters(solution, 0)
     if fractional_order is not None:
         parameters["alpha"] = plain(fractional_order, fractional_order_sd)
     log_g, log_g_n = solution.values
@@ -114,7 +114,7 @@ def fit_nonlinearity(
         parameters,
         r_squared(stress, np.exp(log_phi(coefficient, log_g, log_g_n)) * factor),
         stress.size,
-        (*_undetermined(float(coefficient.max()), log_g_n), *solution.warnings()),
+        (*undetermined_stiffening(float(coefficient.max()), log_g_n), *solution.warnings()),
     )
 
 
@@ -143,26 +143,27 @@ def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
         return _log_creep(time, np.log(stress), values)
 
     start = np.array([alpha, math.log(pairs["g"].value), math.log(pairs["g_n"].value)])
-    low, high = _LOG_RANGE
+    low, high = LOG_RANGE
     bounds = np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high])
     logs = np.log(strain)
     solution = minimise_logarithms(predicted, logs, start, *bounds)
     return Fit(
         "nonlinearity",
-        {"alpha": solution.plain(1.0), **_parameters(solution, 1)},
+        {"alpha": solution.plain(1.0), **law_parameters(solution, 1)},
         r_squared(logs, predicted(solution.values)),
         time.size,
         (
-            *_undetermined(float(strain.max()), solution.values[2]),
+            *undetermined_stiffening(float(strain.max()), solution.values[2]),
             *solution.warnings(),
         ),
         {"coefficients": pairs.parameters},
     )
 
 
-def _fit_pairs(static: Array, coefficient: Array) -> Solution:
+def fit_pairs(static: Array, coefficient: Array) -> Solution:
+    """Return ln G and ln Gn by least squares of ln x, for values of phi [Pa] and strains (n,)."""
     logs, start = np.log(coefficient), _start(coefficient, static)
-    low, high = _LOG_RANGE
+    low, high = LOG_RANGE
     bounds = (np.array([-np.inf, low]), np.array([np.inf, high]))
     return minimise(
         lambda values: log_strain(np.log(static), *values) - logs,
@@ -183,14 +184,14 @@ def _start(strain: Array, phi_values: Array) -> Array:
     deepest = float(strain.max())
     log_g = np.linspace(secants.min() - 1.0, secants.max(), 40)
     scaled = np.geomspace(1.0, 12.0, 40)
-    log_g_n = np.clip(np.log(scaled / deepest), *_LOG_RANGE)
+    log_g_n = np.clip(np.log(scaled / deepest), *LOG_RANGE)
     shapes = np.array([log_phi(strain, 0.0, n) for n in log_g_n]) - np.log(phi_values)
     misfit = np.sum((log_g[:, None, None] + shapes) ** 2, axis=2)
     best_g, best_n = np.unravel_index(int(np.argmin(misfit)), misfit.shape)
     return np.array([log_g[best_g], log_g_n[best_n]])
 
 
-def _parameters(solution: Solution, index: int) -> dict[str, Parameter]:
+def law_parameters(solution: Solution, index: int) -> dict[str, Parameter]:
     """Return g, g_n, g_i and x_b of a solution with ln G, ln Gn at `index` and the next place."""
     before = (0.0,) * index
     log_g, log_g_n = solution.values[index : index + 2]
@@ -202,7 +203,7 @@ def _parameters(solution: Solution, index: int) -> dict[str, Parameter]:
     }
 
 
-def _undetermined(deepest: float, log_g_n: float) -> tuple[str, ...]:
+def undetermined_stiffening(deepest: float, log_g_n: float) -> tuple[str, ...]:
     """Return a warning if no strain lies beyond 1/Gn, where alone Gn shows."""
     if deepest * math.exp(log_g_n) > 1.0 + 1e-9:
         return ()

@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 import glob
 import hashlib
-import itertools
 import json
 import multiprocessing
 import os
@@ -34,14 +33,7 @@ from fden_ros.offline.session import Innovations
 from fden_ros.parameters import Parameters
 from fden_ros.recording.reader import METADATA_FILE, is_bag_file
 from fden_ros.recording.source import Selection
-from fden_ros.recording.table import (
-    TABLE_SUFFIXES,
-    cells_of,
-    delimiter_of,
-    headings_of,
-    is_number,
-    lines_of,
-)
+from fden_ros.recording.text import TABLE_SUFFIXES, layout_of
 from fden_ros.tissues.library import load_library
 
 #: Of the bag: what it was identified with, what is wrong with it, its length, and how many
@@ -119,14 +111,13 @@ def _is_table(path: Path) -> bool:
         return False
     is_text = path.suffix.lower() == ".txt"
     try:
-        headings = headings_of(path)
-        lines = [line for _, line in itertools.islice(lines_of(path), 2)]
+        layout = layout_of(path)
     except InputError:
         return not is_text
-    if headings[: len(_BAG_COLUMNS)] == list(_BAG_COLUMNS):
+    if layout.headings[: len(_BAG_COLUMNS)] == tuple(_BAG_COLUMNS):
         return False
-    second = next(cells_of(lines[1:], delimiter_of(lines[0])), [])
-    return not is_text or (len(second) > 1 and all(map(is_number, second)))
+    numbers = sum(layout.holds_numbers(index) for index in range(layout.width))
+    return not is_text or numbers > 1
 
 
 def identify(bag: str, work: Work) -> list[Row]:

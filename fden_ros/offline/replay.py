@@ -42,6 +42,8 @@ class Replay:
     warnings: tuple[str, ...]
     summaries: tuple[ContactSummary, ...]
     inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
+    parameters: Parameters  #: as given, with what the recording says or needs
+    set_by_recording: tuple[str, ...] = ()  #: what of them those are, a line each
     failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
     #: Slopes of force over displacement where no contact was seen, and it was deepest.
     measured_unseen: BothWays = NOT_MEASURED
@@ -101,7 +103,7 @@ def replay(
         if on_input is not None:
             on_input(log_time_ns, message, pipeline)
 
-    pipeline = Pipeline(pipeline_config(parameters), keep)
+    pipeline = Pipeline(pipeline_config(source.parameters), keep)
     with bar("replaying", source.total, visible=progress) as show:
         for done in source.feed(pipeline, before):
             if done % _PROGRESS_STEP == 0:
@@ -115,6 +117,8 @@ def replay(
         warnings=(*source.warnings, *_warnings(pipeline, summaries)),
         summaries=tuple(summaries),
         inputs=source.inputs,
+        parameters=source.parameters,
+        set_by_recording=source.set_by_recording,
         failures=tuple(pipeline.failures),
         measured_unseen=NOT_MEASURED if summaries else pipeline.measured_unseen,
     )
@@ -146,6 +150,7 @@ def result_object(result: Replay) -> dict[str, Any]:
     """Return a replay as what ``fden replay --json`` prints."""
     return {
         "inputs": result.inputs,
+        "set_by_recording": list(result.set_by_recording),
         "samples": result.samples,
         "rejected": result.rejected,
         "warnings": list(result.warnings),

@@ -198,17 +198,17 @@ def gather(
     """
     gatherer = _Gatherer()
     result = replay(bag, parameters, selection, progress=progress, on_output=gatherer.take)
-    signals = signals_of(open_source(bag, parameters, selection), parameters)
+    signals = signals_of(open_source(bag, parameters, selection), result.parameters)
     return Session(
         path=Path(bag),
-        parameters=parameters,
+        parameters=result.parameters,
         replay=result,
         contacts=[c for c in gatherer.contacts if c.summary is not None],
         force=signals.force,
         displacement=signals.displacement,
         start_ns=signals.start_ns or 0,
         end_ns=signals.end_ns,
-        config=pipeline_config(parameters),
+        config=pipeline_config(result.parameters),
         truth=_truth(bag, selection),
     )
 

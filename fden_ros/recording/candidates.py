@@ -20,8 +20,9 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.errors import Hint, InputError
 from fden_ros.recording.fields import decoder_of, field_names
+from fden_ros.recording.headings import COMMANDED
 from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.recording.topics import WANTED, WORDS
+from fden_ros.recording.topics import WORDS
 
 #: Messages of a topic that are looked at, spread over the bag: enough for a range and a likeness.
 _SAMPLES = 1000
@@ -205,7 +206,7 @@ def _names(force: NumericField, moved: NumericField) -> float:
         bool(said & WORDS[stream])
         for said, stream in zip(words, ("force", "displacement"), strict=True)
     )
-    return float(score - sum(bool(said & WANTED) for said in words))
+    return float(score - sum(bool(said & COMMANDED) for said in words))
 
 
 def _words(field: NumericField) -> set[str]:

@@ -18,6 +18,7 @@ from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_su
 from fden_ros.recording.candidates import hint_of
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
+from fden_ros.recording.machine import machine_values
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.stamps import (
     LOOKED_AT,
@@ -27,7 +28,8 @@ from fden_ros.recording.stamps import (
     raw_stamp,
     restamped,
 )
-from fden_ros.recording.table import Columns, TableReader, looks_like_a_table, stated_columns
+from fden_ros.recording.table import Columns, TableReader, stated_columns
+from fden_ros.recording.text import looks_like_a_table
 from fden_ros.recording.topics import NoTopicError, find_topic, topic_with_messages
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
@@ -58,6 +60,7 @@ class Selection:
     columns: Columns | None = None  #: of a table
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
     stamps: str = "header"  #: of a bag's messages; or ``recording``, the time of their recording
+    from_touch: bool | None = None  #: whether a table begins at the touch; None: as it looks
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -79,6 +82,9 @@ def open_source(
     if is_table(path, chosen):
         columns = chosen.columns or stated_columns(path)
         return TableSource(path, parameters, replace(chosen, columns=columns))
+    if chosen.from_touch or chosen.where is not None:
+        option = "--from-touch" if chosen.from_touch else "--rows"
+        raise InputError(f"{path} is no table: {option} is for tables")
     return BagSource(path, parameters, chosen)
 
 
@@ -93,9 +99,11 @@ class BagSource:
         As :func:`open_source`.
     """
 
+    set_by_recording: tuple[str, ...] = ()
+
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
-        self._parameters = parameters
+        self.parameters = parameters
         self._selection = selection
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
@@ -168,7 +176,7 @@ class BagSource:
         names = {stream: topic.name + fields[stream] for stream, topic in self.topics.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
-        order = (*_ALWAYS, *measured_inputs(self._parameters), *TRANSFORM_TOPICS)
+        order = (*_ALWAYS, *measured_inputs(self.parameters), *TRANSFORM_TOPICS)
         return {stream.lstrip("/"): names[stream] for stream in order if stream in names}
 
     @property
@@ -192,7 +200,7 @@ class BagSource:
         `before` is called with the time of recording (ns) and the message before its sample goes
         in.
         """
-        self._inputs = Inputs(self._parameters, sink)
+        self._inputs = Inputs(self.parameters, sink)
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for stream, topic in self.topics.items():
             handlers.setdefault(topic.name, []).append(self._handler(stream, topic))
@@ -342,7 +350,11 @@ class TableSource:
                 "joint_state, so that it is taken off the displacement"
             )
         self._table = TableReader(path, selection.columns, selection.where)
-        self._parameters = parameters
+        values, self.set_by_recording = machine_values(
+            self._table, parameters, selection.from_touch
+        )
+        #: The parameters, with what the table says or needs.
+        self.parameters = parameters.changed(values) if values else parameters
 
     @property
     def total(self) -> int:
@@ -356,8 +368,9 @@ class TableSource:
             "force": self._columns.force,
             "displacement": self._columns.displacement,
             "surface": self._columns.surface,
+            "time": self._columns.time,
         }
-        return {stream: f"column {column.name}" for stream, column in columns.items() if column}
+        return {stream: self._table.named(column) for stream, column in columns.items() if column}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -366,13 +379,15 @@ class TableSource:
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the rows in the order of the file."""
-        inputs = Inputs(self._parameters, sink)
+        inputs = Inputs(self.parameters, sink)
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
             if row.surface is not None:
                 inputs.places["surface"].add_value("", row.stamp_ns, row.surface)
-            inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
-            inputs.add_force_value("", row.stamp_ns, row.force)
+            if row.displacement is not None:
+                inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
+            if row.force is not None:
+                inputs.add_force_value("", row.stamp_ns, row.force)
             yield done
 
 

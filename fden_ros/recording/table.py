@@ -5,77 +5,52 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
-import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import NamedTuple
 
 from fden_ros.errors import InputError
-
-TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
-BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+from fden_ros.recording.headings import RECORDERS, Heading, candidates
+from fden_ros.recording.text import Layout, clock_ns, layout_of, numeral, stamp_of_clock
 
 _NS = Decimal(1_000_000_000)
-_DELIMITERS = ",;\t "
-_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
-
-#: Words of headings, and units with their factors to s, N and m.
-_WORDS = {
-    "time": ("time", "t", "stamp", "timestamp", "zeit"),
-    "force": ("force", "f", "fz", "load", "kraft"),
-    "displacement": (
-        "displacement",
-        "depth",
-        "position",
-        "indentation",
-        "penetration",
-        "z",
-        "x",
-        "pos",
-        "disp",
-        "stroke",
-        "extension",
-        "weg",
-    ),
-}
-_UNITS = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "gf": 9.80665e-3},
-    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2},
-}
-
-
-#: Headings of recorders that are known by name: time, force, displacement.
-_RECORDERS = (
-    # Universal Robots' real-time interface, in the robot's base: the tool presses downwards.
-    ("timestamp", "actual_TCP_force_2", "actual_TCP_pose_2*-1"),
-)
+_QUANTITIES = ("time", "force", "displacement")
 
 
 class Row(NamedTuple):
-    """One row: a stamp (ns), a force [N], a displacement and the surface's place [m]."""
+    """One row: a stamp (ns), a force [N], a displacement and the surface's place [m].
+
+    None where the row has nothing of it.
+    """
 
     stamp_ns: int
-    force: float
-    displacement: float
+    force: float | None
+    displacement: float | None
     surface: float | None = None
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column by its heading or its number from 1, and what its numbers are multiplied by."""
+    """A column by its heading or its number from 1.
+
+    Parameters
+    ----------
+    name : str
+    factor : Decimal, optional
+        What its numbers are multiplied by; None: as the unit in its heading says.
+    """
 
     name: str
-    factor: Decimal = Decimal(1)
+    factor: Decimal | None = None
 
     def __str__(self) -> str:
-        return self.name if self.factor == 1 else f"{self.name}*{self.factor}"
+        name = f'"{self.name}"' if "," in self.name else self.name
+        return name if self.factor is None else f"{name}*{self.factor}"
 
 
 @dataclass(frozen=True)
@@ -88,21 +63,32 @@ class Columns:
     surface: Column | None = None
 
     def __str__(self) -> str:
+        return ",".join(str(column) for column in self.each)
+
+    @property
+    def each(self) -> list[Column]:
+        """Those that there are."""
         columns = (self.time, self.force, self.displacement, self.surface)
-        return ",".join(str(column) for column in columns if column is not None)
+        return [column for column in columns if column is not None]
+
+    @property
+    def headings(self) -> list[str]:
+        """Names that can only be headings."""
+        names = [column.name for column in self.each]
+        return [name for name in names if not (name.isdigit() or name.startswith("@"))]
 
     @staticmethod
     def parse(text: str) -> Columns:
         """Return the columns of a text such as ``time_s,force_N,depth_mm*1e-3``.
 
-        Time may be ``@500``: rows at 500 Hz.
+        Time may be ``@500``: rows at 500 Hz. A heading with a comma stands in quotation marks.
 
         Raises
         ------
         InputError
             If `text` is not three columns, or four with the surface's.
         """
-        parts = [part.strip() for part in text.split(",")]
+        parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True), [])]
         matches = [_COLUMN.fullmatch(part) for part in parts]
         if len(parts) not in (3, 4) or not all(matches):
             raise InputError(
@@ -110,26 +96,13 @@ class Columns:
                 "columns, or four with the surface's, each with an optional factor to s, N and m, "
                 "such as time_s,force_N,depth_mm*1e-3"
             )
-        return Columns(*(Column(m["name"], Decimal(m["factor"] or 1)) for m in matches if m))
-
-
-def guessed_columns(headings: list[str]) -> str | None:
-    """Return what headings such as ``time_s,force_N,depth_mm`` make of `--columns`, or None."""
-    for columns in _RECORDERS:
-        if {column.partition("*")[0] for column in columns} <= set(headings):
-            return ",".join(columns)
-    found: dict[str, str] = {}
-    for heading in headings:
-        parts = [part for part in re.split(r"[^a-z0-9]+", heading.lower()) if part]
-        for quantity, words in _WORDS.items():
-            if quantity in found or not parts or parts[0] not in words:
-                continue
-            factors = [_UNITS[quantity][part] for part in parts[1:] if part in _UNITS[quantity]]
-            if len(factors) != 1 or "," in heading or "*" in heading:
-                continue
-            found[quantity] = heading if factors[0] == 1.0 else f"{heading}*{factors[0]:g}"
-            break
-    return ",".join(found[quantity] for quantity in _WORDS) if len(found) == len(_WORDS) else None
+        return Columns(
+            *(
+                Column(m["name"], Decimal(m["factor"]) if m["factor"] else None)
+                for m in matches
+                if m
+            )
+        )
 
 
 def stated_columns(path: str | Path) -> Columns:
@@ -138,17 +111,54 @@ def stated_columns(path: str | Path) -> Columns:
     Raises
     ------
     InputError
-        If they do not say what is what, or in which unit.
+        If they do not say what is what, or in which unit, or several fit.
     """
-    headings = headings_of(path)
-    guess = guessed_columns(headings)
-    if guess is None:
+    layout = layout_of(path)
+    headings = _headings(layout)
+    names = [heading.text for heading in headings]
+    for columns in RECORDERS:
+        if {column.partition("*")[0] for column in columns} <= set(names):
+            return Columns.parse(",".join(columns))
+    found = {
+        quantity: candidates(headings, quantity, layout.holds_numbers, layout.is_clock)
+        for quantity in _QUANTITIES
+    }
+    several = [quantity for quantity, fitting in found.items() if len(fitting) > 1]
+    missing = [quantity for quantity, fitting in found.items() if not fitting]
+    if missing:
         raise InputError(
-            f"{path} is a table whose headings do not say what is what: give the columns of "
-            "time, force and displacement, such as --columns time_s,force_N,depth_mm*1e-3; "
-            f"it has {', '.join(headings)}"
+            f"{path} is a table whose headings do not say, with a unit, which column is the "
+            f"{' and the '.join(missing)}: give the columns of time, force and displacement, "
+            "such as --columns time_s,force_N,depth_mm*1e-3; "
+            f"it has {', '.join(names) or 'no headings'}"
         )
-    return Columns.parse(guess)
+    chosen = Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
+    if several:
+        listed = "; ".join(
+            f"the {quantity}: {', '.join(_name(headings, index) for index, _ in found[quantity])}"
+            for quantity in several
+        )
+        raise InputError(
+            f"{path}: several columns could be {listed}; name the columns, such as "
+            f"--columns '{chosen}'"
+        )
+    return chosen
+
+
+def _headings(layout: Layout) -> list[Heading]:
+    units = (*layout.units, *[""] * len(layout.headings))
+    return [Heading(*one) for one in zip(layout.headings, units, strict=False)]
+
+
+def _name(headings: Sequence[Heading], index: int) -> str:
+    """Return a heading, or the column's number where the heading is no name for `--columns`."""
+    text = headings[index].text
+    is_one = [heading.text for heading in headings].count(text) == 1
+    return text if is_one and not set("*\"'") & set(text) else str(index + 1)
+
+
+def _column(headings: Sequence[Heading], index: int, factor: float) -> Column:
+    return Column(_name(headings, index), None if factor == 1.0 else Decimal(f"{factor:.12g}"))
 
 
 class TableReader:
@@ -157,8 +167,8 @@ class TableReader:
     Parameters
     ----------
     path : path
-        Comma, semicolon, tab or blanks between the columns; decimal commas where it is none of
-        these. Lines that begin with # are skipped.
+        As :func:`~fden_ros.recording.text.layout_of` finds it written: what stands before the
+        headings, a row of units and comments are left out.
     columns : Columns
     where : (str, str), optional
         Use only rows that hold this text in this column.
@@ -174,22 +184,18 @@ class TableReader:
     ) -> None:
         self.path = Path(path)
         self.skipped = 0
-        first = _first_line(self.path)
-        self._delimiter = delimiter_of(first)
-        self.headings = headings_of(self.path)
-        self.has_heading = not any(map(is_number, self.headings))
+        self.layout = layout_of(self.path, columns.headings)
         self._columns = columns
         self._rate = self._rate_of(columns.time)
         self._time = self._index(columns.time.name) if self._rate is None else -1
-        self._force = self._index(columns.force.name)
-        self._displacement = self._index(columns.displacement.name)
-        self._surface = self._index(columns.surface.name) if columns.surface else None
+        self._is_clock = self._rate is None and self.layout.is_clock(self._time)
+        self._numbers = [
+            self._number("force", columns.force),
+            self._number("displacement", columns.displacement),
+        ]
+        if columns.surface is not None:
+            self._numbers.append(self._number("displacement", columns.surface))
         self._where = (self._index(where[0]), where[1]) if where is not None else None
-
-    @property
-    def size(self) -> int:
-        """Size of the file [bytes]."""
-        return self.path.stat().st_size
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -198,49 +204,122 @@ class TableReader:
             return ()
         return (f"{self.skipped} rows of {self.path.name} hold no number where one is needed",)
 
+    def named(self, column: Column) -> str:
+        """Return a column in words: with the heading of a number, and the unit below it."""
+        if column.name.startswith("@"):
+            return f"{column.name[1:]} rows a second"
+        index = self._index(column.name)
+        heading = self.layout.headings[index : index + 1]
+        words = [f"column {column.name}"]
+        words += [f"({name})" for name in heading if name != column.name]
+        words += [f"[{unit}]" for unit in self.layout.units[index : index + 1] if unit]
+        return " ".join(words)
+
     def rows(self) -> Iterator[Row]:
-        """Yield the rows; stamps are shifted to begin at 1 s where the table's begin below 0."""
+        """Yield the rows; stamps are shifted to begin at 1 s where the table's begin below 0.
+
+        Where most rows have one of the quantities alone, as where each topic has rows of its own,
+        those are yielded; else a row needs them all.
+        """
+        self.skipped = 0
         shift: int | None = None
-        force_factor = float(self._columns.force.factor)
-        displacement_factor = float(self._columns.displacement.factor)
-        surface_factor = float(self._columns.surface.factor) if self._columns.surface else 0.0
-        has_points = self._delimiter == ","
+        is_sparse = self._is_sparse()
+        stamp_of = self._stamps()
         for number, cells in enumerate(self._cells()):
-            if not has_points:
-                cells = [cell.replace(",", ".") for cell in cells]
             try:
-                stamp_ns = self._stamp(number, cells)
-                force = force_factor * float(cells[self._force])
-                displacement = displacement_factor * float(cells[self._displacement])
-                surface = None
-                if self._surface is not None:
-                    surface = surface_factor * float(cells[self._surface])
+                stamp_ns = stamp_of(number, cells)
+                values = [number_of(cells) for number_of in self._numbers]
             except (ValueError, ArithmeticError, IndexError):
+                self.skipped += 1
+                continue
+            if None in values and not (is_sparse and any(v is not None for v in values)):
                 self.skipped += 1
                 continue
             if shift is None:
                 # 0 stands for "no stamp" everywhere in ROS.
                 shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
-            yield Row(stamp_ns + shift, force, displacement, surface)
+            yield Row(stamp_ns + shift, *values)
 
-    def _stamp(self, number: int, cells: list[str]) -> int:
-        if self._rate is not None:
-            return round(number * _NS / self._rate)
-        return round(Decimal(cells[self._time].strip()) * self._columns.time.factor * _NS)
+    def _is_sparse(self) -> bool:
+        """Return whether more of the first rows hold one quantity than hold all."""
+        some = every = 0
+        for cells in self.layout.sample:
+            try:
+                values = [number_of(cells) is not None for number_of in self._numbers]
+            except (ValueError, IndexError):
+                continue
+            every += all(values)
+            some += any(values) and not all(values)
+        return some > every
+
+    def _number(self, quantity: str, column: Column) -> Callable[[Sequence[str]], float | None]:
+        """Return what reads a column: its number in SI, None where it holds none."""
+        index = self._index(column.name)
+        decimal = self.layout.decimals[index]
+        has_points = decimal == "."
+        factor = self._factor(quantity, column, index)
+
+        def read(cells: Sequence[str]) -> float | None:
+            cell = cells[index]
+            if not has_points:
+                cell = numeral(cell, ",") if "." in cell else cell.replace(",", ".")
+            try:
+                value = float(cell)
+            except ValueError:
+                text = numeral(cell, decimal)
+                if not text:
+                    return None
+                value = float(text)
+            # NaN is nothing too.
+            return factor * value if value == value else None
+
+        return read
+
+    def _factor(self, quantity: str, column: Column, index: int) -> float:
+        if column.factor is not None:
+            return float(column.factor)
+        headings = _headings(self.layout)
+        if index >= len(headings):
+            return 1.0
+        # With geometry.kind pass_through the columns are stress and strain.
+        kinds = (quantity, {"force": "stress", "displacement": "strain"}.get(quantity, quantity))
+        stated = (headings[index].factor(kind) for kind in kinds)
+        return next((factor for factor in stated if factor is not None), 1.0)
+
+    def _stamps(self) -> Callable[[int, Sequence[str]], int]:
+        """Return what gives a row's stamp [ns] from its number and its cells."""
+        rate, index = self._rate, self._time
+        if rate is not None:
+            return lambda number, cells: round(number * _NS / rate)
+        if self._is_clock:
+            last: list[int | None] = [None]
+
+            def of_clock(number: int, cells: Sequence[str]) -> int:
+                last[0] = stamp = stamp_of_clock(*clock_ns(cells[index]), last[0])
+                return stamp
+
+            return of_clock
+        factor = Decimal(f"{self._factor('time', self._columns.time, index):.12g}") * _NS
+        decimal = self.layout.decimals[index]
+        has_points = decimal == "."
+
+        def of_number(number: int, cells: Sequence[str]) -> int:
+            cell = cells[index].strip()
+            if not has_points:
+                cell = numeral(cell, ",") if "." in cell else cell.replace(",", ".")
+            try:
+                value = Decimal(cell)
+            except InvalidOperation:
+                value = Decimal(numeral(cell, decimal))
+            return round(value * factor)
+
+        return of_number
 
     def _cells(self) -> Iterator[list[str]]:
         where = self._where
-        try:
-            reader = cells_of((line for _, line in lines_of(self.path)), self._delimiter)
-            if self.has_heading:
-                next(reader, None)
-            for cells in reader:
-                if where is None or (
-                    where[0] < len(cells) and cells[where[0]].strip() == where[1]
-                ):
-                    yield cells
-        except csv.Error as error:
-            raise _unreadable(self.path, error) from None
+        for _, cells in self.layout.rows():
+            if where is None or (where[0] < len(cells) and cells[where[0]].strip() == where[1]):
+                yield cells
 
     def _rate_of(self, time: Column) -> Decimal | None:
         if not time.name.startswith("@"):
@@ -254,101 +333,18 @@ class TableReader:
         return rate
 
     def _index(self, name: str) -> int:
-        if self.has_heading and name in self.headings:
-            return self.headings.index(name)
-        if name.isdigit() and 1 <= int(name) <= len(self.headings):
+        headings = self.layout.headings
+        places = [index for index, heading in enumerate(headings) if heading == name]
+        if len(places) > 1:
+            numbers = " and ".join(str(index + 1) for index in places)
+            raise InputError(f"{self.path} has several columns {name}: give {numbers} by number")
+        if places:
+            return places[0]
+        width = self.layout.width
+        if name.isdigit() and 1 <= int(name) <= width:
             return int(name) - 1
-        known = ", ".join(self.headings) if self.has_heading else "no headings"
+        known = ", ".join(headings) if headings else "no headings"
         raise InputError(
             f"{self.path} has no column {name}: it has {known}; give headings, or numbers from 1 "
-            f"to {len(self.headings)}"
+            f"to {width}"
         )
-
-
-def looks_like_a_table(path: str | Path) -> bool:
-    """Return whether `path` is a text table by its name, or else by what it begins with."""
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix in TABLE_SUFFIXES:
-        return not path.is_dir()
-    return suffix not in BAG_SUFFIXES and path.is_file() and _begins_as_text(path)
-
-
-def _begins_as_text(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096)
-        text = codecs.getincrementaldecoder("utf-8-sig")().decode(head)
-    except (OSError, UnicodeDecodeError):
-        return False
-    return bool(text) and "\0" not in text
-
-
-def headings_of(path: str | Path) -> list[str]:
-    """Return the cells of a table's first row.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    first = _first_line(Path(path))
-    return [cell.strip() for cell in next(cells_of([first], delimiter_of(first)), [])]
-
-
-def lines_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text table with their numbers from 1, less comments and empty ones.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            for number, line in enumerate(file, start=1):
-                if line.strip() and not line.lstrip().startswith("#"):
-                    yield number, line.rstrip("\r\n")
-    except FileNotFoundError:
-        raise InputError(
-            f"{path} does not exist: give a table of comma-separated values"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise _unreadable(path, error) from None
-
-
-def cells_of(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    """Return the rows of lines, as lists of cells."""
-    if delimiter == " ":
-        return (line.split() for line in lines)
-    return csv.reader(lines, delimiter=delimiter)
-
-
-def _first_line(path: Path) -> str:
-    for _, line in lines_of(path):
-        return line
-    raise InputError(f"{path} is empty: expected a table of comma-separated values")
-
-
-def _unreadable(path: Path, error: Exception) -> InputError:
-    reason = getattr(error, "strerror", None) or "it is no text of comma-separated values"
-    return InputError(f"{path} cannot be read: {reason}")
-
-
-def delimiter_of(line: str) -> str:
-    """Return what stands between the cells of a line."""
-    if ";" in line or "\t" in line:
-        line = _DECIMAL_COMMA.sub(".", line)
-    for delimiter in ";\t":
-        # Headings may hold blanks and commas.
-        if line.count(delimiter) > 1:
-            return delimiter
-    return max(_DELIMITERS, key=lambda delimiter: line.strip().count(delimiter))
-
-
-def is_number(cell: str) -> bool:
-    """Return whether a cell is a finite number, with a point or a comma."""
-    try:
-        return math.isfinite(float(cell.replace(",", ".")))
-    except ValueError:
-        return False

@@ -9,19 +9,19 @@ import re
 from collections.abc import Collection, Sequence
 
 from fden_ros.errors import InputError
+from fden_ros.recording.headings import COMMANDED
 from fden_ros.recording.reader import Topic, topic_named
 from fden_ros.ros.inputs import TYPE_NAMES
 
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
-# Words in a topic's name: what it most likely carries, and what is wanted rather than measured.
+# Words in a topic's name: what it most likely carries.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
 WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
     "surface": {"surface", "marker", "skin", "breathing", "respiration", "ultrasound", "laser"},
 }
-WANTED = {"setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo"}
 
 
 class NoTopicError(InputError):
@@ -111,7 +111,7 @@ def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
     if len(named) == 1:
         return named
     for keep in (
-        lambda t: not _words(t) & WANTED,
+        lambda t: not _words(t) & COMMANDED,
         lambda t: t.type_name != joints,
         lambda t: _words(t) & WORDS.get(stream, {stream}),
     ):

@@ -103,6 +103,8 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
     yield "Length", f"{session.duration:.1f} s"
     for stream, name in session.replay.inputs.items():
         yield stream.capitalize(), name
+    for line in session.replay.set_by_recording:
+        yield "Set by the recording", line
     rejected = sum(session.replay.rejected.values())
     yield "Samples", f"{session.replay.samples}, {rejected} rejected"
     kind = session.parameters.geometry.kind.replace("_", " ")

@@ -205,6 +205,7 @@ class ContactDetector:
         self.in_contact = False
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
+        self.has_seen_air = False  #: whether a contact began or ended in the air
         self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
         self.release_threshold = 0.0  #: force of a sample that is not pressing [N]
         self.reset()
@@ -393,6 +394,10 @@ class ContactDetector:
             assert self._began_ns is not None
             came &= onset_ns - self._began_ns > _LEAST_AIR_NS
         seen = surface.first > 0 and air_seen and came
+        if not (seen or self._has_released):
+            # There was no air yet in which the force could drift: what rose was this contact.
+            self.drifts = 0
+        self.has_seen_air |= seen
         # A little before the onset, so that the memory begins with the air.
         first = max(surface.first - 2, 0) if seen else 0
         way = (approach.time - approach.time[first], approach.displacement, approach.force)
@@ -469,7 +474,7 @@ class ContactDetector:
 
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
-        self._has_released = True
+        self._has_released = self.has_seen_air = True
         self._highest = None
         # What is air at the end of a contact is air before the next one.
         pressing = self.force_bias + self.release_threshold

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the headings of a table say: which column is which quantity, and in which unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from fden_ros.recording.units import UNITS, factor_of, spelled
+
+#: Words of headings.
+WORDS = {
+    "time": {"time", "t", "stamp", "timestamp", "clock", "elapsed", "zeit", "uhrzeit", "temps"},
+    "force": {"force", "f", "fz", "load", "kraft", "last"},
+    "displacement": {
+        "displacement", "depth", "position", "indentation", "penetration", "x", "y", "z", "pos",
+        "press", "disp", "stroke", "extension", "compression", "deflection", "deformation",
+        "travel", "distance", "crosshead", "weg", "eindringtiefe", "verformung",
+    },
+    "stress": {"stress", "spannung"},
+    "modulus": {"modulus"},
+    "strain": {"strain", "dehnung"},
+}  # fmt: skip
+#: German compounds end so: Standardkraft, Prüfzeit.
+_ENDINGS = {"time": "zeit", "force": "kraft", "displacement": "weg"}
+#: Letters that are a quantity only where the heading begins with them.
+_LETTERS = {"t", "f", "x", "y", "z"}
+#: Words of what is derived from a quantity, in its unit.
+_DERIVED = {
+    "error", "sd", "std", "noise", "rate", "speed", "velocity", "offset", "bias", "threshold",
+    "limit", "max", "min", "peak",
+}  # fmt: skip
+_MEASURED = {"measured", "actual", "real", "feedback", "meas", "ist"}
+#: What is wanted rather than measured, in headings and in names of topics.
+COMMANDED = {
+    "setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo", "cmd",
+    "demand", "nominal", "planned", "soll",
+}  # fmt: skip
+#: A heading with one of these is a field of a message, in SI units.
+_FIELDS = ("wrench", "pose", "position", "force", "point", "transform")
+_BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
+
+#: Headings of recorders that are known by name: time, force, displacement.
+RECORDERS = (
+    # Universal Robots' real-time interface, in the robot's base: the tool presses downwards.
+    ("timestamp", "actual_TCP_force_2", "actual_TCP_pose_2*-1"),
+)
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading with the unit that stands in it or below it.
+
+    Parameters
+    ----------
+    text : str
+    unit : str
+        Of a row of units; "" where there is none.
+    """
+
+    text: str
+    unit: str = ""
+
+    @property
+    def words(self) -> list[str]:
+        """Its words in small letters, without what stands in brackets."""
+        text = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", _BRACKETED.sub(" ", self.text))
+        return [word for word in re.split(r"[\W_]+", text.lower()) if word]
+
+    def names(self, quantity: str) -> bool:
+        """Return whether its words name a quantity."""
+        words = self.words
+        if not words or set(words) & _DERIVED - {words[-1]} or words[-1] in _DERIVED - {"min"}:
+            return False
+        found = set(words) & WORDS[quantity]
+        ending = _ENDINGS.get(quantity)
+        return bool(
+            found - _LETTERS
+            or words[0] in found
+            or (ending and any(word.endswith(ending) for word in words))
+        )
+
+    def factor(self, quantity: str) -> float | None:
+        """Return the factor to SI of the unit that it states, or None if it states none."""
+        if self.unit:
+            return factor_of(quantity, self.unit)
+        brackets = _BRACKETED.findall(self.text)
+        if brackets:
+            known = [factor_of(quantity, text) for text in brackets]
+            return next((factor for factor in known if factor is not None), None)
+        parts = [part for part in re.split(r"[^A-Za-zµμ0-9%]+", self.text) if part]
+        if "in" in parts[:-1]:
+            # "Weg in mm" is no length in inches.
+            parts.remove("in")
+        named = [factor_of(quantity, part) for part in parts[1:] if part.lower() not in _LETTERS]
+        factors = [factor for factor in named if factor is not None]
+        if len(factors) == 1:
+            return factors[0]
+        if factors or not self._is_of_a_message(quantity):
+            return None
+        # `rostopic echo -p` writes %time in ns.
+        return 1e-9 if quantity == "time" and self.text.startswith("%") else 1.0
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether it states a unit of whatever quantity."""
+        return any(self.factor(quantity) is not None for quantity in UNITS)
+
+    def _is_of_a_message(self, quantity: str) -> bool:
+        path = re.split(r"[/.]", self.text.lower())
+        if quantity == "time":
+            return self.text.lstrip("%_") in ("time", "timestamp") and self.text[0] in "%_"
+        return len(path) > 2 and any(part.startswith(_FIELDS) for part in path)
+
+    @property
+    def rank(self) -> int:
+        """2: measured by its words, 0: commanded, 1: neither is said."""
+        words = set(self.words)
+        if words & COMMANDED:
+            return 0
+        return 2 if words & _MEASURED else 1
+
+
+def candidates(
+    headings: Sequence[Heading],
+    quantity: str,
+    is_usable: Callable[[int], bool] = lambda index: True,
+    is_clock: Callable[[int], bool] = lambda index: False,
+    unit: str = "",
+) -> list[tuple[int, float]]:
+    """Return the columns that can be a quantity, and their factors to SI, the best of them.
+
+    Measured is better than what does not say, and that better than commanded. A time of day needs
+    no unit.
+
+    Parameters
+    ----------
+    headings : sequence of Heading
+    quantity : str
+    is_usable, is_clock : callable
+        Whether the column at an index holds numbers, or times of day.
+    unit : str
+        Quantity whose unit it has, where that is not its own.
+    """
+    found: list[tuple[int, float]] = []
+    for index, heading in enumerate(headings):
+        if not heading.names(quantity):
+            continue
+        factor = heading.factor(unit or quantity)
+        if quantity == "time" and is_clock(index):
+            found.append((index, 1.0))
+        elif factor is not None and is_usable(index):
+            found.append((index, factor))
+    best = max((headings[index].rank for index, _ in found), default=0)
+    return [one for one in found if headings[one[0]].rank == best]
+
+
+def unit_of(heading: Heading) -> str:
+    """Return what stands as the unit of a heading, for a line that says what was chosen."""
+    brackets = _BRACKETED.findall(heading.text)
+    return spelled(heading.unit or (brackets[-1] if brackets else ""))

@@ -1,0 +1,481 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How a text table is written: encoding, delimiter, preamble, headings, units and numerals."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import functools
+import gzip
+import io
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from decimal import Decimal
+from itertools import islice
+from pathlib import Path
+from typing import BinaryIO
+
+from dateutil import parser as dates
+
+from fden_ros.errors import InputError
+from fden_ros.recording.units import is_unit
+
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
+_WORKBOOKS = (".xlsx", ".xls", ".ods")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+
+_DELIMITERS = ";\t,| "
+#: Lines by which the layout is decided: a preamble, and enough rows to outvote it.
+_HEAD_LINES = 400
+_HEAD_BYTES = 65536
+#: Cells that hold no value and say so.
+_NOTHING = frozenset(("", "nan", "na", "n/a", "#n/a", "-", "--", "---", "null", "none"))
+
+_SPACES = str.maketrans("", "", " '’\u00a0\u202f_")
+_GROUP = "[ '’\u00a0\u202f.,]"
+_NUMBER = re.compile(
+    rf"[-+]?(?=[.,]?\d)(?:\d{{1,3}}(?:{_GROUP}\d{{3}})+|\d*)(?:[.,]\d*)?(?:[eE][-+]?\d+)?"
+)
+#: One mark with three digits behind it, as in 1,234: a decimal or one of thousands.
+_EITHER = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
+_CLOCK = re.compile(
+    r"(?:(?P<date>[^\s:T]+|\S.*?\d{4})(?:T|\s+))?"
+    r"(?P<first>\d{1,2}):(?P<second>\d{2}(?P<part>[.,]\d+)?)"
+    r"(?::(?P<third>\d{2}(?:[.,:]\d*)?))?\s*(?P<half>[aApP])?\.?(?:[mM]\.?)?"
+    r"(?:Z|[-+]\d{2}:?\d{2})?"
+)
+_NS = 1_000_000_000
+_DAY_NS = 86_400 * _NS
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text table is written.
+
+    Parameters
+    ----------
+    path : Path
+    encoding : str
+    delimiter : str
+        A blank stands for any number of them.
+    preamble : tuple of str
+        What stands before the headings, a line each.
+    headings : tuple of str
+        Those of the columns; empty where there are none.
+    units : tuple of str
+        Of a row of units below the headings; empty where there is none.
+    before : int
+        Number of the last line before the rows, from 1; 0: none.
+    heading_line : int
+        Number of the line of the headings; 0: none.
+    sample : tuple of tuple of str
+        The first rows.
+    """
+
+    path: Path
+    encoding: str
+    delimiter: str
+    preamble: tuple[str, ...]
+    headings: tuple[str, ...]
+    units: tuple[str, ...]
+    before: int
+    heading_line: int
+    sample: tuple[tuple[str, ...], ...]
+    is_halved: bool = False  #: whether decimal commas have cut every number into two cells
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return max((len(self.headings), *map(len, self.sample)))
+
+    @functools.cached_property
+    def decimals(self) -> tuple[str, ...]:
+        """Decimal mark of each column, a point or a comma."""
+        columns = [[row[i] for row in self.sample if i < len(row)] for i in range(self.width)]
+        whole = _decimal(cell for cells in columns for cell in cells)
+        return tuple(_decimal(cells) or whole or self._mark_of(cells) for cells in columns)
+
+    def _mark_of(self, cells: Sequence[str]) -> str:
+        """Return the mark of numbers that all look like 1,234: a decimal, but between commas."""
+        has_commas = any("," in cell for cell in cells if _NUMBER.fullmatch(cell))
+        return "," if has_commas and self.delimiter != "," else "."
+
+    def cells(self, index: int) -> list[str]:
+        """Return the cells of a column in the first rows, those without a value left out."""
+        found = (row[index] for row in self.sample if index < len(row))
+        return [cell for cell in found if cell.lower() not in _NOTHING]
+
+    def is_clock(self, index: int) -> bool:
+        """Return whether most cells of a column are times of day, or dates with them."""
+        cells = self.cells(index)
+        return sum(_CLOCK.fullmatch(cell) is not None for cell in cells) > 0.5 * len(cells)
+
+    def holds_numbers(self, index: int) -> bool:
+        """Return whether most cells of a column are numbers."""
+        cells = self.cells(index)
+        return sum(map(is_number, cells)) > 0.5 * len(cells) > 0.0
+
+    def rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the rows, each with the number of its line; comments and empty lines left out.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read.
+        """
+        numbers: list[int] = [0]
+
+        def lines() -> Iterator[str]:
+            for number, line in lines_of(self.path, self.encoding):
+                if number > self.before:
+                    numbers[0] = number
+                    yield line
+
+        try:
+            for cells in cells_of(lines(), self.delimiter):
+                yield numbers[0], _mended(cells) if self.is_halved else cells
+        except csv.Error:
+            raise _unreadable(self.path, "it is no text of comma-separated values") from None
+
+
+def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
+    """Return how a table is written.
+
+    The delimiter is the one by which most cells of the first lines are values. The headings are
+    the fullest line above the rows without a number in it; a comment where nothing else is.
+
+    Parameters
+    ----------
+    path : path
+    names : iterable of str
+        Headings that the table must have: their line is that of the headings.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is empty.
+    """
+    path = Path(path)
+    encoding = _encoding(path)
+    head = list(islice(lines_of(path, encoding, comments=True), _HEAD_LINES))
+    lines = [(number, line) for number, line in head if not is_comment(line)]
+    if not lines:
+        raise InputError(f"{path} is empty: expected a table of comma-separated values")
+    delimiter = delimiter_of([line for _, line in lines])
+    table = [_split(line, delimiter) for _, line in lines]
+    wanted = set(names)
+    named = next((i for i, row in enumerate(table) if wanted and wanted <= set(row)), None)
+    first = _first_row(table)
+    heading = _heading(table, first) if named is None else named
+    units = () if heading is None else _units_below(table, heading)
+    headings = () if heading is None else tuple(table[heading])
+    begin = first if heading is None else heading + 1 + bool(units)
+    before = lines[begin - 1][0] if begin else 0
+    if heading is None:
+        headings = _commented(head, lines[begin][0], table[begin], delimiter)
+    rows = [tuple(row) for row in table[begin:]]
+    is_halved = delimiter == "," and _are_halved(path, rows, len(headings))
+    comments = [line.lstrip("# \t") for number, line in head if is_comment(line)]
+    return Layout(
+        path,
+        encoding,
+        delimiter,
+        (*comments, *(line for _, line in lines[: first if heading is None else heading])),
+        headings,
+        units,
+        before,
+        lines[heading][0] if heading is not None else 0,
+        tuple(tuple(_mended(row)) if is_halved else row for row in rows),
+        is_halved,
+    )
+
+
+def looks_like_a_table(path: str | Path) -> bool:
+    """Return whether `path` is a text table by its name, or else by what it begins with."""
+    path = Path(path)
+    suffix = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
+    if suffix.lower() in (*TABLE_SUFFIXES, *_WORKBOOKS):
+        return not path.is_dir()
+    return suffix.lower() not in BAG_SUFFIXES and path.is_file() and _begins_as_text(path)
+
+
+def _begins_as_text(path: Path) -> bool:
+    try:
+        head = _head(path)[:4096]
+        text = codecs.getincrementaldecoder(_encoding(path))().decode(head)
+    except (OSError, InputError, UnicodeDecodeError):
+        return False
+    return bool(text) and all(letter.isprintable() or letter.isspace() for letter in text)
+
+
+def lines_of(path: Path, encoding: str, *, comments: bool = False) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text table with their numbers from 1, less comments and empty ones.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    try:
+        with _opened(path) as raw:
+            file = io.TextIOWrapper(raw, encoding, errors="replace")
+            for number, line in enumerate(file, start=1):
+                if line.strip() and (comments or not is_comment(line)):
+                    yield number, line.rstrip("\n")
+    except (OSError, EOFError) as error:
+        raise _not_opened(path, error) from None
+
+
+def is_comment(line: str) -> bool:
+    """Return whether a line is a comment."""
+    return line.lstrip().startswith("#")
+
+
+def cells_of(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    """Return the rows of lines, as lists of cells."""
+    if delimiter == " ":
+        return (line.split() for line in lines)
+    return csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+
+
+def delimiter_of(lines: Sequence[str]) -> str:
+    """Return what stands between the cells of lines: by it most of them are values."""
+
+    def votes(delimiter: str) -> tuple[float, int, int]:
+        share, values = 0.0, 0
+        for line in lines:
+            cells = [cell for cell in _split(line, delimiter) if cell.lower() not in _NOTHING]
+            found = sum(map(is_value, cells))
+            if found >= 2:
+                share, values = share + found / len(cells), values + found
+        # Headings alone may hold blanks and commas.
+        return round(share, 6), values, lines[0].strip().count(delimiter) * (delimiter != " ")
+
+    return max(_DELIMITERS, key=votes)
+
+
+def is_value(cell: str) -> bool:
+    """Return whether a cell is a number or a time of day."""
+    return is_number(cell) or _CLOCK.fullmatch(cell) is not None
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a finite number, however it is written."""
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return _NUMBER.fullmatch(cell) is not None
+
+
+def numeral(cell: str, decimal: str) -> str:
+    """Return a number as Python writes it, without marks of thousands; "" where there is none.
+
+    Parameters
+    ----------
+    cell : str
+    decimal : str
+        Decimal mark of its column.
+    """
+    text = cell.strip().translate(_SPACES)
+    if text.lower() in _NOTHING:
+        return ""
+    other = "," if decimal == "." else "."
+    if other in text:
+        whole, mark, rest = text.partition(decimal)
+        if re.fullmatch(rf"[-+]?\d{{1,3}}(?:\{other}\d{{3}})+", whole):
+            text = whole.replace(other, "") + mark + rest
+    return text.replace(",", ".")
+
+
+def clock_ns(cell: str) -> tuple[int | None, int]:
+    """Return the day (of the calendar, or None where it is not stated) and the time in it [ns].
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    match = _CLOCK.fullmatch(cell.strip())
+    if match is None:
+        raise ValueError(cell)
+    first, second = int(match["first"]), match["second"].replace(",", ".")
+    if match["part"] is not None:
+        hours, minutes, seconds = 0, first, Decimal(second)
+    else:
+        hours, minutes = first, int(second)
+        seconds = Decimal(re.sub("[,:]", ".", match["third"] or "0"))
+    if match["half"] is not None:
+        hours = hours % 12 + 12 * (match["half"] in "pP")
+    day = _day(match["date"]) if match["date"] else None
+    return day, (hours * 3600 + minutes * 60) * _NS + int(seconds * _NS)
+
+
+@functools.lru_cache(maxsize=64)
+def _day(text: str) -> int:
+    """Return a date as its number of days since 1970; one with points begins with the day."""
+    return (dates.parse(text, dayfirst="." in text) - datetime(1970, 1, 1)).days
+
+
+def stamp_of_clock(day: int | None, time_ns: int, last: int | None) -> int:
+    """Return a stamp [ns] from a time of day: without a date the day after follows midnight."""
+    if day is not None:
+        return day * _DAY_NS + time_ns
+    if last is None:
+        return time_ns
+    stamp = last - last % _DAY_NS + time_ns
+    return stamp + _DAY_NS if stamp < last - _DAY_NS // 2 else stamp
+
+
+def _decimal(cells: Iterable[str]) -> str | None:
+    """Return the decimal mark that numbers prove, or None where none of them does."""
+    votes = dict.fromkeys(".,", 0)
+    for cell in cells:
+        marks = [letter for letter in cell if letter in ".,"]
+        if not marks or not _NUMBER.fullmatch(cell) or _EITHER.fullmatch(cell):
+            continue
+        if len(marks) > 1 and len(set(marks)) == 1:
+            votes["," if marks[0] == "." else "."] += 1
+        else:
+            votes[marks[-1]] += 1
+    if votes["."] == votes[","]:
+        return None
+    return max(votes, key=lambda mark: votes[mark])
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    try:
+        # A line by itself: in a preamble a quotation mark may stand for inches.
+        return [cell.strip() for cell in next(cells_of([line], delimiter), [])]
+    except csv.Error:
+        return [line]
+
+
+def _values(row: Sequence[str]) -> int:
+    return sum(map(is_value, row))
+
+
+def _filled(row: Sequence[str]) -> int:
+    return sum(map(bool, row))
+
+
+def _first_row(table: Sequence[Sequence[str]]) -> int:
+    """Return the index of the first row with two values that another such row follows."""
+    has_values = [_values(row) >= 2 for row in table]
+    for index, is_row in enumerate(has_values):
+        if is_row and all(has_values[index + 1 : index + 2]):
+            return index
+    return next((index for index, is_row in enumerate(has_values) if is_row), len(table))
+
+
+def _heading(table: Sequence[Sequence[str]], first: int) -> int | None:
+    """Return the index of the headings: of what is above the rows the fullest, and the last."""
+    if first == len(table):
+        return 0
+    above = [i for i in range(first) if _filled(table[i]) >= 2 and not _values(table[i])]
+    named = [i for i in above if not _is_of_units(table[i])] or above
+    return max(named, key=lambda i: (_filled(table[i]), i), default=None)
+
+
+def _units_below(table: Sequence[Sequence[str]], heading: int) -> tuple[str, ...]:
+    below = table[heading + 1 : heading + 2]
+    return tuple(below[0]) if below and _is_of_units(below[0]) else ()
+
+
+def _is_of_units(row: Sequence[str]) -> bool:
+    """Return whether a row holds units: two that are known, and no long words."""
+    return sum(map(is_unit, row)) >= 2 and all(len(cell) <= 12 for cell in row)
+
+
+def _are_halved(path: Path, rows: Sequence[Sequence[str]], count: int) -> bool:
+    """Return whether decimal commas have cut every number of `count` columns into two cells.
+
+    Raises
+    ------
+    InputError
+        If they have cut some.
+    """
+    if not count or not rows or any("." in cell or not cell for row in rows for cell in row):
+        return False
+    whole = [_values(row) == len(row) for row in rows]
+    if not all(whole) or any(len(row) <= count for row in rows):
+        return False
+    if all(len(row) == 2 * count for row in rows):
+        return True
+    raise InputError(
+        f"{path}: decimal commas cannot be told from the commas between its columns: write "
+        "semicolons between them, or quotation marks about the numbers"
+    )
+
+
+def _mended(cells: Sequence[str]) -> list[str]:
+    """Return numbers whose decimal commas have cut them into two cells each."""
+    return [f"{whole},{rest}" for whole, rest in zip(cells[::2], cells[1::2], strict=False)]
+
+
+def _commented(
+    head: Sequence[tuple[int, str]], end: int, row: Sequence[str], delimiter: str
+) -> tuple[str, ...]:
+    """Return the last comment before the line `end` that has a heading for each cell of `row`."""
+    for number, line in reversed(head):
+        if number < end and is_comment(line):
+            cells = _split(line.lstrip("# \t"), delimiter)
+            if len(cells) == len(row) and not _values(cells):
+                return tuple(cells)
+    return ()
+
+
+def _encoding(path: Path) -> str:
+    """Return the encoding of a text file: UTF-8, UTF-16, or else that of Western Windows.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is no text.
+    """
+    try:
+        head = _head(path)
+    except (OSError, EOFError) as error:
+        raise _not_opened(path, error) from None
+    if path.suffix.lower() in _WORKBOOKS:
+        raise _unreadable(path, "it is a workbook: save its sheet as CSV")
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    pairs = max(len(head) // 2, 1)
+    # Letters and digits have a zero in UTF-16, and nothing else has.
+    if head[1::2].count(0) > 0.5 * pairs:
+        return "utf-16-le"
+    if head[::2].count(0) > 0.5 * pairs:
+        return "utf-16-be"
+    if b"\0" in head:
+        raise _unreadable(path, "it is no text of comma-separated values")
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def _head(path: Path) -> bytes:
+    with _opened(path) as file:
+        return file.read(_HEAD_BYTES)
+
+
+def _opened(path: Path) -> BinaryIO | gzip.GzipFile:
+    if path.suffix.lower() == ".gz":
+        return gzip.GzipFile(path)
+    return path.open("rb")
+
+
+def _not_opened(path: Path, error: Exception) -> InputError:
+    if isinstance(error, FileNotFoundError):
+        return InputError(f"{path} does not exist: give a table of comma-separated values")
+    return _unreadable(path, getattr(error, "strerror", None) or "it is no complete gzip file")
+
+
+def _unreadable(path: Path, reason: str) -> InputError:
+    return InputError(f"{path} cannot be read: {reason}")
