@@ -247,7 +247,8 @@ class PressPosterior:
             if self._placing.advance(work):
                 self._end_placing()
         elif self._begun is not None:
-            if self._begun.found.advance(_LAST_HASTE * work if self._is_over else work):
+            work *= _LAST_HASTE if self._is_over else 1.0
+            if self._begun.found.advance(work):
                 self.go_on()
 
     def _suspect(self, since: float) -> None:
