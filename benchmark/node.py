@@ -47,7 +47,7 @@ from fden_ros.progress import progress
 
 EPILOG = """\
 examples:
-  fden benchmark node --quick               under a minute
+  fden benchmark node --quick               two minutes
   fden benchmark node -o results            ten minutes for node and relay each
   fden benchmark node --seconds 60 --rates 2000 7000
   fden benchmark node --quick --burners 2   on a machine with other work
@@ -57,7 +57,7 @@ arrival at the sink, memory in MB: medians of the turns. *Told*: of the lost pai
 process itself counted. *late*, *number*: shares of the controller's ticks in contact.
 """
 
-_SECONDS, _QUICK_SECONDS = 600.0, 12.0
+_SECONDS, _QUICK_SECONDS = 600.0, 40.0
 _ROUNDS = 5
 _SATURATION_SECONDS, _QUICK_SATURATION_SECONDS = 20.0, 3.0
 #: Left out at the beginning of a turn [s].
@@ -67,8 +67,9 @@ _WARM_UP = 0.5
 _PAUSE, _COUNTING_PAUSE = 0.2, 1.5
 #: Memory counts from then on [s].
 _MEMORY_FROM = 60
-#: The press begins at this time of its recording [s]: the air before it is short.
-_PRESS_FROM = 1.9
+#: A turn begins at this time of the recording [s]: with 1.5 s of air, which a touch has to have
+#: before it to be learned from.
+_PRESS_FROM = 0.5
 _BLOCK = 10
 _STAMP = struct.Struct("<iI")
 _BODY = 4

@@ -278,7 +278,7 @@ def test_no_label_before_the_estimate_has_converged():
 def test_label_waits_where_the_data_have_not_shown_what_decides():
     # So much noise that the ramp shows G and Gn, but hardly alpha; the priors favour liver.
     biased = replace(TWINS, tissues=(replace(LIVER, prior=1e3), SLOW))
-    outputs = pressed(biased, RAMP, noise=12.0)
+    outputs = pressed(biased, RAMP, noise=16.0)
     assert any(o.status is Status.CONVERGED for o in outputs if isinstance(o, TissueState))
     waiting = [a for a in answers(outputs) if a.classes is not None]
     sd = [

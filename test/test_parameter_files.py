@@ -17,6 +17,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, Wrenc
 from live_helpers import LIMIT
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from sensor_msgs.msg import JointState
 
@@ -290,5 +291,5 @@ def test_overrides_of_quality_of_service_are_those_of_the_remapped_topic(context
 def test_node_listens_to_the_types_that_the_parameters_name(values, force, displacement, context):
     overrides = [RosParameter(name, value=value) for name, value in values.items()]
     with active(context=context, parameter_overrides=overrides) as node:
-        types = {one.topic_name: one.msg_type for one in node.subscriptions}
+        types = {one.topic_name: one.msg_type for one in Node.subscriptions.fget(node)}
     assert (types["/force"], types["/displacement"]) == (force, displacement)

@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.maximum import EVALUATION_COST
 from fden_ros.core.estimation.modes import follow_maxima
-from fden_ros.core.estimation.parts import Parts
+from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
@@ -50,6 +51,11 @@ SUSPICIOUS = 3.5
 LOOK_PERIOD, SUSPECTED = 0.025, 0.1
 #: A change is placed anew within this time [s].
 PLACED_WITHIN = 0.04
+#: An older time, or a jerk, is worth a solution from this part of the best gain on [1].
+_AS_GOOD = 0.3
+#: Evaluations by which one tissue is sought [1], and how much more a change has to gain where it
+#: was not found in these [1].
+_MOST_ALONE, _UNSURE = 25, 3.0
 #: Gain in log evidence with which it is looked for on [1].
 PROMISING = 5.0
 
@@ -109,7 +115,9 @@ class ChangeLook:
         jerks = [jerk_at(time, largest) for time in points.middles[-1 - _JERKS : -1].tolist()]
         gains = yield from self._linear_gains([change_since(time) for time in times])
         highest, since = max(zip(gains, times, strict=True))
-        if highest < PROMISING:
+        # What the newest block alone shows may be a jerk.
+        shown = max(g for g, time in zip(gains, times, strict=True) if time <= between[-2])
+        if shown < max(PROMISING, _AS_GOOD * highest):
             return Look(None, highest)
         width = now - since
         near = [since + side * closer * width for closer in _CLOSER for side in (-1.0, 1.0)]
@@ -125,19 +133,21 @@ class ChangeLook:
         found = yield from self._with(event)
         if found is None or abs(float(found.mean[self._place])) < _LEAST_STEP:
             return Look(None, highest)
-        alone = yield from self._alone([(s.maximum.state, s) for s in self.solutions])
+        alone = yield from self._alone([(last.maximum.state, last)])
         gain = yield from self._gain(found, alone)
-        if gain >= THRESHOLD:
+        if THRESHOLD <= gain < _UNSURE * THRESHOLD:
             # One tissue is sought from where two have led, too.
             back = [(np.delete(found.maximum.state, self._place), found)]
             alone = _likelier(alone, (yield from self._alone(back)))
             gain = yield from self._gain(found, alone)
-        if gain < THRESHOLD:
+        is_sure = alone is None or alone.is_solved
+        if gain < (THRESHOLD if is_sure else _UNSURE * THRESHOLD):
             return Look(None, max(gain, highest))
-        _, jerk = max(zip(gains[len(times) :], range(len(jerks)), strict=True))
-        jerked = yield from self._with(jerks[jerk])
-        if (yield from self._gain(jerked, alone)) > gain:
-            return Look(jerks[jerk], gain, self.posterior_with(jerks[jerk]), jerked)
+        by_jerk, place = max(zip(gains[len(times) :], range(len(jerks)), strict=True))
+        if by_jerk > _AS_GOOD * max(told)[0]:
+            jerked = yield from self._with(jerks[place])
+            if (yield from self._gain(jerked, alone)) > gain:
+                return Look(jerks[place], gain, self.posterior_with(jerks[place]), jerked)
         if self._would_pull(alone):
             return Look(None, gain)
         return Look(event, gain, self.posterior_with(event), found)
@@ -213,9 +223,16 @@ class ChangeLook:
         return -math.inf
 
     def _alone(self, states: Sequence[tuple[Array, Solution]]) -> Parts[Solution | None]:
-        """Return the best solution of one tissue that states lead to; None: there is none."""
+        """Return the best solution of one tissue that states lead to; None: there is none.
+
+        Where there are two, one may be long sought in vain.
+        """
+        most = _MOST_ALONE * (EVALUATION_COST + self.points.times.size)
+        limit = self.without.limit = Limit(most)
         with contextlib.suppress(*UNSOLVABLE):
-            modes = yield from follow_maxima(self.without, self.points, states, self.strain)
+            modes = yield from limit.counted(
+                follow_maxima(self.without, self.points, states, self.strain)
+            )
             return modes.best
         return None
 

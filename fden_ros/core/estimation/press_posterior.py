@@ -55,7 +55,7 @@ _WORK_RATE = 1.2e5
 _MOST_WORK = 3e4
 #: A look for a change has this much more, since it has to tell within 0.1 s; and in the air, where
 #: no filter has its part, the last solution [1].
-_LOOK_HASTE, _LAST_HASTE = 5.0, 2.0
+_LOOK_HASTE, _LAST_HASTE = 8.0, 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -226,8 +226,6 @@ class PressPosterior:
         self._is_surprised = innovation.normalized_squared > NO_CHANCE**2
         if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
             self._suspected_at = self._now
-        self.work(self._now - self._worked_at)
-        self._worked_at = self._now
         if self._suspected_at is not None:
             self._suspect(self._suspected_at)
         elif self._is_due() and not is_past:
@@ -235,6 +233,8 @@ class PressPosterior:
                 self._begin_placing()
             else:
                 self.begin_solution()
+        self.work(self._now - self._worked_at)
+        self._worked_at = self._now
         return innovation
 
     def work(self, seconds: float) -> None:
