@@ -259,7 +259,7 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
 
 
 def estimate_flags(estimate: Estimate | None) -> Flag:
-    """Return the flags of an estimate: at an end of what can be represented, of a wrong alpha."""
+    """Return the flags of an estimate: at an end of the prior, of a wrong alpha."""
     if estimate is None:
         return Flag.NONE
     edge = Flag.ESTIMATE_AT_EDGE if estimate.at_edge else Flag.NONE

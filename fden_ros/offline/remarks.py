@@ -23,15 +23,18 @@ _BY_FLAG = {
     Flag.MODEL_MISMATCH: (
         "The model does not describe this contact: the force is not what it predicts."
     ),
-    Flag.TISSUE_CHANGED: "The tissue changed within the contact, and was learned anew.",
-    Flag.SATURATED: "A sensor was at its limit.",
+    Flag.TISSUE_CHANGED: (
+        "The tissue changed within the contact: G is of the new one, Gn and alpha are of both."
+    ),
+    Flag.SATURATED: "The force was stuck or beyond force.limit, and was dropped.",
     Flag.FORCE_DRIFTED: (
         "The force in the air after a contact was not that before it, beyond force.drift_sd: the "
         "deviations are widened by as much."
     ),
     Flag.HYSTERESIS: (
-        "Unloading contradicts loading beyond force.friction_sd, displacement.delay_sd and "
-        "displacement.compliance_sd: the deviations are widened."
+        "Friction, delay or compliance is more than 2.5 standard deviations off what "
+        "force.friction_sd, displacement.delay_sd and displacement.compliance_sd state: the "
+        "deviations are widened."
     ),
     Flag.ESTIMATION_FAILED: (
         "The computation failed at this site: there is no estimate until the next one."

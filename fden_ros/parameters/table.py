@@ -52,8 +52,8 @@ class ForceParameters:
     threshold: float = number(
         0.0,
         "N",
-        "Force above its bias that is a contact; 0: four standard deviations of the measured "
-        "noise.",
+        "Force above its bias that is a contact; 0: what means over 1 to 16 chunks of the air "
+        "exceed with a probability of 5e-6.",
         0.0,
         1000.0,
     )

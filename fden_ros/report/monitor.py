@@ -139,7 +139,7 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
 def _how_known(estimate: Estimate, index: int) -> str:
     """Return how far a parameter is known, in words."""
     if estimate.is_at_edge(index):
-        return "at the edge of what can be represented"
+        return "at an end of what the prior allows"
     if estimate.knows(index):
         return "converged"
     return "converging" if estimate.determines(index) else "not determined"

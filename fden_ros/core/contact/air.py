@@ -36,8 +36,8 @@ class ContactConfig:
     Parameters
     ----------
     force_threshold : float
-        Force above its bias that is a contact [N]; 0: four standard deviations of the measured
-        noise.
+        Force above its bias that is a contact [N]; 0: what means over 1 to 16 chunks of the
+        air exceed with a probability of 5e-6.
     measure_bias : bool
         Take the force's bias from each approach. False: the force is trusted as it is (after any
         tare).

@@ -51,7 +51,7 @@ class LawError(NamedTuple):
     """How far the data bend the law, as root mean squares of relative deviations [1].
 
     Of the relaxation kernel over the times seen, of the stress-strain curve over the strains seen,
-    and of the curve where it is loaded (see :mod:`fden_ros.core.estimation.law_deviation`). And
+    and of the curve where it is loaded (see :mod:`fden_ros.core.estimation.law_error`). And
     the order of the power law that is nearest to the relaxation [1].
     """
 
@@ -121,12 +121,12 @@ class Estimate(NamedTuple):
     model_error: float = 0.0
     #: Mean time since the present elastic response was built up [s]; 0: not known.
     loading_age: float = 0.0
-    #: None: not known, before 2 s of the first contact of a site.
+    #: None: not known, before the first solution, and where the law is said to be exact.
     law_error: LawError | None = None
     #: Probability of a relaxation that ends, so that predictions do not hold [1]; NaN: not known,
-    #: as before the end of the first contact of a site.
+    #: as before alpha has converged in a hold, or the end of the first contact of a site.
     mismatch_probability: float = math.nan
-    #: Parameters that lie at an end of what the estimator can represent: then none is known.
+    #: Parameters that lie at an end of what the prior allows: then none is known.
     at_edge: ParameterSet = ParameterSet.NONE
     #: Whether the relaxation contradicts the alpha that was stated.
     is_order_contradicted: bool = False
@@ -163,7 +163,7 @@ class Estimate(NamedTuple):
         return bool(self.known & EACH[index])
 
     def is_at_edge(self, index: int) -> bool:
-        """Whether the parameter at `index` is at an end of what can be represented."""
+        """Whether the parameter at `index` is at an end of what the prior allows."""
         return bool(self.at_edge & EACH[index])
 
     def is_above_surface(self, strain: float, free_response: float) -> bool:
