@@ -182,7 +182,7 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
         assert shipped == {path.name for path in (ROOT / folder).glob(pattern)} != set()
 
     sourced = f"source {install}/local_setup.bash && cd {tmp_path} && "
-    code = "import fden_msgs; from fden_ros.core.estimation import _loops; print([_loops.__file__])"
+    code = "import fden_msgs; import fden_ros.core.estimation._loops as own; print([own.__file__])"
     assert f"'{install}/" in run("bash", "-c", f"{sourced}python -c '{code}'").stdout
     fden = install / "fden_ros" / "lib" / "fden_ros" / "fden"
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
