@@ -135,7 +135,7 @@ class ChangeLook:
             return Look(None, highest)
         alone = yield from self._alone([(last.maximum.state, last)])
         gain = yield from self._gain(found, alone)
-        if THRESHOLD <= gain < _UNSURE * THRESHOLD:
+        if gain >= THRESHOLD:
             # One tissue is sought from where two have led, too.
             back = [(np.delete(found.maximum.state, self._place), found)]
             alone = _likelier(alone, (yield from self._alone(back)))

@@ -132,6 +132,7 @@ class EitherPlace(Estimator):
     def __init__(self, config: EstimatorConfig, *places: Placed) -> None:
         self._config, self._places = config, list(places)
         self._weights: Array = np.full(len(places), 1.0 / len(places))
+        self._changes = 0
 
     @property
     def best(self) -> Placed:
@@ -155,7 +156,13 @@ class EitherPlace(Estimator):
 
     @property
     def change_count(self) -> int:
-        """Changes of the tissue under the probe that were found."""
+        """Changes of the tissue under the probe that were found, when places were last weighed.
+
+        What one place takes for a change another may explain without it.
+        """
+        return self._changes if len(self._places) > 1 else self._newest_changes()
+
+    def _newest_changes(self) -> int:
         return self.likeliest.change_count - self.best.changes
 
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
@@ -238,6 +245,7 @@ class EitherPlace(Estimator):
         for place in self._places:
             place.estimator.work_share = 1.0 / len(self._places)
         self._weights = softmax(evidence[kept])
+        self._changes = self._newest_changes()
 
     def estimate(self) -> Estimate:
         """Return the present estimate: the mixture's moments, and what all claim."""
