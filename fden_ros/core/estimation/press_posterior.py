@@ -55,7 +55,7 @@ _WORK_RATE = 1.2e5
 _MOST_WORK = 3e4
 #: A look for a change has this much more, since it has to tell within 0.1 s; and in the air, where
 #: no filter has its part, the last solution [1].
-_LOOK_HASTE, _LAST_HASTE = 8.0, 2.0
+_LOOK_HASTE, _LAST_HASTE = 12.0, 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
