@@ -53,9 +53,8 @@ _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 _WORK_RATE = 1.2e5
 #: At most so much of it at a block [1]: 0.25 s of samples.
 _MOST_WORK = 3e4
-#: A look for a change has this much more, since it has to tell within 0.1 s; and in the air, where
-#: no filter has its part, the last solution [1].
-_LOOK_HASTE, _LAST_HASTE = 12.0, 2.0
+#: A look for a change has this much more, since it has to tell within 0.1 s [1].
+_LOOK_HASTE = 12.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -246,10 +245,8 @@ class PressPosterior:
         elif self._placing is not None:
             if self._placing.advance(work):
                 self._end_placing()
-        elif self._begun is not None:
-            work *= _LAST_HASTE if self._is_over else 1.0
-            if self._begun.found.advance(work):
-                self.go_on()
+        elif self._begun is not None and self._begun.found.advance(work):
+            self.go_on()
 
     def _suspect(self, since: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""
