@@ -14,4 +14,5 @@ for time, force, depth in np.loadtxt("examples/press.csv", delimiter=",", skipro
     pipeline.add_displacement(round(1e9 * (1 + time)), 1e-3 * depth)  # [m], stamps above 0 [ns]
     pipeline.add_force(round(1e9 * (1 + time)), force)
 pipeline.finish()
-print(*(np.exp(o.estimate[:2]) for o in outputs if isinstance(o, ContactSummary)), sep="\n")
+estimates = [o.estimate for o in outputs if isinstance(o, ContactSummary)]
+print(*((e.linear_stiffness, e.nonlinear_stiffness) for e in estimates), sep="\n")
