@@ -30,7 +30,7 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A summary is given this long after the release [ns], where the last solution has been found by
 #: then, and at the latest after this [ns]: what is left of it is done at once.
-_SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 19 * NANOSECONDS // 20
+_SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 8 * NANOSECONDS // 10
 
 
 @dataclass
