@@ -133,7 +133,7 @@ class ErrorModel:
         return Errors(rows, Loading(*loading.tolist()))
 
     def walk(self, columns: int) -> WalkState:
-        """Return the walks before the first block, seen by so many columns."""
+        """Return the walks before the first block; `columns`: of rows that see them."""
         return WalkState(np.array([self._noise.zero**2, 0.0, 0.0]), np.zeros((2, columns)))
 
     def whitened(self, rows: Array, errors: Errors, roughness: float, motion: float) -> Array:

@@ -177,10 +177,6 @@ class Posterior(Density):
             found = yield from self.averaged(points, best, self.grid)
         return self._considered(points, found)
 
-    def tracked(self, points: Points, state: Array, before: Solution) -> Solution:
-        """Return what `tracked_in_parts` does, all of it now."""
-        return ended(self.tracked_in_parts(points, state, before))
-
     def tracked_in_parts(self, points: Points, state: Array, before: Solution) -> Parts[Solution]:
         """Return the posterior from the state of one of a shorter record, in less time.
 

@@ -47,8 +47,8 @@ from fden_ros.core.law.characteristic import elastic_response
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: A solution goes on by so many points evaluated for each second of samples [1/s], and is used at
-#: the block in which it ends: 1200 points, some 2 to 4 ms, a block of 10 ms. Work is counted and
+#: Points that a solution evaluates for each second of samples [1/s]; it is used at the block where
+#: it ends: 1200 points, some 2 to 4 ms, a block of 10 ms. Work is counted and
 #: not timed, so that what comes of a recording is what came of it live.
 _WORK_RATE = 1.2e5
 #: At most so much of it at a block [1]: 0.25 s of samples.
