@@ -71,10 +71,15 @@ ALPHA = ParameterSet.FRACTIONAL_ORDER
 #: Of what the remarks are on.
 CONFIG = PipelineConfig(None, estimator=EstimatorConfig(prior=Prior(fractional_order=0.31)))
 LINEAR, ELASTIC = (20000.0, 1.5, 0.2), (2000.0, 8.0, 1e-6)
+BEYOND = (2000.0, 8.0, 0.2)
 
 
 @cache
-def pressed(tissue: tuple[float, float, float], noise: float = 3.0) -> Sequence[Output]:
+def pressed(
+    tissue: tuple[float, float, float],
+    noise: float = 3.0,
+    stated: tuple[tuple[str, float], ...] = (),
+) -> Sequence[Output]:
     """Return what the default prior makes of a press and hold of a tissue (G, Gn, alpha)."""
     scenario = ramp_scenario(
         strain_rate=0.4,
@@ -86,9 +91,9 @@ def pressed(tissue: tuple[float, float, float], noise: float = 3.0) -> Sequence[
         seed=1,
     )
     recording = simulate(scenario)
-    stated = parameters_of(recording).items()
-    parameters = {k: v for k, v in stated if not k.startswith(("prior.", "alpha."))}
-    return identified(items_of(recording), parameters)[1]
+    own = parameters_of(recording).items()
+    parameters = {k: v for k, v in own if not k.startswith(("prior.", "alpha."))}
+    return identified(items_of(recording), parameters | dict(stated))[1]
 
 
 def summary_and_estimate(outputs: Sequence[Output]) -> tuple[ContactSummary, Estimate]:
@@ -191,14 +196,34 @@ def test_a_consumer_that_needs_g_alone_has_it_of_near_linear_material():
     assert linear.predictor(now) is None
 
 
-def test_an_elastic_material_is_at_the_edge_of_alpha_and_never_converged():
-    summary, estimate = summary_and_estimate(pressed(ELASTIC))
+@pytest.mark.parametrize("order", [1e-6, 0.01])
+def test_a_body_that_hardly_relaxes_has_an_alpha_near_0_and_is_known(order):
+    tissue = (*ELASTIC[:2], order)
+    summary, estimate = summary_and_estimate(pressed(tissue))
+    assert summary.converged and not summary.flags
+    assert estimate.valid == estimate.known == ParameterSet.ALL
+    assert estimate.fractional_order >= 0.0
+    assert np.all(np.abs(off(estimate, tissue)) < 4.0)
+
+
+def test_a_spring_may_be_stated():
+    stated = {"prior.alpha": 0.0, "prior.alpha_sd": 0.0}
+    summary, estimate = summary_and_estimate(pressed(ELASTIC, stated=tuple(stated.items())))
+    assert summary.converged and not summary.flags
+    assert estimate.fractional_order == 0.0
+    errors = estimate.mean[:2] - np.log(ELASTIC[:2])
+    assert np.all(np.abs(errors) < 4.0 * estimate.deviations[:2])
+
+
+def test_what_lies_at_an_end_of_its_prior_is_said_and_nothing_is_known():
+    stated = (("prior.linear_stiffness", 100.0), ("prior.linear_stiffness_log_sd", 0.3))
+    summary, estimate = summary_and_estimate(pressed(BEYOND, stated=stated))
     assert summary.flags & Flag.ESTIMATE_AT_EDGE and not summary.converged
-    assert estimate.at_edge == ALPHA and estimate.known == ParameterSet.NONE
+    assert estimate.at_edge == G and estimate.known == ParameterSet.NONE
     assert "estimate at edge" in status_words(summary)
     said = " ".join(remarks(summary, CONFIG))
-    assert "an end of the range of alpha" in said and "prior knowledge" not in said
-    for state in states_of(pressed(ELASTIC)):
+    assert "an end of the range of G" in said and "prior knowledge" not in said
+    for state in states_of(pressed(BEYOND, stated=stated)):
         assert state.estimate is not None
         assert bool(state.estimate.at_edge) == bool(state.flags & Flag.ESTIMATE_AT_EDGE)
         assert not (state.estimate.at_edge and state.estimate.known)

@@ -457,10 +457,11 @@ CLAIMED = Evidence(np.array([7.0, 2.0, 0.2]), np.array([0.05, 0.04, 0.02]), 1.0,
         (CLAIMED._replace(is_solved=False), ParameterSet.NONE),
         (CLAIMED._replace(deviations=np.array([0.6, 0.04, 0.02])), ParameterSet(6)),
         (CLAIMED._replace(mean=np.array([7.0, 9.0, 0.2])), ParameterSet.NONE),
-        (CLAIMED._replace(mean=np.array([7.0, 2.0, 0.005])), ParameterSet.NONE),
+        (CLAIMED._replace(mean=np.array([7.0, 2.0, 0.0])), ParameterSet.ALL),
+        (CLAIMED._replace(order_beyond=4.0), ParameterSet.NONE),
         (CLAIMED._replace(deviations=np.array([0.05, 0.2, 0.02])), ParameterSet(5)),
     ],
-    ids=["all", "not solved", "G wide", "edge of Gn", "no relaxation", "Gn wide"],
+    ids=["all", "not solved", "G wide", "edge of Gn", "a spring", "alpha below 0", "Gn wide"],
 )
 def test_claims_follow_from_the_reasons(evidence: Evidence, known: ParameterSet) -> None:
     assert claims_of(EstimatorConfig(), evidence).known == known

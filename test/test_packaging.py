@@ -234,6 +234,7 @@ ROOMS = (
     "core.measured_contacts",
     "core.outputs",
     "core.block",
+    "core.apparent_stiffness",
     "core.lift_off",
     "core.site",
     "core.press",

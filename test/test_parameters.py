@@ -92,7 +92,7 @@ def test_unknown_name_suggests_the_nearest_and_an_old_one_the_new(name, said):
         ("geometry.kind", "cube", "must be one of flat_punch, sphere"),
         ("force.axis", [0.0, 0.0, 0.0], "three numbers, not all 0"),
         ("dither.frequencies", [1.0, -1.0], "each 0 to 1000"),
-        ("prior.alpha", 0.7, "0.02 to 0.6"),
+        ("prior.alpha", 0.7, "0 to 0.6"),
     ],
 )
 def test_value_that_is_not_allowed_says_what_is(name, value, right):
@@ -478,7 +478,7 @@ def other_scatter(usual: Heard, changed: Heard) -> bool:
 
 def softer_by_the_time_scale(usual: Heard, changed: Heard) -> bool:
     before, after = (one.pressing[-1].apparent_stiffness.value for one in (usual, changed))
-    return bool(after == near(10.0**-0.131 * before, 1e-9))
+    return bool(after == near(10.0**-0.131 * before, 1e-5))
 
 
 RELATIVE = RIGID | {"classification.mode": "relative"}

@@ -18,6 +18,7 @@ from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 from rich.console import Console
 
+from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import SOURCES, Budget
@@ -32,7 +33,6 @@ from fden_ros.core.outputs import (
     Decided,
     Decision,
     Flag,
-    apparent_stiffness_of,
 )
 from fden_ros.offline.advice import next_press, shortfall
 from fden_ros.offline.remarks import remarks
@@ -320,15 +320,14 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force():
         strain_origin_sd=origin,
     )
     geometry = FlatPunch(math.pi * RADIUS**2, 0.02)
-    seen, open_ = (apparent_stiffness_of(e, geometry, 0.3, 0.1) for e in (ESTIMATE, hidden))
+    seen, open_ = (apparent_stiffness_of(e, geometry, 0.3, 0.0, 0.1) for e in (ESTIMATE, hidden))
     assert seen is not None and open_ is not None
     assert hidden.deviations[0] > 2.0
     assert open_.value == seen.value
     assert open_.sd == pytest.approx(seen.sd)
     # Below 1/Gn the slope is that of G.
-    shallow = apparent_stiffness_of(hidden, geometry, 0.1, 0.1)
-    assert shallow is not None
-    assert shallow.sd > 2.0 * shallow.value
+    assert apparent_stiffness_of(ESTIMATE, geometry, 0.1, 0.0, 0.1) is not None
+    assert apparent_stiffness_of(hidden, geometry, 0.1, 0.0, 0.1) is None
 
 
 def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is():

@@ -9,8 +9,6 @@ import enum
 import traceback
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
@@ -20,8 +18,6 @@ from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.apparent_stiffness import ApparentStiffness as ApparentStiffness
-from fden_ros.core.law.apparent_stiffness import apparent_stiffness
-from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus
 from fden_ros.core.streams.samples import Position
@@ -264,23 +260,6 @@ def estimate_flags(estimate: Estimate | None) -> Flag:
         return Flag.NONE
     edge = Flag.ESTIMATE_AT_EDGE if estimate.at_edge else Flag.NONE
     return edge | (Flag.ALPHA_CONTRADICTED if estimate.is_order_contradicted else Flag.NONE)
-
-
-def apparent_stiffness_of(
-    estimate: Estimate | None, geometry: Geometry, compression: float | None, time_scale: float
-) -> ApparentStiffness | None:
-    """Return the apparent stiffness about `compression` [1] for a motion of `time_scale` [s].
-
-    `compression` counts from the nominal origin. None while one of both is not known.
-    """
-    if estimate is None or compression is None:
-        return None
-    covariance = np.zeros((4, 4))
-    covariance[:3, :3] = estimate.covariance
-    covariance[3, :3] = covariance[:3, 3] = estimate.with_origin
-    covariance[3, 3] = estimate.strain_origin_sd**2
-    depth = compression - estimate.strain_origin
-    return apparent_stiffness(estimate.mean, covariance, geometry, depth, time_scale)
 
 
 def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:

@@ -11,6 +11,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
 from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
@@ -29,7 +30,6 @@ from fden_ros.core.outputs import (
     Signals,
     Status,
     TissueState,
-    apparent_stiffness_of,
     estimate_flags,
     order_source,
 )
@@ -343,19 +343,20 @@ class Press:
             contact_id=self.contact_id,
             phase=phase,
             order_source=order_source(estimate, self._config.estimator),
-            estimate=estimate,
+            estimate=estimate.stated if estimate is not None else None,
             signals=signals,
             innovation=block.innovation,
-            apparent_stiffness=self._stiffness(estimate, block.compression),
+            apparent_stiffness=self._stiffness(estimate, block.compression, block.stress),
         )
 
     def _stiffness(
-        self, estimate: Estimate | None, compression: float | None
+        self, estimate: Estimate | None, compression: float | None, stress: float
     ) -> ApparentStiffness | None:
-        """Return it about a compression from the nominal origin [1]; None while not known."""
+        """Return it about a compression [1] and stress [Pa]; None while not known."""
         config = self._config
         time_scale = config.apparent_stiffness_time_scale
-        return apparent_stiffness_of(estimate, config.geometry, compression, time_scale)
+        geometry = config.geometry
+        return apparent_stiffness_of(estimate, geometry, compression, stress, time_scale)
 
     def _classification(self, stamp_ns: int, answer: Answer) -> Classification:
         return Classification(
@@ -389,7 +390,7 @@ class Press:
             complete=complete,
             position=self.onset.samples[0].position,
             order_source=order_source(estimate, self._config.estimator),
-            estimate=estimate,
+            estimate=estimate.stated if estimate is not None else None,
             max_strain=self._max_strain,
             max_stress=self._max_stress,
             max_force=self._max_force,
@@ -399,5 +400,5 @@ class Press:
             classes=answer.classes,
             decided=answer.decided,
             comparison=answer.comparison,
-            apparent_stiffness=self._stiffness(estimate, self._deepest),
+            apparent_stiffness=self._stiffness(estimate, self._deepest, self._max_stress),
         )

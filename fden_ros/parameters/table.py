@@ -515,8 +515,9 @@ class PriorParameters:
     alpha: float = number(
         0.31,
         "1",
-        "Median of alpha before the touch, or alpha itself where alpha.learn is false.",
-        0.02,
+        "Median of alpha before the touch, or alpha itself where alpha.learn is false; "
+        "0: a spring.",
+        0.0,
         0.6,
     )
     alpha_sd: float = number(

@@ -27,6 +27,7 @@ class Evidence(NamedTuple):
     probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
     is_solved: bool  #: the posterior's maximum was found
     is_order_contradicted: bool = False  #: the relaxation is that of another alpha than is stated
+    order_beyond: float = 0.0  #: standard deviations by which alpha wants beyond 0, or the highest
 
 
 class Claims(NamedTuple):
@@ -50,8 +51,6 @@ class Reservations(NamedTuple):
 _LEARNED = 0.5
 #: Standard deviations of the prior beyond which an estimate contradicts it [1].
 EDGE = 3.0
-#: An order below this is that of a spring, not of the law [1].
-_LEAST_ORDER = 0.015
 
 
 def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
@@ -86,6 +85,7 @@ def _widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Esti
         covariance=factor * estimate.covariance,
         with_origin=(factor * log_g, factor * log_gn, factor * order),
         strain_origin_sd=math.sqrt(factor) * estimate.strain_origin_sd,
+        small_motions=tuple(motion.widened(factor) for motion in estimate.small_motions),
     )
     return wide._replace(known=wide.known & converged(config, wide.deviations, wide.valid))
 
@@ -136,7 +136,8 @@ def _at_edge(config: EstimatorConfig, evidence: Evidence) -> ParameterSet:
     for parameter, distance, sd in zip(EACH, off, config.prior.deviations, strict=True):
         if sd > 0.0 and distance > EDGE * sd:
             found |= parameter
-    if evidence.mean[2] < _LEAST_ORDER:
+    if evidence.order_beyond > EDGE:
+        # No body relaxes like this: force and displacement may be out of step.
         found |= ParameterSet.FRACTIONAL_ORDER
     return found if not config.is_order_given else found & ~ParameterSet.FRACTIONAL_ORDER
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -78,16 +78,16 @@ class Priors(NamedTuple):
             result[place, place] = field.precision / scale**2
         return result
 
-    def equations(self, about: Linear, off: Array, held: int | None) -> loops.Scaled:
+    def equations(self, about: Linear, off: Array, held: Collection[int]) -> loops.Scaled:
         """Return the normal equations about a state, whose prior depends on the scales.
 
-        `off`: the prior's mean from there; `held`: an unknown that stays; None: none.
+        `off`: the prior's mean from there; `held`: places of unknowns that stay.
         """
         kernel, characteristic = None, None
         if self.fields is not None:
             kernel, characteristic = (field.precision for field in self.fields)
         places = self.model.kernel.start, self.model.characteristic.start
-        stays = -1 if held is None else held
+        stays = sum(1 << place for place in held)
         normal = about.towards, about.normal, self.base, off
         return loops.Scaled(*normal, *places, stays, kernel, characteristic)
 

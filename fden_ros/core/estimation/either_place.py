@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,9 @@ class Placed(NamedTuple):
     def estimate(self) -> Estimate:
         """Return its estimate, the origin in the compressions that it is given."""
         found = self.estimator.estimate()
-        return found._replace(strain_origin=found.strain_origin - self.shift)
+        motions = tuple(replace(motion, shift=self.shift) for motion in found.small_motions)
+        origin = found.strain_origin - self.shift
+        return found._replace(strain_origin=origin, small_motions=motions)
 
 
 def log_ratio(prior: Tissue, other: Tissue, told: Tissue, *, learns_order: bool) -> float:
@@ -277,4 +280,9 @@ class EitherPlace(Estimator):
             probability_beyond_boundary=mixed(lambda e: e.probability_beyond_boundary),
             valid=valid,
             known=known & converged(self._config, deviations, valid),
+            small_motions=tuple(
+                replace(motion, weight=weight)
+                for weight, estimate in zip(self._weights.tolist(), estimates, strict=True)
+                for motion in estimate.small_motions
+            ),
         )

@@ -8,12 +8,15 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import elastic_response, exponential_scale
+
+if TYPE_CHECKING:
+    from fden_ros.core.estimation.small_motion import SmallMotion
 
 
 class StateIndex(enum.IntEnum):
@@ -136,6 +139,13 @@ class Estimate(NamedTuple):
     #: Modes of (ln G, ln Gn, alpha), of which `covariance` is that of all, with the thickness and
     #: what else stands against it; one: the posterior is a Gaussian. Empty: not known.
     modes: tuple[Member, ...] = ()
+    #: For the stiffness of a small motion: of each place that it may be; empty: not known.
+    small_motions: tuple[SmallMotion, ...] = ()
+
+    @property
+    def stated(self) -> Estimate:
+        """Itself, without what only the core asks for."""
+        return self._replace(small_motions=())
 
     @property
     def converged(self) -> bool:

@@ -32,7 +32,7 @@ from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.law.relaxation import COUNT as RATE_COUNT
 from fden_ros.core.law.relaxation import RATES
 
-_VERSION = 1  #: of what the functions take; raised with every change of it
+_VERSION = 2  #: of what the functions take; raised with every change of it
 _MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
 try:
     from fden_ros.core.estimation import _loops as _compiled  # type: ignore[attr-defined]
@@ -269,7 +269,7 @@ class Scaled(NamedTuple):
     off: Array  #: m, the prior's mean from where it is linear, (n,)
     kernel: int
     characteristic: int
-    held: int  #: an unknown that stays; -1: none
+    held: int  #: unknowns that stay, a bit a place
     kernel_prior: Array | None  #: K
     characteristic_prior: Array | None  #: C
 

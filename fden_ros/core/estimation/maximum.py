@@ -70,6 +70,7 @@ class Maximum:
     errors: Errors  #: the error processes there
     scales: Scales
     is_solved: bool  #: it wants no further step
+    is_at_bound: bool = False  #: alpha is at an end of what there is, and wants beyond
 
 
 class _Metric(NamedTuple):
@@ -86,6 +87,7 @@ class _Equations(NamedTuple):
     damped: Array  #: what damping multiplies, the diagonal
     towards: Array
     misfit: float
+    is_at_bound: bool  #: alpha wants beyond what there is
 
 
 class _Tried(NamedTuple):
@@ -141,7 +143,7 @@ class MaximumSearch:
         at = start  # where the variances are taken; it follows the state
         found = known if known is not None else self._density.evaluate(self._points, state)
         metric: _Metric | None = None
-        is_solved = is_at_kink = False
+        is_solved = is_at_kink = is_at_bound = False
         left = math.inf
         tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
         if known is None:
@@ -153,7 +155,7 @@ class MaximumSearch:
             at = state if count < _QUICK_STEPS else at + part * (state - at)
             metric = self._metric(at, found if at is state else None)
             free = self._equations(state, found, metric)
-            normal = free.normal
+            normal, is_at_bound = free.normal, free.is_at_bound
             if is_at_kink:
                 touch = model.touch_gradient(self._points, state)
                 stiffest = free.damped.max(where=touch != 0.0, initial=0.0)
@@ -192,7 +194,7 @@ class MaximumSearch:
         # Steps from kink to kink are short, and many.
         is_solved |= is_at_kink and left < NEARLY_FOUND
         errors = self._metric(state, found).errors if metric is None else metric.errors
-        return Maximum(state, found, errors, self._scales, is_solved)
+        return Maximum(state, found, errors, self._scales, is_solved, is_at_bound)
 
     def _metric(self, at: Array, found: Evaluation | None) -> _Metric:
         density = self._density
@@ -206,12 +208,13 @@ class MaximumSearch:
         off = self._density.belief.mean - state
         normal = about.normal + metric.precision
         towards = about.towards + metric.precision @ off
-        for held in (self._held, ORDER if _leaves(state[ORDER], towards[ORDER]) else None):
+        is_at_bound = ORDER not in self._density.known and _leaves(state[ORDER], towards[ORDER])
+        for held in (self._held, ORDER if is_at_bound else None):
             if held is not None:
                 normal[held], normal[:, held] = 0.0, 0.0
                 normal[held, held], towards[held] = 1.0, 0.0
         misfit = about.square + float(off @ metric.precision @ off)
-        return _Equations(normal, normal.diagonal(), towards, misfit)
+        return _Equations(normal, normal.diagonal(), towards, misfit, is_at_bound)
 
     def _misfit(self, state: Array, stress: Array, metric: _Metric) -> float:
         left = (self._points.stresses - stress)[:, None]

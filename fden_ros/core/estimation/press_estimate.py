@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
@@ -40,8 +40,10 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         return None
     solved, setting = press.solved, press.setting
     config = setting.config
-    modes = solved.modes.members(press.filter.mean, press.filter.covariance)
-    mean, full = _after_changes(solved.model, *mixture(modes))
+    modes = _after_changes(
+        solved.model, solved.modes.members(press.filter.mean, press.filter.covariance)
+    )
+    mean, full = mixture(modes)
     if not np.all(np.abs(mean) < MAX_EXPONENT):
         # The filter is where no number is; the next solution is due.
         return None
@@ -60,12 +62,14 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         beyond,
         solved.best.is_solved and not press.is_lost,
         is_contradicted,
+        solved.best.beyond_bound,
     )
     claims = claims_of(config, evidence)
     return Estimate(
         log_linear_stiffness=float(mean[LOG_G]),
         log_nonlinear_stiffness=float(mean[LOG_GN]),
-        fractional_order=float(mean[ORDER]),
+        # The filter knows no bound.
+        fractional_order=max(float(mean[ORDER]), 0.0),
         covariance=covariance,
         strain_origin=setting.origin(mean),
         strain_origin_sd=origin_sd,
@@ -79,7 +83,8 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         at_edge=claims.at_edge,
         is_order_contradicted=is_contradicted,
         with_origin=tuple((setting.origin_sd * full[ORIGIN, :3]).tolist()),
-        modes=_of_law(solved.model, modes),
+        modes=tuple(Member(m.weight, m.mean[:3], m.covariance[:3, :3]) for m in modes),
+        small_motions=(SmallMotion(solved.model, tuple(modes), setting.origin_sd),),
     )
 
 
@@ -87,8 +92,11 @@ def prior_estimate(setting: PressSetting) -> Estimate:
     """Return what is known before a press."""
     config, carried = setting.config, setting.carried
     mean, full, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
+    motions: tuple[SmallMotion, ...] = ()
     if carried is not None:
         mean, full = carried.mean[:3], carried.covariance
+        whole = Member(1.0, carried.mean, carried.covariance)
+        motions = (SmallMotion(carried.model, (whole,), setting.origin_sd),)
         origin = setting.origin(carried.mean)
     covariance = _published(setting, full)
     deviations = np.sqrt(covariance.diagonal())
@@ -102,6 +110,7 @@ def prior_estimate(setting: PressSetting) -> Estimate:
         strain_origin_sd=setting.origin_sd,
         valid=claims.valid,
         known=claims.known,
+        small_motions=motions,
     )
 
 
@@ -133,23 +142,17 @@ def _is_order_contradicted(config: EstimatorConfig, error: LawError | None) -> b
     return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
 
 
-def _of_law(model: PressModel, modes: Sequence[Member]) -> tuple[Member, ...]:
-    """Return the modes of ln G, ln Gn and alpha, for the tissue under the probe."""
-    found = []
-    for mode in modes:
-        mean, covariance = _after_changes(model, mode.mean, mode.covariance)
-        found.append(Member(mode.weight, mean[:3].copy(), covariance[:3, :3].copy()))
-    return tuple(found)
-
-
-def _after_changes(model: PressModel, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the moments with ln G of the tissue that is under the probe now."""
+def _after_changes(model: PressModel, modes: list[Member]) -> list[Member]:
+    """Return the modes with ln G of the tissue that is under the probe now."""
     places = [k for k, unknown in enumerate(model.unknowns) if unknown.since is not None]
     if not places:
-        return mean, covariance
-    factor = max(1.0 + float(mean[places].sum()), _LEAST_FACTOR)
-    jacobian = np.eye(mean.size)
-    jacobian[LOG_G, places] = 1.0 / factor
-    after = mean.copy()
-    after[LOG_G] += math.log(factor)
-    return after, jacobian @ covariance @ jacobian.T
+        return modes
+    found = []
+    for mode in modes:
+        factor = max(1.0 + float(mode.mean[places].sum()), _LEAST_FACTOR)
+        jacobian = np.eye(mode.mean.size)
+        jacobian[LOG_G, places] = 1.0 / factor
+        after = mode.mean.copy()
+        after[LOG_G] += math.log(factor)
+        found.append(Member(mode.weight, after, jacobian @ mode.covariance @ jacobian.T))
+    return found

@@ -218,6 +218,14 @@ class PressModel:
         sd = self.unknowns[self._compliance].sd
         return sd / self.geometry.length / self.geometry.stress_per_force
 
+    @property
+    def bending(self) -> Array:
+        """Compression by stress of one standard deviation of each unknown [1/Pa], (size,)."""
+        result = np.zeros(self.size)
+        if self._compliance is not None:
+            result[self._compliance] = -self._compliance_unit
+        return result
+
     def _design(self, points: Points) -> _Design:
         """Return the design of a record; that of the last one is kept."""
         if self._designed is None or self._designed[0] is not points:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
@@ -26,6 +27,7 @@ from fden_ros.core.estimation.loops import ResponseState, WalkState
 from fden_ros.core.estimation.maximum import EVALUATION_COST, Maximum
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
+from fden_ros.core.estimation.unknowns import ORDER
 
 #: What is less likely than the best by this logarithm does not count [1]: one in ten thousand.
 NEGLIGIBLE = 9.0
@@ -48,6 +50,8 @@ class Solution:
     walk: WalkState
     #: What the uncertainty of an order that is not learned adds to the covariance, (n, n).
     considered: Array | None = None
+    #: Standard deviations by which alpha wants beyond an end of what there is [1].
+    beyond_bound: float = 0.0
 
     @property
     def is_solved(self) -> bool:
@@ -75,6 +79,11 @@ class _Group(NamedTuple):
     evidence: Array  #: logarithms, (places,)
 
 
+#: From so many standard deviations on the tail of a Gaussian is an exponential [1].
+_FAR = 30.0
+_LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+#: Least curvature of the log posterior by the order [1]: rounding may leave none.
+_LEAST_CURVATURE = 1e-6
 #: What a place of the grid costs, in points evaluated [1].
 _PLACE_COST = 10
 
@@ -107,7 +116,11 @@ def averaged(
     FloatingPointError
         If no scale has a finite evidence.
     """
-    return _mixture(density, maximum, *_weighed(density, points, maximum, grid, held))
+    groups, best = _weighed(density, points, maximum, grid, held)
+    found = _mixture(density, maximum, groups, best)
+    if held is not None:
+        found.covariance[held], found.covariance[:, held] = 0.0, 0.0
+    return _from_bound(density, found, groups) if maximum.is_at_bound else found
 
 
 def _weighed(
@@ -117,7 +130,13 @@ def _weighed(
     grid: Sequence[WeighedScales],
     held: int | None,
 ) -> tuple[list[_Group], float]:
-    """Return the places of a grid with their log evidence, and the highest of all."""
+    """Return the places of a grid with their log evidence, and the highest of all.
+
+    An order at a bound stays there.
+    """
+    stays = {held} if held is not None else set()
+    if maximum.is_at_bound:
+        stays.add(ORDER)
     priors = density.priors(maximum.state)
     off = density.belief.mean - maximum.state
     tails = density.tails(maximum.state)
@@ -127,13 +146,17 @@ def _weighed(
     groups = []
     for walks, own in by_walks.items():
         about = density.linear(points, maximum.evaluation, maximum.errors, *walks)
-        equations = priors.equations(about, off, held)
+        equations = priors.equations(about, off, stays)
         places = [weighed.scales for weighed in own]
         scales = priors.inverse_squares(places)
         evidence = loops.weigh(equations, scales)
         evidence += [w.log_prior + 0.5 * priors.log_determinant(w.scales) for w in own]
         evidence -= 0.5 * (about.square + about.log_determinant + tails)
         groups.append(_Group(about, equations, places, scales, evidence))
+    if maximum.is_at_bound:
+        share = _beside_bound(density, maximum, groups[0].about, maximum.scales).log_share
+        for group in groups:
+            np.add(group.evidence, share, out=group.evidence)
     best = max(float(np.fmax.reduce(group.evidence)) for group in groups)
     if not math.isfinite(best):
         raise FloatingPointError("no scale of the errors has a finite evidence")
@@ -169,6 +192,58 @@ def _mixture(
         likeliest.about.residuals,
         likeliest.about.walk,
     )
+
+
+class _BesideBound(NamedTuple):
+    """The part of a Gaussian that lies on the side of a bound where there is an order."""
+
+    mean: float  #: of the order, from the bound [1]
+    variance: float  #: [1]
+    shift: Array  #: of all unknowns by the order, (n,)
+    log_share: float  #: of its integral, over the square root of two pi [1]
+    beyond: float  #: standard deviations by which the Gaussian's mean is beyond the bound [1]
+
+
+def _beside_bound(
+    density: Density, maximum: Maximum, about: Linear, scales: Scales
+) -> _BesideBound:
+    """Return the posterior of an order that is at a bound and wants beyond."""
+    precision = density.precision(maximum.state, scales)
+    normal = about.normal + precision
+    towards = about.towards + precision @ (density.belief.mean - maximum.state)
+    by_order = normal[:, ORDER].copy()
+    curvature = by_order[ORDER]
+    normal[ORDER], normal[:, ORDER], normal[ORDER, ORDER] = 0.0, 0.0, 1.0
+    side, by_order[ORDER] = towards[ORDER], 0.0
+    towards[ORDER] = 0.0
+    shift = -loops.solve(normal, by_order)
+    curvature += float(shift @ by_order)
+    pull = float(side + shift @ towards)
+    shift[ORDER] = 1.0
+    sd = 1.0 / math.sqrt(max(float(curvature), _LEAST_CURVATURE))
+    # Of a Gaussian that is cut off at z standard deviations above its mean.
+    z = abs(pull) * sd
+    if z > _FAR:
+        # There it falls as an exponential.
+        mean, variance, log_tail = sd / z, (sd / z) ** 2, -math.log(z) - _LOG_ROOT_TWO_PI
+    else:
+        log_tail = float(log_ndtr(-z)) + 0.5 * z**2
+        hazard = math.exp(-log_tail - _LOG_ROOT_TWO_PI)
+        mean, variance = sd * (hazard - z), sd**2 * (1.0 - hazard * (hazard - z))
+    log_share = math.log(sd) + log_tail
+    return _BesideBound(math.copysign(mean, -pull), variance, shift, log_share, z)
+
+
+def _from_bound(density: Density, found: Solution, groups: Sequence[_Group]) -> Solution:
+    """Return a solution with what is known of an order at a bound."""
+    scales = found.best_scales
+    about = next(group.about for group in groups if scales in group.places)
+    order = _beside_bound(density, found.maximum, about, scales)
+    moved = found.mean + order.mean * order.shift
+    spread = order.variance * np.outer(order.shift, order.shift)
+    covariance = found.covariance.copy()
+    covariance[ORDER], covariance[:, ORDER] = 0.0, 0.0
+    return replace(found, mean=moved, covariance=covariance + spread, beyond_bound=order.beyond)
 
 
 def log_evidence(

@@ -24,9 +24,6 @@ from scipy.special import digamma, gammaln
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.geometry import Geometry
 
-#: ln E beyond this is of no tissue: the value stays there, so that it can be published.
-_LARGEST_LOG = 200.0
-
 
 @dataclass(frozen=True)
 class ApparentStiffness:
@@ -44,10 +41,10 @@ class LogStiffness(NamedTuple):
     variance: Array  #: [1]
 
 
-def apparent_stiffness(
+def log_stiffness_at(
     mean: Array, covariance: Array, geometry: Geometry, compression: float, time_scale: float
-) -> ApparentStiffness:
-    """Return dF/dd and its deviation to first order.
+) -> tuple[float, float] | None:
+    """Return mean and variance of ln dF/dd [ln N/m], to first order; None: there is no stiffness.
 
     Beyond 1/Gn it is Gn times the stress, and known as well as these are, whatever G and origin.
 
@@ -65,6 +62,8 @@ def apparent_stiffness(
     """
     strain = geometry.strain(compression)
     slope = geometry.strain_slope(compression)
+    if slope <= 0.0:
+        return None
     # ln E depends on the strain through Gn x.
     by_origin = np.zeros((4, 3))
     by_origin[:3] = np.eye(3)
@@ -72,8 +71,7 @@ def apparent_stiffness(
     own: Array = by_origin.T @ covariance @ by_origin
     log_value, variance = log_stiffness(mean, own, strain, time_scale)
     per_strain = slope / (geometry.stress_per_force * geometry.length)
-    value = math.exp(min(float(log_value), _LARGEST_LOG)) * per_strain
-    return ApparentStiffness(value, value * math.sqrt(float(variance)), time_scale)
+    return float(log_value) + math.log(per_strain), float(variance)
 
 
 def log_stiffness(

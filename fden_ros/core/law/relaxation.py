@@ -42,8 +42,8 @@ RATES: Array = SLOWEST * np.exp(SPACING * np.arange(COUNT))
 RATES.flags.writeable = False
 #: Logarithms of the rates, then of those by which the slower and the faster ones count.
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
-#: Orders alpha that the weights are made for.
-LOWEST_ORDER, HIGHEST_ORDER = 0.003, 0.9
+#: Orders alpha that the weights are made for: the lowest is a spring, to 1e-4 over eleven days.
+LOWEST_ORDER, HIGHEST_ORDER = 1e-5, 0.9
 _STEP = 1e-6
 #: Shortest step between samples [s]: shorter ones tell nothing by these rates.
 SHORTEST_STEP = 1e-5
@@ -70,6 +70,27 @@ def relaxation_slopes(order: float) -> Array:
     return slopes
 
 
+def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
+    """Return what is left of each rate, slower ones last, and its derivatives by alpha.
+
+    Parameters
+    ----------
+    orders : ndarray, shape (n,)
+        They count as within those that the weights are made for.
+    time : float
+        Since a step [s].
+
+    Returns
+    -------
+    parts, slopes : ndarray, shape (n, COUNT + 1)
+    """
+    clipped = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)
+    left = np.append(np.exp(-RATES * time), 1.0)
+    weights = np.array([relaxation_weights(order)[:-1] for order in clipped.tolist()])
+    slopes = np.array([relaxation_slopes(order)[:-1] for order in clipped.tolist()])
+    return weights * left, slopes * left
+
+
 def _slopes(weights: Callable[[float], Array], order: float) -> Array:
     result: Array = (weights(order + _STEP) - weights(order - _STEP)) / (2.0 * _STEP)
     return result
@@ -92,6 +113,7 @@ def creep_slopes(order: float) -> Array:
 @functools.lru_cache(maxsize=16)
 def memory_weights(order: float) -> Array:
     """Return the weights, shape (COUNT + 1,), of moments and present stress in D^-alpha of it."""
+    order = max(order, LOWEST_ORDER)
     factor = SPACING * math.sin(math.pi * order) / math.pi
     # What decays faster than the fastest follows the stress.
     fast = factor * RATES[-1] ** -order / math.expm1(SPACING * order)

@@ -253,14 +253,16 @@ static double with_characteristic(const Scaled *in, double *rows, double scale)
 
 static void hold(const Scaled *in, double *rows)
 {
-    int n = in->size, stride = padded(n + 1), held = in->held;
-    if (held < 0)
-        return;
-    for (int j = 0; j < stride; j++)
-        rows[(size_t)held * stride + j] = 0.0;
-    for (int i = 0; i < n; i++)
-        rows[(size_t)i * stride + held] = 0.0;
-    rows[(size_t)held * stride + held] = 1.0;
+    int n = in->size, stride = padded(n + 1);
+    for (int held = 0; in->held >> held; held++) {
+        if (!(in->held >> held & 1))
+            continue;
+        for (int j = 0; j < stride; j++)
+            rows[(size_t)held * stride + j] = 0.0;
+        for (int i = 0; i < n; i++)
+            rows[(size_t)i * stride + held] = 0.0;
+        rows[(size_t)held * stride + held] = 1.0;
+    }
 }
 
 /* What the evidence gains at each place of the grid, 2 (kernel, characteristic) inverse squares

@@ -79,7 +79,7 @@ double fden_equations(const Walks *walks, int columns, double *rows, double *mea
 
 /* Normal equations whose prior depends on two scales. */
 typedef struct {
-    int size, held, kernel, characteristic; /* places: the held one, and where the errors begin */
+    int size, held, kernel, characteristic; /* held: a bit a place; and where the errors begin */
     const double *normal, *towards, *base, *off, *kernel_prior, *characteristic_prior;
 } Scaled;
 

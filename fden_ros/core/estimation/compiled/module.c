@@ -11,7 +11,7 @@
 #include "loops.h"
 
 /* Raised with every change of what a function takes: loops.py compares it. */
-#define VERSION 1
+#define VERSION 2
 
 #define MOST_ARGUMENTS 32
 
@@ -326,7 +326,8 @@ static Scaled scaled_of(Call *call)
     found.kernel_prior = numbers_or_none(call, kernel * kernel);
     found.characteristic_prior = numbers_or_none(call, rest * rest);
     if (!call->has_failed
-        && (found.kernel < 0 || kernel < 0 || rest < 0 || found.held >= found.characteristic)) {
+        && (found.kernel < 0 || kernel < 0 || rest < 0 || found.held < 0
+            || (found.characteristic < 31 && found.held >> found.characteristic))) {
         PyErr_SetString(PyExc_ValueError, "places of the errors do not fit");
         call->has_failed = 1;
     }

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The stiffness that a posterior predicts for a small motion: law, its errors and the origin.
+
+A small step at the compression u is answered, a time tau later, by
+
+.. math::
+    k = \frac{\psi'(x)\,x'(u)}{c\,L}\,E(\tau), \qquad \psi = \varphi\,e^{\epsilon(x)}, \quad
+    E(\tau) = \sum_r w_r(\alpha)\,e^{\delta_r - \lambda_r \tau}
+
+with c the stress by force, and in series with what the tool yields, :math:`1/k + C`. So it is that
+of force and displacement as they are measured: neither the thickness counts, nor whether the tool
+yields or the tissue. Its logarithm is close to linear in the unknowns: its moments are taken of
+each mode by its derivatives, and mixed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import Member
+from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.unknowns import (
+    KERNEL_HATS,
+    LOG_G,
+    LOG_GN,
+    ORDER,
+    ORIGIN,
+    splines,
+)
+from fden_ros.core.law.characteristic import MAX_EXPONENT, phi
+from fden_ros.core.law.relaxation import relaxation_after
+
+#: Part of a compression by which it is moved for the derivative [1].
+_STEP = 1e-3
+#: Modes without a stiffness, as where the tool would yield by less than nothing, may have the rest
+#: of this share [1].
+_LEAST_SHARE = 0.95
+
+
+class LogStiffnesses(NamedTuple):
+    """ln k of modes, each of shape (modes,)."""
+
+    weights: Array
+    values: Array  #: [1], k in N/m
+    variances: Array  #: [1]
+
+
+@dataclass(frozen=True, eq=False)
+class SmallMotion:
+    """The modes of a posterior, for predictions of a small motion.
+
+    Attributes
+    ----------
+    model : PressModel
+    modes : tuple of Member
+        Of the whole state.
+    origin_sd : float
+        Compression by one standard deviation of the origin [1].
+    weight : float
+        Of all its modes [1].
+    shift : float
+        By which its compressions are larger than those that are asked for [1].
+    variance_factor : float
+        By which contradictions of the data widen the variances [1].
+    """
+
+    model: PressModel
+    modes: tuple[Member, ...]
+    origin_sd: float
+    weight: float = 1.0
+    shift: float = 0.0
+    variance_factor: float = 1.0
+
+    def widened(self, factor: float) -> SmallMotion:
+        """Return it with more variance."""
+        return replace(self, variance_factor=factor * self.variance_factor)
+
+    def log_stiffnesses(
+        self, compression: float, stress: float, time_scale: float
+    ) -> LogStiffnesses:
+        """Return ln k of its modes.
+
+        Parameters
+        ----------
+        compression : float
+            From the nominal origin [1].
+        stress : float
+            There [Pa]: it bends the tool.
+        time_scale : float
+            tau [s].
+        """
+        model, geometry = self.model, self.model.geometry
+        states = np.array([mode.mean for mode in self.modes])
+        moves = np.zeros(model.size)
+        moves[ORIGIN] = -self.origin_sd
+        moves += stress * model.bending
+        own = np.maximum(compression + self.shift + states @ moves, 0.0)
+        gradient, by_compression, values = _of_characteristic(model, states, own)
+        gradient += by_compression[:, None] * moves
+        relaxed, by_state = _of_relaxation(model, states, time_scale)
+        gradient += by_state
+        values = values + relaxed
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            # Of the tissue's compression in that of both.
+            modulus = np.exp(values)
+            yields = 1.0 - modulus * (states @ model.bending)
+            values = values - np.log(yields)
+            gradient = (gradient + modulus[:, None] * model.bending) / yields[:, None]
+        values -= math.log(geometry.stress_per_force * geometry.length)
+        covariances = np.array([mode.covariance for mode in self.modes])
+        variances = np.einsum("mi,mij,mj->m", gradient, covariances, gradient)
+        weights = self.weight * np.array([mode.weight for mode in self.modes])
+        return LogStiffnesses(weights, values, self.variance_factor * np.maximum(variances, 0.0))
+
+
+def log_stiffness(
+    motions: Sequence[SmallMotion], compression: float, stress: float, time_scale: float
+) -> tuple[float, float] | None:
+    """Return mean and variance of ln k [ln N/m] of all modes of several posteriors; None: none.
+
+    The parameters are those of :meth:`SmallMotion.log_stiffnesses`.
+    """
+    found = [motion.log_stiffnesses(compression, stress, time_scale) for motion in motions]
+    weights, values, variances = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    has_one = np.isfinite(values) & np.isfinite(variances)
+    weights, values, variances = weights[has_one], values[has_one], variances[has_one]
+    total = float(weights.sum())
+    if total < _LEAST_SHARE:
+        return None
+    mean = float(weights @ values) / total
+    return mean, float(weights @ (variances + (values - mean) ** 2)) / total
+
+
+def _of_characteristic(
+    model: PressModel, states: Array, compressions: Array
+) -> tuple[Array, Array, Array]:
+    """Return the derivatives of ln (psi' x') by state and compression, and its values.
+
+    Parameters
+    ----------
+    model : PressModel
+    states : ndarray, shape (modes, n)
+    compressions : ndarray, shape (modes,)
+
+    Returns
+    -------
+    by_state, by_compression, values : ndarray, shape (modes, n), (modes,), (modes,)
+    """
+    exponent, knots = model.geometry.exponent, model.characteristic
+    # Before, at and after each compression, for the derivative by it.
+    places = np.outer([1.0 - _STEP, 1.0, 1.0 + _STEP], compressions)
+    strains = places**exponent
+    linear, nonlinear = np.exp(states[:, LOG_G]), np.exp(states[:, LOG_GN])
+    reach = nonlinear * strains
+    excess = np.maximum(reach - 1.0, 0.0)
+    slope = linear * np.exp(np.minimum(excess, MAX_EXPONENT))
+    value = phi(strains, linear, nonlinear)
+    found = splines(strains.ravel(), model.last_knot, knots.stop - knots.start)
+    bends, tilts = (of_knots.reshape(*strains.shape, -1) for of_knots in found)
+    bend, tilt = (np.einsum("pmk,mk->pm", each, states[:, knots]) for each in (bends, tilts))
+    own = slope + value * tilt
+    with np.errstate(invalid="ignore", divide="ignore"):
+        values = np.log(own) + bend + np.log(exponent * places ** (exponent - 1.0))
+    at = own[1]
+    gradient = np.zeros_like(states)
+    gradient[:, LOG_G] = 1.0
+    by_log_gn = slope[1] * reach[1] * (excess[1] > 0.0) + value[1] * excess[1] * tilt[1]
+    gradient[:, LOG_GN] = by_log_gn / at
+    gradient[:, knots] = bends[1] + (value[1] / at)[:, None] * tilts[1]
+    apart = 2.0 * _STEP * compressions
+    with np.errstate(invalid="ignore"):
+        rise = values[2] - values[0]
+    by_compression = np.divide(rise, apart, out=np.zeros_like(apart), where=apart > 0.0)
+    return gradient, by_compression, values[1]
+
+
+def _of_relaxation(model: PressModel, states: Array, time: float) -> tuple[Array, Array]:
+    """Return ln E at a time, (modes,), and its derivatives by the state, (modes, n)."""
+    parts, slopes = relaxation_after(states[:, ORDER], time)
+    gradient = np.zeros_like(states)
+    if model.is_bent:
+        hats = KERNEL_HATS[: parts.shape[1]]
+        bend = np.exp(states[:, model.kernel] @ hats.T)
+        parts, slopes = parts * bend, slopes * bend
+        gradient[:, model.kernel] = parts @ hats
+    total = parts.sum(axis=1)
+    gradient[:, ORDER] = slopes.sum(axis=1)
+    return np.log(total), gradient / total[:, None]
