@@ -9,6 +9,8 @@ the states, and predicts the force of the motion of the next 3 s at four moments
 three fifths of the way on the ramp, at its end, half way through the hold and 3 s before its end.
 What is converged without a warning flag is predicted and counts: the share of the samples in the
 95 % interval, and its half width in percent of the peak; the others are refused.
+
+N/m is asked for apart (``law_stiffness.py``): of laws without relaxation, and with other probes.
 """
 
 from __future__ import annotations
@@ -18,11 +20,23 @@ import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmark import law_stiffness
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, by_case
+from benchmark.law_stiffness import (
+    GEOMETRIES,
+    TIME_SCALE,
+    Found,
+    Press,
+    Stress,
+    found_at,
+    hunt_crossley,
+    kelvin_voigt,
+)
 from benchmark.other_laws import (
     Law,
     Relaxation,
@@ -121,6 +135,8 @@ _ALL = (
     _own("fden_three", "the law itself, three presses", 3),
 )
 CASES = {case.name: case for case in _ALL}
+#: Whose N/m alone is asked for: they have no relaxation of their own.
+_OTHERS = {"kelvin_voigt": "spring and dashpot", "hunt_crossley": "Hunt and Crossley"}
 #: Laws that change smoothly: no tissue of theirs changes under the probe.
 _SMOOTH = ("linear_solid_10", "poroelastic_20", "softens_10")
 
@@ -154,14 +170,20 @@ class Trial(NamedTuple):
     changed: Share
 
 
-def recorded(case: Case, number: int) -> Recording:
-    """Return recording `number` of a case; the seed is fixed."""
-    generator = np.random.default_rng([zlib.crc32(case.name.encode()), number])
+def _drawn(name: str, number: int) -> tuple[np.random.Generator, FdenModel]:
+    """Return the generator of recording `number` of a case, and its model; the seed is fixed."""
+    generator = np.random.default_rng([zlib.crc32(name.encode()), number])
     model = FdenModel(
         math.exp(generator.uniform(math.log(500.0), math.log(8000.0))),
         float(generator.uniform(6.0, 10.0)),
         float(generator.uniform(0.08, 0.32)),
     )
+    return generator, model
+
+
+def recorded(case: Case, number: int) -> Recording:
+    """Return recording `number` of a case."""
+    generator, model = _drawn(case.name, number)
     rate = math.exp(generator.uniform(math.log(0.1), math.log(0.5)))
     hold = float(generator.uniform(8.0, 12.0))
     top = -_HEIGHT_M / _THICKNESS_M * float(generator.uniform(1.0, 1.2))
@@ -247,6 +269,38 @@ def _predicted(recording: Recording, live: LiveTissue, heard: float, moment: str
     return Predicted(moment, "", inside, width_of / recording.peak_n, error / recording.peak_n)
 
 
+def _stress_of(name: str, generator: np.random.Generator, model: FdenModel) -> Stress:
+    """Return the stress of a law, or of spring and dashpot, or of Hunt and Crossley."""
+    if name == "kelvin_voigt":
+        return kelvin_voigt(model.linear_stiffness, float(generator.uniform(0.02, 0.2)))
+    if name == "hunt_crossley":
+        numbers = generator.uniform([1.0, 0.1], [2.0, 1.0])
+        return hunt_crossley(4.0 * model.linear_stiffness, *numbers.tolist())
+    return partial(stress_of_law, CASES[name].law(model))
+
+
+def run_stiffness(which: tuple[str, str, str], number: int) -> list[Found]:
+    """Press a law once, and return N/m at the moments of the press, beside the truth."""
+    name, geometry, rig = which
+    generator, model = _drawn(f"{name}, {geometry}", number)
+    rate = math.exp(generator.uniform(math.log(0.1), math.log(0.5)))
+    top = -_HEIGHT_M / _THICKNESS_M
+    deepest = _AIR_S + (_MAX_STRAIN - top) / rate
+    lifted = deepest + float(generator.uniform(3.0, 6.0))
+    out = lifted + (_MAX_STRAIN - top) / _RETRACT_RATE
+    knots = [0.0, _AIR_S, deepest, lifted, out, out + _AIR_S]
+    step = 1.0 / (_RATE_HZ * _CUTS)
+    fine = step * np.arange(1.0, int(knots[-1] / step) + 1.0)
+    strains = np.interp(fine, knots, [top, top, _MAX_STRAIN, _MAX_STRAIN, top, top])
+    noise = _NOISE_SHARE * generator.standard_normal(fine.size // _CUTS)
+    touch = _AIR_S - top / rate
+    instants = touch + _ON_RAMP * (deepest - touch), deepest, 0.5 * (deepest + lifted), lifted
+    press = Press(strains, step, _CUTS, noise, instants)
+    return found_at(
+        press, _stress_of(name, generator, model), {**GEOMETRIES[geometry], **_RIG[rig]}
+    )
+
+
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify, predict and judge."""
     rigs = (RIGID,) if args.quick else (RIGID, ARM)
@@ -258,10 +312,38 @@ def run(args: argparse.Namespace) -> Report:
     ]
     found = by_case(run_trial, tasks, jobs=args.jobs, what="recordings")
     rows = {f"{CASES[name].says}, {rig}": row_of(some) for (name, rig), some in found.items()}
-    return Report(
-        goals_of(rows, {name: trials for (name, rig), trials in found.items() if rig == RIGID}),
-        {"laws": Table("The force of the next 3 s on tissue of other laws", rows)},
-    )
+    stiffness = _stiffness_rows(args, rigs)
+    goals = goals_of(rows, {name: trials for (name, rig), trials in found.items() if rig == RIGID})
+    goals += [
+        at_least(f"N/m in its 95 % interval: {name}", row["in 95 %"].value, 0.9)
+        for name, row in stiffness.items()
+        if name.startswith("all")
+    ]
+    tables = {
+        "laws": Table("The force of the next 3 s on tissue of other laws", rows),
+        "N/m": Table(f"N/m after {TIME_SCALE:g} s on tissue of other laws", stiffness),
+    }
+    return Report(goals, tables)
+
+
+def _stiffness_rows(args: argparse.Namespace, rigs: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the figures of N/m: of each law, and of all on each rig."""
+    names = [case.name for case in args.cases if case.presses == 1] + list(_OTHERS)
+    tasks = [
+        ((name, geometry, rig), number)
+        for rig in rigs
+        for name in names
+        for geometry in GEOMETRIES
+        for number in args.numbers
+    ]
+    trials = by_case(run_stiffness, tasks, jobs=args.jobs, what="presses")
+    groups: dict[str, list[Found]] = {}
+    for (name, geometry, rig), own in trials.items():
+        moments = [moment for trial in own for moment in trial]
+        says = CASES[name].says if name in CASES else _OTHERS[name]
+        for group in (f"{says}, {rig}", f"all, {geometry}, {rig}", f"all, {rig}"):
+            groups.setdefault(group, []).extend(moments)
+    return {group: law_stiffness.row_of(found) for group, found in groups.items()}
 
 
 def row_of(trials: Sequence[Trial]) -> dict[str, Any]:
