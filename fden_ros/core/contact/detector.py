@@ -28,6 +28,10 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 #: deviations of the surface, and than this many usual steps of the displacement: noise
 #: alone reaches six.
 _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
+#: After a release a probe that has not advanced touches nothing. It has by more than 6 usual
+#: second differences, 10 deviations of white noise, whose range in 10,000 samples is 8, and than
+#: 2 of the smallest steps of its encoder.
+_ADVANCE_NOISE, _ADVANCE_STEPS = 6.0, 2.0
 #: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
 #: present speed; before that a rise must last for 0.15 s from a tenth of its depth on: then one
 #: half of a vibration of 5 Hz is over.
@@ -56,6 +60,18 @@ class Approach(NamedTuple):
         return way > max(
             _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
         )
+
+    def has_advanced(self) -> bool:
+        """Whether the probe has moved in since the release, by more than the displacement's noise.
+
+        What moves evenly has no second differences; of noise they are 1.65 deviations.
+        """
+        way = self.displacement
+        steps = np.abs(np.diff(way))
+        noise = float(np.median(np.abs(np.diff(way, n=2)))) if way.size > 2 else 0.0
+        step = float(min(steps[steps > 0.0], default=0.0))
+        advance = float(np.max(way - np.minimum.accumulate(way)))
+        return advance > max(_ADVANCE_NOISE * noise, _ADVANCE_STEPS * step)
 
     def rises_by_itself(self, drift: float, noise: float) -> bool:
         """Whether time explains the force before the touch, and not the way of the probe.
@@ -294,9 +310,11 @@ class ContactDetector:
 
     def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
         """Whether a rise of the force is told from a drift and from a swing."""
-        if not self._config.measure_bias:
+        if not self._baseline.is_measured:
             return True
         rise, evidence = self._rise, approach.surface.evidence
+        if self._has_released and not approach.has_advanced():
+            evidence = 0.0
         rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
         if evidence < MIN_EVIDENCE:
             # A drift, which rises whatever the probe does; or the beginning of a contact that is
@@ -324,12 +342,13 @@ class ContactDetector:
         self._doubted_chunks = 0
 
     def _watch_below_baseline(self, below: bool) -> None:
-        self._chunks_below = self._chunks_below + 1 if below and self._config.measure_bias else 0
+        self._chunks_below = self._chunks_below + 1 if below and self._baseline.is_measured else 0
         if self._chunks_below < _BELOW_BASELINE_CHUNKS:
             return
-        # The chunks before were a contact, or the force has the wrong sign.
-        self.below_baseline += 1
-        self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
+        if self._config.measure_bias:
+            # The chunks before were a contact, or the force has the wrong sign.
+            self.below_baseline += 1
+            self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
         self._chunks_below = 0
         self._highest = None
         self._baseline.forget_all_but(MIN_CHUNKS)
@@ -475,6 +494,7 @@ class ContactDetector:
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
         self._has_released = self.has_seen_air = True
+        self._baseline.is_measured = True
         self._highest = None
         # What is air at the end of a contact is air before the next one.
         pressing = self.force_bias + self.release_threshold
