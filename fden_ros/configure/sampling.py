@@ -15,8 +15,11 @@ from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, Session, runs
 from fden_ros.configure.statistics import apart_from_neighbours, fit, noise_of, pooled
 from fden_ros.core.arrays import Array
+from fden_ros.core.contact.air import ContactConfig, least_noise
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 from fden_ros.core.strokes import REMEDY
+from fden_ros.parameters import Value
+from fden_ros.parameters.parameter import TINY
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02
@@ -92,7 +95,11 @@ def _noise(stream: str, sessions: Sequence[Session], axis: Axis | None) -> Findi
         value = rounded / math.sqrt(12.0)
         sd = 0.2 * value
         evidence = "that of rounding: the values come in larger steps than the noise"
-    return Finding(subject, value, sd, evidence, _all(sessions))
+    floor: dict[str, Value] = {}
+    if stream == "force" and 0.0 < value < ContactConfig.noise_floor:
+        floor = {"force.noise_floor": max(least_noise(value), TINY)}
+        evidence += "; below the default of force.noise_floor, which would hide presses"
+    return Finding(subject, value, sd, evidence, _all(sessions), parameters=floor)
 
 
 def _noise_in_motion(stream: str, sessions: Sequence[Session]) -> Finding:

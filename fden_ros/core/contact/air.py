@@ -202,6 +202,11 @@ class Air(NamedTuple):
     size: int  #: samples behind it
 
 
+def least_noise(noise: float) -> float:
+    """Return the floor for a force noise [N]: a tenth of it, to one digit."""
+    return float(f"{0.1 * noise:.0e}")
+
+
 class Level(NamedTuple):
     """The force without contact, when the last chunk ended."""
 
@@ -324,9 +329,11 @@ class Baseline:
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
-        return self._config.force_noise or max(
-            air.fast_noise, self._rounding, self._config.noise_floor
-        )
+        return self._config.force_noise or max(self.own_noise_of(air), self._config.noise_floor)
+
+    def own_noise_of(self, air: Air) -> float:
+        """Return the noise per sample that the air shows, rounding included [N]."""
+        return max(air.fast_noise, self._rounding)
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""

@@ -191,6 +191,8 @@ _BELOW_BASELINE_CHUNKS = 10
 _FALL_THRESHOLDS = 12.0
 #: That minute [ns].
 _FALL_NS = 60 * NANOSECONDS
+#: A rise for 5 chunks that the floor of the noise hides may be a press.
+_HIDDEN_CHUNKS = 5
 #: A sample clearly is not the air's from 4 standard deviations of the noise per sample on.
 CLEAR_DEVIATIONS = 4.0
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
@@ -222,6 +224,8 @@ class ContactDetector:
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.has_seen_air = False  #: whether a contact began or ended in the air
+        #: The air's own noise per sample [N] where the floor hid a press; 0: it hid none.
+        self.hidden_above = 0.0
         self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
         self.release_threshold = 0.0  #: force of a sample that is not pressing [N]
         self.reset()
@@ -247,6 +251,7 @@ class ContactDetector:
         self._behind_chunks = 0
         self._has_held = False
         self._highest: _Highest | None = None
+        self._hidden_chunks, self._is_touch_hidden = 0, False
 
     def mean_air_force(self) -> float | None:
         """Return the mean force of the last chunks in the air [N]; None in contact or before 5."""
@@ -299,6 +304,7 @@ class ContactDetector:
                 if is_clear:
                     excess = Excess(1.0, clear, 1)
                 return self._begin(approach, bias, noise, clear, excess)
+        self._watch_floor(chunk, baseline.own_noise_of(air), bias)
         if is_over:
             self._end_rise(chunk.end_ns, excess.ratio)
         self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
@@ -354,6 +360,25 @@ class ContactDetector:
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
 
+    def _watch_floor(self, chunk: Chunk, own: float, bias: float) -> None:
+        """Take note of a touch that the air's own noise [N] would show, and its floor hides.
+
+        It is one where the force follows the way, and no contact has come of it when it is over.
+        """
+        config = self._config
+        if config.force_noise or not 0.0 < own < config.noise_floor:
+            return
+        if chunk.mean - bias <= CLEAR_DEVIATIONS * own:
+            if self._is_touch_hidden:
+                self.hidden_above = own
+            self._hidden_chunks, self._is_touch_hidden = 0, False
+            return
+        self._hidden_chunks += 1
+        if self._hidden_chunks == _HIDDEN_CHUNKS:
+            approach = self._approach_until(chunk.end_ns, bias, own, is_clear=True, is_bare=True)
+            evidence = approach.surface.evidence
+            self._is_touch_hidden = evidence >= MIN_EVIDENCE and approach.has_advanced()
+
     def _watch_fall(self, chunk: Chunk, threshold: float) -> None:
         """Count a force that falls as the probe advances; it is not taken for anything else."""
         if not self._samples:
@@ -374,8 +399,9 @@ class ContactDetector:
         return self._baseline.drift if self._config.measure_bias else 0.0
 
     def _approach_until(
-        self, now_ns: int, bias: float, white: float, *, is_clear: bool
+        self, now_ns: int, bias: float, white: float, *, is_clear: bool, is_bare: bool = False
     ) -> Approach:
+        """Return the samples until now; `is_bare`: by the white noise [N] alone."""
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -388,7 +414,7 @@ class ContactDetector:
         level = self._baseline.level(
             bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         )
-        if level.noise > _COLOUR * white:
+        if level.noise > _COLOUR * white and not is_bare:
             # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
             surface = find_surface(
                 time, force, displacement, self._order, level.noise, LONG_WINDOW
@@ -442,7 +468,8 @@ class ContactDetector:
         self._newest.clear()
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
         self._samples.clear()
-        self._chunks_below = 0
+        self._chunks_below = self._hidden_chunks = 0
+        self._is_touch_hidden = False
         self._baseline.is_suspected = False
         self._behind_chunks = 0
         self._surface = self._deepest = surface.displacement
