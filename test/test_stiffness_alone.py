@@ -133,3 +133,18 @@ def test_configure_suggests_the_mode_for_a_probe_that_never_lifts(
     table = written(tmp_path / "strokes.csv", palpated(lowest))
     assert main(["configure", table]) == 0
     assert (REMEDY in capsys.readouterr().out) is is_told
+
+
+def test_presses_that_outnumber_the_strokes_keep_their_table() -> None:
+    # Eight strokes that do not lift, then sixteen that do.
+    first, second = palpated(1e-3), palpated(-1e-3)
+    count = [round(periods / 1.5 * RATE) for periods in (8, 16)]
+    force, depth = (np.concatenate([first[k][: count[0]], second[k][: count[1]]]) for k in (1, 2))
+    pipeline = Pipeline(pipeline_config(check(GEOMETRY)), lambda _output: None)
+    for number, (newtons, metres) in enumerate(zip(force, depth, strict=True)):
+        stamp_ns = round(1e9 * (1.0 + number / RATE))
+        pipeline.add_displacement(stamp_ns, float(metres))
+        pipeline.add_force(stamp_ns, float(newtons))
+    pipeline.finish()
+    assert any(REMEDY in words for words in pipeline.warnings)
+    assert not pipeline.never_lifts

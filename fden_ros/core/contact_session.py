@@ -153,7 +153,7 @@ class ContactSession:
         return {
             **self._common.plausibility.found,
             self._tilt.words: self._tilt.count,
-            strokes.warning: int(self.never_lifts),
+            strokes.warning: 1,
             self._floor_warning: 1,
         }
 
@@ -170,7 +170,7 @@ class ContactSession:
     @property
     def never_lifts(self) -> bool:
         """Whether the probe palpates without lifting, so that its contacts are none."""
-        return self._strokes.frequency is not None
+        return self._strokes.prevails
 
     def zero(self) -> float | str:
         """Measure the force in the air anew; return what it was [N], or why it is not known."""

@@ -33,6 +33,7 @@ class Strokes:
 
     def __init__(self) -> None:
         self.frequency: float | None = None
+        self._strokes = self._lifts = 0
         self.forget()
 
     def forget(self) -> None:
@@ -43,6 +44,11 @@ class Strokes:
         self._surface: float | None = None  # of the present contact, or the last
         self._count = 0
         self._unseen_ns: int | None = None  # since when a contact lasts whose touch was not seen
+
+    @property
+    def prevails(self) -> bool:
+        """Whether it is told, and no more touches came after a lift than without one."""
+        return self.frequency is not None and self._lifts <= self._strokes
 
     @property
     def warning(self) -> str:
@@ -79,6 +85,8 @@ class Strokes:
         least = (_LIFTED if onset.seen else _LIFTED_UNSEEN) * depth
         is_stroke = before is not None and clearance < least
         self._count = self._count + 1 if is_stroke else 0
+        self._strokes += is_stroke
+        self._lifts += before is not None and not is_stroke
         self._unseen_ns = None if onset.seen else onset.samples[0].stamp_ns
         self._surface = onset.displacement
         self._deepest = onset.samples[-1].displacement
