@@ -69,7 +69,7 @@ class Approach(NamedTuple):
         way = self.displacement
         steps = np.abs(np.diff(way))
         noise = float(np.median(np.abs(np.diff(way, n=2)))) if way.size > 2 else 0.0
-        step = float(min(steps[steps > 0.0], default=0.0))
+        step = float(steps[steps > 0.0].min(initial=math.inf))
         advance = float(np.max(way - np.minimum.accumulate(way)))
         return advance > max(_ADVANCE_NOISE * noise, _ADVANCE_STEPS * step)
 
