@@ -11,8 +11,10 @@ import math
 import shlex
 import signal
 import sys
+import textwrap
 import time
 from collections.abc import Sequence
+from types import ModuleType
 
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
@@ -21,6 +23,10 @@ from fden_ros.errors import Hint, InputError
 
 #: Two interrupts within this time are one [s].
 _SAME_INTERRUPT = 1.0
+
+#: What the exit codes of all commands mean.
+EXIT_CODES = {0: "done", 1: "the input cannot be used", 2: "wrong usage"}
+_HELP_WIDTH = 96
 
 #: What ``fden --help`` says of each module of :mod:`fden_ros.commands`.
 COMMANDS = {
@@ -62,12 +68,19 @@ def build_parser() -> argparse.ArgumentParser:
             name,
             help=summary,
             description=module.DESCRIPTION,
-            epilog=module.EPILOG,
+            epilog=module.EPILOG + _exit_codes(module),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(command)
         command.set_defaults(parser=command, run=module.run)
     return parser
+
+
+def _exit_codes(module: ModuleType) -> str:
+    """Return what the exit codes of a command mean, for its help."""
+    meanings = {**EXIT_CODES, **getattr(module, "EXIT_CODES", {})}
+    words = "; ".join(f"{code} {meaning}" for code, meaning in sorted(meanings.items()))
+    return "\n" + textwrap.fill(f"Exit codes: {words}.", _HELP_WIDTH) + "\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -280,3 +280,78 @@ def test_air_that_a_clock_which_jumped_back_has_left_ahead_is_forgotten():
         for pair in air:
             detector.add(pair._replace(stamp_ns=pair.stamp_ns - 10_000 * MS * shift))
     assert len(pickle.dumps(detector)) < 1.2 * before
+
+
+def pressed_twice(after, *, wait_s, depth):
+    """Pairs at 500 Hz of presses to 3 mm and to `depth` [m], and when each is in contact [s].
+
+    `after` gives the way [m] and a force [N] that is no tissue's, `t` seconds after the probe was
+    0.4 mm deep on its way back from the first.
+    """
+    second = 5.0 + wait_s
+    corners = [(0, -2), (2, -2), (2.5, 0), (3.5, 3), (4.0, 3), (5, -1)]
+    corners += [(second, -1), (second + 0.25, 0), (second + 1.0, 1e3 * depth)]
+    corners += [(second + 1.5, 1e3 * depth), (second + 2.5, -1), (second + 6.0, -1)]
+    seconds = np.arange(0.0, second + 6.0, 2e-3)
+    elapsed = np.maximum(seconds - 4.65, 0.0)
+    moved, force = after(elapsed)
+    # The probe is back at rest before it presses again.
+    share = np.clip((second - 0.1 - seconds) / 0.1, 0.0, 1.0) * (elapsed > 0.0)
+    way = np.interp(seconds, *np.array(corners).T) * 1e-3 + share * moved
+    force += 400.0 * np.maximum(way, 0.0)
+    rng = np.random.default_rng(7)
+    force += 0.02 * rng.standard_normal(force.size)
+    way += 2e-6 * rng.standard_normal(way.size)
+    return made(force, way, 500.0), [(2.5, 5.0), (second + 0.25, second + 2.5)]
+
+
+def _creeping(t):
+    return 0.4e-3 * np.exp(-t / 1.5) - np.maximum(0.4e-3 - 4e-3 * t, -1e-3), 0.0 * t
+
+
+def _hovering(t):
+    swing = np.clip((t - 0.5) / 0.2, 0.0, 1.0) * 0.3e-3 * np.sin(2.0 * np.pi * t)
+    return swing, (0.1 + 0.15 * np.exp(-t / 2.0)) * (t > 0.0)
+
+
+#: Way of the probe [m] beside its motion and force [N] that stays, by the time since the release.
+AFTER_A_RELEASE = {
+    "nothing": lambda t: (0.0, 0.0 * t),
+    "residue that decays": lambda t: (0.0, (0.1 + 0.2 * np.exp(-t / 2.0)) * (t > 0.0)),
+    "adhesion that pulls": lambda t: (0.0, -0.3 * np.exp(-t / 0.3) * (t > 0.0)),
+    "drift of the zero": lambda t: (0.0, 0.03 * t),
+    "step of the zero": lambda t: (0.0, 0.15 * (t > 0.7)),
+    "probe that creeps back": _creeping,
+    "hover that oscillates": _hovering,
+}
+
+
+@pytest.mark.parametrize("measure_bias", [True, False])
+@pytest.mark.parametrize(
+    ("wait_s", "depth"), [(0.6, 3e-3), (6.0, 3e-3), (6.0, 0.5e-3)], ids=["soon", "later", "gentle"]
+)
+@pytest.mark.parametrize("after", AFTER_A_RELEASE)
+def test_what_follows_a_release_is_no_contact_and_the_next_press_is(
+    after, wait_s, depth, measure_bias
+):
+    pairs, presses = pressed_twice(AFTER_A_RELEASE[after], wait_s=wait_s, depth=depth)
+    _, events = events_of(pairs, measure_bias=measure_bias)
+    told = [(ns - START_NS) / 1e9 for ns, event in events if isinstance(event, Onset)]
+    assert len(told) == len(presses)
+    for at, (begin, end) in zip(told, presses, strict=True):
+        assert begin < at < end
+
+
+def test_a_force_that_rises_under_a_probe_at_rest_is_a_contact_before_the_first_release_only():
+    # The bias is trusted: a press may come as tissue that moves, or begin with the data.
+    rng = np.random.default_rng(2)
+    force, way = press(rng, bias=0.0)
+    way = np.maximum(way, 0.0)
+    step = np.where(np.arange(2000) > 1000, 0.5, 0.0) + 0.01 * rng.standard_normal(2000)
+    before = made(np.concatenate([step, force]), np.concatenate([np.zeros(2000), way]))
+    assert onsets(events_of(before, measure_bias=False)[1])[0].samples[-1].stamp_ns < (
+        START_NS + 2000 * MS
+    )
+    after = made(np.concatenate([force, step]), np.concatenate([way, np.zeros(2000)]))
+    _, events = events_of(after, measure_bias=False)
+    assert [type(event) for _, event in events] == [Onset, Release]

@@ -239,6 +239,7 @@ ROOMS = (
     "core.site",
     "core.press",
     "core.air_check",
+    "core.strokes",
     "core.contact_session",
     "core.continuous_session",
     "core.input_warnings",

@@ -86,8 +86,8 @@ def test_unknown_name_suggests_the_nearest_and_an_old_one_the_new(name, said):
     [
         ("geometry.area", "large", "must be a number"),
         ("geometry.thickness", 20.0, "[m]: 20 mm are 0.02 m"),
-        ("geometry.area", 2.0, "1e-09 to 1"),
-        ("geometry.area", math.nan, "1e-09 to 1"),
+        ("geometry.area", 2.0, "1e-18 to 1"),
+        ("geometry.area", math.nan, "1e-18 to 1"),
         ("geometry.hayes", 1, "must be true or false"),
         ("geometry.kind", "cube", "must be one of flat_punch, sphere"),
         ("force.axis", [0.0, 0.0, 0.0], "three numbers, not all 0"),

@@ -25,9 +25,14 @@ examples:
   fden batch archive/ --config probe.yaml -o results.csv
   fden batch 'archive/2026-*/*.mcap' --config probe.yaml -o results.csv --workers 8
 
-Interrupted (Ctrl-C), it goes on from there the next time. Exit codes: 0 done (broken bags are
-rows), 1 nothing could be done, 2 wrong usage.
+Interrupted (Ctrl-C), it goes on from there the next time.
 """
+
+#: What its exit codes say beside those of all commands.
+EXIT_CODES = {
+    0: "done (a broken bag is a row, and no contact is none)",
+    1: "nothing could be done",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

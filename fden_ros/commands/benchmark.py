@@ -25,9 +25,11 @@ examples:
   fden benchmark robots --quick --json | jq '.goals[] | select(.met == false)'
   fden benchmark robots --help              arguments of this benchmark
 
-A goal is met, missed, or undecided where the run was too short to tell. Exit codes: 0 measured,
-whatever came out; 1 the input cannot be used; 2 wrong usage.
+A goal is met, missed, or undecided where the run was too short to tell.
 """
+
+#: What its exit codes say beside those of all commands.
+EXIT_CODES = {0: "measured, whatever came out"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

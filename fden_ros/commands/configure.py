@@ -41,8 +41,10 @@ A recording that tells everything: 2 s in the air; the tool turned through three
 rigid plate pressed twice; three presses of tissue with a hold of 2 s, in the air in between; a
 sine of 0.5 mm in tissue at 1 and 4 Hz. No recording tells the indenter: state it. A table of a
 robot by name (--robot ur) has the headings of its recorder.
-Exit codes: 0 a file was proposed, 1 the input cannot be used, 2 wrong usage.
 """
+
+#: What its exit codes say beside those of all commands.
+EXIT_CODES = {0: "a file was proposed"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

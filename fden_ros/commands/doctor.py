@@ -9,7 +9,7 @@ import argparse
 
 DESCRIPTION = """\
 Listen to a running identifier for 3 s and print one page: what it hears and at which rates, what
-it lacks, what it refused last, and the one next step. Exit code 3: there is something to mend.
+it lacks, what it refused last, and the one next step.
 """
 
 EPILOG = """\
@@ -18,8 +18,9 @@ examples:
   fden doctor /left/identifier       another one
 """
 
-#: There is something to mend.
 _UNWELL = 3
+#: What its exit codes say beside those of all commands.
+EXIT_CODES = {0: "all is well", _UNWELL: "there is something to mend"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

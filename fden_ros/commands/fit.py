@@ -42,8 +42,6 @@ examples:
   fden fit relaxation relaxation.csv --strain 0.1
   fden fit nonlinearity coefficients.csv --alpha 0.131 --alpha-sd 0.011
   fden fit nonlinearity creep_tests/ --json | jq '.g, .g_sd'
-
-Exit codes: 0 done, 1 the file cannot be used, 2 wrong usage.
 """
 
 _UNITS = {

@@ -37,8 +37,10 @@ examples:
 Targets are standard deviations of ln G and ln Gn (0.1: to 10 %) and of alpha; without any, what a
 contact takes to converge. Noise and rate come from the file of `fden configure`, or are stated.
 What is planned holds for tissue of the prior, or of the results of --after; it is never exact.
-Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 the target is not possible.
 """
+
+#: What its exit codes say beside those of all commands.
+EXIT_CODES = {3: "the target is not possible"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

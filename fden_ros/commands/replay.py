@@ -20,6 +20,7 @@ from fden_ros.commands.inputs import (
 )
 
 if TYPE_CHECKING:
+    from fden_ros.core.outputs import ContactSummary
     from fden_ros.offline.replay import Replay
     from fden_ros.parameters import Parameters
 
@@ -43,10 +44,14 @@ examples:
       then: ros2 bag play -i palpation.mcap mcap -i results
   fden replay press.csv --config probe.yaml --columns '1,3,2*1e-3'
 
-The configuration is the identifier
-node's own parameter file. Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage, 3 nothing
-was identified: no contact is converged, nor a stiffness known (contact.mode: continuous).
+The configuration is the identifier node's own parameter file.
 """
+
+#: What its exit codes say beside those of all commands.
+EXIT_CODES = {
+    0: "identified: a contact is converged, or a stiffness in N/m is known",
+    _NOTHING_IDENTIFIED: "nothing was identified (the last line says why)",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _shown(result: Replay, as_json: bool) -> int:
     """Print a replay; return the exit code."""
+    from fden_ros.core.strokes import REMEDY
+
     parameters = result.parameters
     lacking = _lacking(result, parameters)
     _show(result, lacking, as_json)
@@ -99,7 +106,11 @@ def _shown(result: Replay, as_json: bool) -> int:
     why = "no contact is converged"
     if parameters.contact.mode == "continuous":
         why = "no stiffness along the path, which takes a probe that palpates as it slides"
-    elif result.warnings and not (result.summaries and result.summaries[-1].estimate):
+    elif result.has_strokes:
+        why = next(words for words in result.warnings if REMEDY in words)
+    elif result.warnings and (
+        result.is_air_doubted or not (result.summaries and result.summaries[-1].estimate)
+    ):
         # What is wrong with the input comes first.
         why += f"; {result.warnings[0]}"
     elif lacking:
@@ -112,13 +123,31 @@ def _shown(result: Replay, as_json: bool) -> int:
 def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     """Return what the contacts lack that have not converged, a line each."""
     from fden_ros.offline.advice import shortfall
+    from fden_ros.offline.remarks import against_the_law
     from fden_ros.parameters import pipeline_config
 
-    if parameters.contact.mode == "continuous":
+    if parameters.contact.mode == "continuous" or result.has_strokes:
         return []
     config = pipeline_config(parameters)
-    each = ((s.contact_id, shortfall(s, config)) for s in result.summaries)
-    return [f"contact {number}: {words}" for number, words in each if words]
+    lines = []
+    for summary in result.summaries:
+        words = shortfall(summary, config)
+        if summary.contact_id in result.with_stiffness_alone:
+            words = f"{_stiffness(summary)}; G and Gn are not: " + (
+                words or against_the_law(summary, config)
+            )
+        if words:
+            lines.append(f"contact {summary.contact_id}: {words}")
+    return lines
+
+
+def _stiffness(summary: ContactSummary) -> str:
+    from fden_ros.report.numbers import stiffness
+
+    slope = summary.measured.loading
+    if slope is None:
+        return f"{stiffness(summary.apparent_stiffness, 4)} N/m are known"
+    return f"{stiffness(slope, 4)} N/m are known, as measured"
 
 
 def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
@@ -133,7 +162,12 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         print_json(result_object(result))
         return
     console = Console()
-    console.print(contact_table(result.summaries))
+    if result.has_strokes:
+        console.print(
+            f"no table: {len(result.summaries)} contacts, strokes of a probe that never lifts"
+        )
+    else:
+        console.print(contact_table(result.summaries, result.with_stiffness_alone))
     if unseen := measured_words(result.measured_unseen):
         console.print(f"no contact, but measured: {unseen}")
     used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())

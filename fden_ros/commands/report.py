@@ -30,7 +30,6 @@ examples:
   fden report palpation.mcap --config probe.yaml        the sentence that it leads with
 
 A table, a row a contact: fden batch palpation.mcap --config probe.yaml -o contacts.csv
-Exit codes: 0 done, 1 the input cannot be used, 2 wrong usage.
 """
 
 

@@ -35,8 +35,7 @@ examples:
 then: fden replay BAG --config probe.yaml, with classifier.library: library.yaml in it
 
 The prior of the estimator is in every estimate, and is taken out again: make that of --config
-wide. Contacts that have not converged are left out. Exit codes: 0 done, 1 the input cannot be
-used, 2 wrong usage.
+wide. Contacts that have not converged are left out.
 """
 
 

@@ -15,6 +15,11 @@ from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, Session, runs
 from fden_ros.configure.statistics import apart_from_neighbours, fit, noise_of, pooled
 from fden_ros.core.arrays import Array
+from fden_ros.core.contact.air import ContactConfig, least_noise
+from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
+from fden_ros.core.strokes import REMEDY
+from fden_ros.parameters import Value
+from fden_ros.parameters.parameter import TINY
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02
@@ -90,7 +95,11 @@ def _noise(stream: str, sessions: Sequence[Session], axis: Axis | None) -> Findi
         value = rounded / math.sqrt(12.0)
         sd = 0.2 * value
         evidence = "that of rounding: the values come in larger steps than the noise"
-    return Finding(subject, value, sd, evidence, _all(sessions))
+    floor: dict[str, Value] = {}
+    if stream == "force" and 0.0 < value < ContactConfig.noise_floor:
+        floor = {"force.noise_floor": max(least_noise(value), TINY)}
+        evidence += "; below the default of force.noise_floor, which would hide presses"
+    return Finding(subject, value, sd, evidence, _all(sessions), parameters=floor)
 
 
 def _noise_in_motion(stream: str, sessions: Sequence[Session]) -> Finding:
@@ -208,6 +217,20 @@ def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
     return Finding("force drift", slope, sd, evidence, tuple(seconds))
 
 
+def _palpation(session: Session) -> float | None:
+    """Return the frequency at which the probe palpated last [Hz]; None: it did not."""
+    if session.lines is None:
+        return None
+    finder, found = PalpationFrequency(), None
+    streams = session.streams
+    for time, place in zip(
+        streams.motion_times - streams.start, streams.position @ session.lines.into, strict=True
+    ):
+        finder.add(float(time), float(place))
+        found = finder.value or found
+    return found
+
+
 def lift_off_finding(sessions: Sequence[Session]) -> Finding:
     """Say whether and when the probe was in the air."""
     touched = [session for session in sessions if session.contacts]
@@ -221,6 +244,9 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
             "probe travels"
         )
         motion = "begin with 2 s in the air, and lift off by 3 mm after each press"
+        if frequency := next(filter(None, map(_palpation, never)), None):
+            evidence += f", and palpates at {frequency:.2g} Hz"
+            motion += f"; or write {REMEDY} for the stiffness in N/m where it palpates"
         return Finding("lift-off", "never", None, evidence, _all(never), motion)
     count = sum(len(session.contacts) for session in touched)
     first = min(s.contacts[0].start - s.streams.start for s in touched)

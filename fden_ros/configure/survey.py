@@ -146,7 +146,9 @@ def _in_known_units(finding: Finding, units: Units) -> Finding:
         return finding
     evidence = f"{finding.evidence}; the unit is not known"
     motion = "say which unit it is"
-    return replace(finding, claim=False, evidence=evidence, parameters={}, motion=motion)
+    # The floor is a tenth of the noise in whatever unit a replay reads both.
+    kept = finding.parameters if finding.subject == "force noise" else {}
+    return replace(finding, claim=False, evidence=evidence, parameters=kept, motion=motion)
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,9 @@ def replay_problems(survey: Survey) -> list[str]:
             unknown.setdefault(f"{axis.evidence}. To find out: {axis.motion}", []).append(stream)
     for why, names in unknown.items():
         problems.append(f"the axis of the {' and of the '.join(names)} is not known: {why}")
-    if survey.finding("lift-off").value == "never":
-        problems.append("no touch is seen for sure: begin with 2 s in the air, 3 mm off")
+    lift_off = survey.finding("lift-off")
+    if lift_off.value == "never":
+        problems.append(f"no touch is seen for sure: {lift_off.motion}")
     if not survey.finding("indenter").claim:
         problems.append(
             "the indenter is the default's, a flat face of 1 cm^2 on 20 mm: G and Gn are not the "

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from fden_ros.core.air_check import AirCheck, Verdict
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
+from fden_ros.core.contact.air import least_noise
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
@@ -27,6 +28,7 @@ from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.strokes import Strokes
 
 #: A summary is given this long after the release [ns], where the last solution has been found by
 #: then, and at the latest after this [ns]: what is left of it is done at once.
@@ -87,6 +89,7 @@ class ContactSession:
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
         self._air = AirCheck(config)
         self._tilt = Tilt(config.geometry)
+        self._strokes = Strokes()
         self._common = Common(
             config,
             rejected,
@@ -108,6 +111,7 @@ class ContactSession:
         self._press: Press | None = None
         self._left: _Left | None = None
         self._air.forget()
+        self._strokes.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
         if not (keeps_contact and self._detector.in_contact):
@@ -145,7 +149,28 @@ class ContactSession:
     @property
     def warnings(self) -> dict[str, int]:
         """What was odd about the contacts, in words, and how often."""
-        return {**self._common.plausibility.found, self._tilt.words: self._tilt.count}
+        strokes = self._strokes
+        return {
+            **self._common.plausibility.found,
+            self._tilt.words: self._tilt.count,
+            strokes.warning: 1,
+            self._floor_warning: 1,
+        }
+
+    @property
+    def _floor_warning(self) -> str:
+        own, floor = self._detector.hidden_above, self._config.contact.noise_floor
+        if not own:
+            return ""
+        return (
+            f"force.noise_floor ({floor:.1g} N) hides presses: the air's own noise is {own:.1g} N"
+            f"; write force: {{noise_floor: {least_noise(own):.0e}}}"
+        )
+
+    @property
+    def never_lifts(self) -> bool:
+        """Whether the probe palpates without lifting, so that its contacts are none."""
+        return self._strokes.prevails
 
     def zero(self) -> float | str:
         """Measure the force in the air anew; return what it was [N], or why it is not known."""
@@ -164,7 +189,9 @@ class ContactSession:
     def take(self, pair: Pair) -> Iterator[Output]:
         """Take a pair; give what comes of it."""
         event = self._detect(pair)
+        self._strokes.add(pair, in_contact=self._detector.in_contact)
         if isinstance(event, Onset):
+            self._strokes.touch(event)
             yield from self._report(pair.stamp_ns)
             yield from self._touch(event)
         elif self._press is None:
@@ -174,6 +201,7 @@ class ContactSession:
         else:
             yield from self._press.take(pair)
         if isinstance(event, Release):
+            self._strokes.release()
             yield from self._end_press(event.stamp_ns, complete=True)
 
     def _detect(self, pair: Pair) -> Onset | Release | None:
@@ -281,6 +309,8 @@ class ContactSession:
 
         `is_long`: the memory of the site is lost; the present contact says nothing more.
         """
+        if is_long:
+            self._strokes.forget()
         press = self._press
         if press is None:
             return

@@ -126,7 +126,7 @@ class ContinuousSession:
     """
 
     #: No touch is looked for.
-    in_contact = False
+    in_contact = never_lifts = False
     air_events = (0, 0, False)
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:

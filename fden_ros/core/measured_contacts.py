@@ -44,7 +44,9 @@ class MeasuredContacts:
         self._compliance_free = contact.compliance_free
         self._is_continuous = config.is_continuous
         self._meter = StiffnessMeter(
-            max(contact.force_noise, contact.noise_floor), config.block_duration
+            max(contact.force_noise, contact.noise_floor),
+            config.block_duration,
+            config.geometry.length,
         )
         self.unseen = NOT_MEASURED
         self._found: dict[int, BothWays] = {}

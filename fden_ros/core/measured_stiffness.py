@@ -28,8 +28,9 @@ from scipy.special import stdtrit
 from fden_ros.core.arrays import Array
 from fden_ros.core.streams.samples import NANOSECONDS
 
-#: Pieces are at least so long [m]: a stroke of 0.1 mm has 20.
-_LEAST_PIECE = 5e-6
+#: Pieces are at least so long [m]: a stroke of 0.1 mm has 20. Of a smaller probe they are this
+#: part of its length at most, 5 um of 20 mm.
+_LEAST_PIECE, _LEAST_PIECE_PART = 5e-6, 2.5e-4
 #: And at least so many deviations of the displacement's noise: one sample in 30,000 leaves it.
 _PIECE_DEVIATIONS = 4.0
 #: Pieces of one length before the two oldest are joined: the oldest is a tenth of a window.
@@ -226,10 +227,13 @@ class StiffnessMeter:
         Standard deviation of the force's noise that is stated, or the least that is believed [N].
     period : float
         Slopes are computed once in this time [s].
+    length : float
+        Of the probe or the tissue [m].
     """
 
-    def __init__(self, noise: float, period: float) -> None:
+    def __init__(self, noise: float, period: float, length: float = math.inf) -> None:
         self._noise = noise
+        self._least_piece = min(_LEAST_PIECE, _LEAST_PIECE_PART * length)
         self._period_ns = round(period * NANOSECONDS)
         self.forget()
 
@@ -275,7 +279,7 @@ class StiffnessMeter:
         return self._measure(run)
 
     def _begun(self, sign: float, displacement: float, stamp_ns: int) -> _Run:
-        length = max(_LEAST_PIECE, _PIECE_DEVIATIONS * self._roughness)
+        length = max(self._least_piece, _PIECE_DEVIATIONS * self._roughness)
         return _Run(sign, displacement, stamp_ns, length, self._least.get(sign, 0.0))
 
     def _learn_noise(self, displacement: float) -> None:

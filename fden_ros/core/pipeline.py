@@ -135,6 +135,16 @@ class Pipeline:
         return self._measured.unseen
 
     @property
+    def never_lifts(self) -> bool:
+        """Whether the probe palpates without lifting, so that its contacts are none."""
+        return self._session.never_lifts
+
+    @property
+    def is_air_doubted(self) -> bool:
+        """Whether the force fell below its value in the air, as one of the wrong sign does."""
+        return self._session.air_events[0] > 0
+
+    @property
     def rig(self) -> RigKnowledge:
         """What is known of the rig."""
         return self._session.rig

@@ -46,6 +46,16 @@ _BY_FLAG = {
 }
 
 
+def against_the_law(summary: ContactSummary, config: PipelineConfig) -> str:
+    """Return in one line what stands against G and Gn of a contact that lacks nothing else."""
+    estimate = summary.estimate
+    against = [words for flag, words in _BY_FLAG.items() if summary.flags & flag]
+    if estimate is not None and estimate.at_edge:
+        against = [*_at_edge(estimate), *against]
+    words = against[0] if against else "The data do not determine them."
+    return f"{words[0].lower()}{words[1:]}".rstrip(".")
+
+
 def remarks(summary: ContactSummary, config: PipelineConfig) -> Iterator[str]:
     """Yield, in words, what stands against a conclusion."""
     estimate = summary.estimate

@@ -17,6 +17,7 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.planning.tissue import TissueBelief
 from fden_ros.progress import progress as bar
@@ -47,11 +48,33 @@ class Replay:
     failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
     #: Slopes of force over displacement where no contact was seen, and it was deepest.
     measured_unseen: BothWays = NOT_MEASURED
+    never_lifts: bool = False  #: the probe palpates, so that its contacts are strokes
+    is_air_doubted: bool = False  #: the force fell below its value in the air
 
     @property
     def has_identified(self) -> bool:
-        """Whether a contact converged, or the stiffness of a place on a path is known."""
-        return any(summary.converged or summary.is_of_path for summary in self.summaries)
+        """Whether a contact converged, or a stiffness is known, of one or of a place on a path."""
+        if self.has_strokes:
+            return False
+        if any(s.converged or s.is_of_path for s in self.summaries):
+            return True
+        return not self.is_air_doubted and any(map(knows_stiffness, self.summaries))
+
+    @property
+    def with_stiffness_alone(self) -> frozenset[int]:
+        """Numbers of the contacts of which N/m is known, and not G.
+
+        None where the force fell below its value in the air: then what is taken for a contact may
+        be the air.
+        """
+        if self.is_air_doubted:
+            return frozenset()
+        return frozenset(s.contact_id for s in self.summaries if knows_stiffness_alone(s))
+
+    @property
+    def has_strokes(self) -> bool:
+        """Whether the contacts are strokes of a probe that never lifts, and none is converged."""
+        return self.never_lifts and not any(s.converged for s in self.summaries)
 
 
 def replay(
@@ -121,6 +144,8 @@ def replay(
         set_by_recording=source.set_by_recording,
         failures=tuple(pipeline.failures),
         measured_unseen=NOT_MEASURED if summaries else pipeline.measured_unseen,
+        never_lifts=pipeline.never_lifts,
+        is_air_doubted=pipeline.is_air_doubted,
     )
 
 

@@ -131,8 +131,8 @@ class Parameter:
 
 #: Units that values are often given in, and their factor to those of the parameters.
 _OTHER_UNITS = {"m": ("mm", 1e-3), "m^2": ("mm^2", 1e-6), "s": ("ms", 1e-3)}
-#: Least value of a parameter that must be above 0.
-TINY = 1e-9
+#: Least value of a parameter that must be above 0: the face of a tip of 1 nm has 3e-18 m^2.
+TINY = 1e-18
 
 # Fields of the dataclasses that make the table. Typed as Any, as `dataclasses.field` is in effect.
 

@@ -343,7 +343,7 @@ class GeometryParameters:
         "m",
         "flat_punch: thickness of the tissue; torsional_rheometer: height of the sample; 0: not "
         "stated.",
-        1e-06,
+        1e-09,
         1.0,
         may_be_zero=True,
     )
@@ -351,7 +351,7 @@ class GeometryParameters:
         0.0,
         "m",
         "sphere: radius of the tip; torsional_rheometer: radius of the sample; 0: not stated.",
-        1e-06,
+        1e-09,
         1.0,
         may_be_zero=True,
     )

@@ -17,13 +17,14 @@ UNITS: dict[str, dict[str, float]] = {
         "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
     },
     "force": {
-        "N": 1.0, "uN": 1e-6, "mN": 1e-3, "cN": 1e-2, "dN": 0.1, "kN": 1e3, "MN": 1e6,
+        "N": 1.0, "pN": 1e-12, "nN": 1e-9, "uN": 1e-6,
+        "mN": 1e-3, "cN": 1e-2, "dN": 0.1, "kN": 1e3, "MN": 1e6,
         "newton": 1.0, "newtons": 1.0, "g": 1e-3 * _GRAVITY, "gf": 1e-3 * _GRAVITY,
         "kg": _GRAVITY, "kgf": _GRAVITY, "kp": _GRAVITY,
         "lb": _POUND, "lbs": _POUND, "lbf": _POUND, "ozf": _POUND / 16.0,
     },
     "displacement": {
-        "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "micron": 1e-6,
+        "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "micron": 1e-6,
         "microns": 1e-6, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
     },
     "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "psi": 6894.757293168},

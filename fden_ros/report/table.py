@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from rich import box
 from rich.table import Table
@@ -53,14 +53,20 @@ def table_of(
     return table
 
 
-def contact_table(summaries: Iterable[ContactSummary]) -> Table:
-    """Return one row a contact, of at most 80 columns."""
+def contact_table(
+    summaries: Iterable[ContactSummary], alone: Collection[int] = frozenset()
+) -> Table:
+    """Return one row a contact, of at most 80 columns.
+
+    `alone`: numbers of the contacts of which N/m is known, and not G.
+    """
     shown = list(summaries)
     on_path = any(summary.is_of_path for summary in shown)
+    rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
     table = table_of(
         {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 9},
-        (_cells(summary, on_path=on_path) for summary in shown),
+        rows,
         "Places" if on_path else "Contacts",
         between=0,
     )
@@ -71,16 +77,16 @@ def contact_table(summaries: Iterable[ContactSummary]) -> Table:
         )
         return table
     table.caption = _SLOPE
-    if any(s.estimate is not None and s.estimate.valid != ParameterSet.ALL for s in shown):
-        table.caption += "; in brackets: prior knowledge, which the data did not determine"
+    if any(cell.startswith("(") for row in rows for cell in row):
+        table.caption += "; in brackets: not determined by the data"
     return table
 
 
-def status_words(summary: ContactSummary, *, on_path: bool = False) -> str:
+def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool = False) -> str:
     """Return how far a contact's parameters are known, and its flags.
 
     `on_path`: it is one of the places on the path of a continuous contact, where none has an
-    origin.
+    origin. `alone`: N/m is known of it, and not G.
     """
     words = "not converged"
     if on_path:
@@ -89,6 +95,8 @@ def status_words(summary: ContactSummary, *, on_path: bool = False) -> str:
         words = "converged"
     elif summary.estimate is not None and ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
         words = "G known"
+    elif alone:
+        words = "N/m known"
     parts = [words] if summary.complete else [words, "cut short"]
     parts += [
         flag.name.lower().replace("_", " ")
@@ -104,12 +112,18 @@ def label_words(summary: ContactSummary) -> str:
     return summary.classes.words if summary.classes is not None else "undetermined"
 
 
-def _cells(summary: ContactSummary, *, on_path: bool) -> list[str]:
+def _bracketed(text: str) -> str:
+    return text if text == DASH or text.startswith("(") else f"({text})"
+
+
+def _cells(summary: ContactSummary, *, on_path: bool, alone: bool) -> list[str]:
     estimate = summary.estimate
     g = g_n = alpha = DASH
     if estimate is not None:
         g, g_n = (parameter(estimate, index, _DIGITS) for index in (0, 1))
         alpha = order(estimate, with_deviation=False)
+        if alone:
+            g, g_n = _bracketed(g), _bracketed(g_n)
     if summary.is_of_path:
         g = DASH
         g_n = g_n if estimate is not None and estimate.determines(1) else DASH
@@ -122,6 +136,6 @@ def _cells(summary: ContactSummary, *, on_path: bool) -> list[str]:
         alpha,
         stiffness(summary.apparent_stiffness, _STIFFNESS_DIGITS) if is_plausible else DASH,
         slope(summary.measured.loading),
-        status_words(summary, on_path=on_path),
+        status_words(summary, on_path=on_path, alone=alone),
         DASH if on_path else label_words(summary),
     ]

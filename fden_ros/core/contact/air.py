@@ -202,6 +202,11 @@ class Air(NamedTuple):
     size: int  #: samples behind it
 
 
+def least_noise(noise: float) -> float:
+    """Return the floor for a force noise [N]: a tenth of it, to one digit."""
+    return float(f"{0.1 * noise:.0e}")
+
+
 class Level(NamedTuple):
     """The force without contact, when the last chunk ended."""
 
@@ -258,6 +263,9 @@ class Baseline:
     def __init__(self, config: ContactConfig) -> None:
         self._config = config
         self.resolution = Resolution()  #: of the force
+        #: Whether contacts are told against the air as it was measured: a stated bias is believed
+        #: until the first release, after which adhesion or drift may hold the force above it.
+        self.is_measured = config.measure_bias
         self._thresholds: Array = np.zeros(len(SCALES))  # of contact [N]
         self._rises: Array = np.zeros(0)  # of the newest means above the bias [N]
         self._expected = 0.0  # variance of the longest of them [N^2]
@@ -321,9 +329,11 @@ class Baseline:
 
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
-        return self._config.force_noise or max(
-            air.fast_noise, self._rounding, self._config.noise_floor
-        )
+        return self._config.force_noise or max(self.own_noise_of(air), self._config.noise_floor)
+
+    def own_noise_of(self, air: Air) -> float:
+        """Return the noise per sample that the air shows, rounding included [N]."""
+        return max(air.fast_noise, self._rounding)
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""
@@ -333,7 +343,7 @@ class Baseline:
         limits = self._thresholds[: rises.size]
         best = int(np.argmax(rises / limits))
         rise, limit, scale = float(rises[best]), float(limits[best]), SCALES[best]
-        if rise > limit and self._config.measure_bias:
+        if rise > limit and self.is_measured:
             # Where the bias is given, what is below it may be the bias.
             limit = max(limit, _SWING_FACTOR * deepest_fall(self._above_bias(), scale))
         return Excess(rise / limit, limit, scale)
@@ -349,9 +359,7 @@ class Baseline:
                 # The next touch may come before the air is known anew.
                 self._is_carried = True
                 return self._air
-            if self._config.measure_bias or not (
-                self._config.force_noise or self._config.force_threshold
-            ):
+            if self.is_measured or not (self._config.force_noise or self._config.force_threshold):
                 return None
             air = _air_of(chunks)
             self._thresholds = self._thresholds_in(chunks, air, chunk.size)
@@ -389,14 +397,14 @@ class Baseline:
         wander = max(self._wander, 0.0)
         sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
         least = thresholds_of(sd, freedom)
-        if not self._config.measure_bias:
+        if not self.is_measured:
             # A longer mean tells no better whether the bias is what it is said to be.
             least = np.maximum(least, least[0])
         return np.maximum(least, self._config.force_threshold)
 
     def bias_at(self, stamp_ns: int) -> float:
         """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""
-        if not self._config.measure_bias:
+        if not self.is_measured:
             return 0.0
         elapsed = (stamp_ns - self._trend_end_ns) / NANOSECONDS
         return self._trend.value + self._trend.slope * elapsed

@@ -28,6 +28,10 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 #: deviations of the surface, and than this many usual steps of the displacement: noise
 #: alone reaches six.
 _APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
+#: After a release a probe that has not advanced touches nothing. It has by more than 6 usual
+#: second differences, 10 deviations of white noise, whose range in 10,000 samples is 8, and than
+#: 2 of the smallest steps of its encoder.
+_ADVANCE_NOISE, _ADVANCE_STEPS = 6.0, 2.0
 #: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
 #: present speed; before that a rise must last for 0.15 s from a tenth of its depth on: then one
 #: half of a vibration of 5 Hz is over.
@@ -56,6 +60,18 @@ class Approach(NamedTuple):
         return way > max(
             _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
         )
+
+    def has_advanced(self) -> bool:
+        """Whether the probe has moved in since the release, by more than the displacement's noise.
+
+        What moves evenly has no second differences; of noise they are 1.65 deviations.
+        """
+        way = self.displacement
+        steps = np.abs(np.diff(way))
+        noise = float(np.median(np.abs(np.diff(way, n=2)))) if way.size > 2 else 0.0
+        step = float(steps[steps > 0.0].min(initial=math.inf))
+        advance = float(np.max(way - np.minimum.accumulate(way)))
+        return advance > max(_ADVANCE_NOISE * noise, _ADVANCE_STEPS * step)
 
     def rises_by_itself(self, drift: float, noise: float) -> bool:
         """Whether time explains the force before the touch, and not the way of the probe.
@@ -175,6 +191,8 @@ _BELOW_BASELINE_CHUNKS = 10
 _FALL_THRESHOLDS = 12.0
 #: That minute [ns].
 _FALL_NS = 60 * NANOSECONDS
+#: A rise for 5 chunks that the floor of the noise hides may be a press.
+_HIDDEN_CHUNKS = 5
 #: A sample clearly is not the air's from 4 standard deviations of the noise per sample on.
 CLEAR_DEVIATIONS = 4.0
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
@@ -206,6 +224,8 @@ class ContactDetector:
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.has_seen_air = False  #: whether a contact began or ended in the air
+        #: The air's own noise per sample [N] where the floor hid a press; 0: it hid none.
+        self.hidden_above = 0.0
         self.force_bias = 0.0  #: subtracted from the force of the current contact [N]
         self.release_threshold = 0.0  #: force of a sample that is not pressing [N]
         self.reset()
@@ -231,6 +251,7 @@ class ContactDetector:
         self._behind_chunks = 0
         self._has_held = False
         self._highest: _Highest | None = None
+        self._hidden_chunks, self._is_touch_hidden = 0, False
 
     def mean_air_force(self) -> float | None:
         """Return the mean force of the last chunks in the air [N]; None in contact or before 5."""
@@ -283,6 +304,7 @@ class ContactDetector:
                 if is_clear:
                     excess = Excess(1.0, clear, 1)
                 return self._begin(approach, bias, noise, clear, excess)
+        self._watch_floor(chunk, baseline.own_noise_of(air), bias)
         if is_over:
             self._end_rise(chunk.end_ns, excess.ratio)
         self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
@@ -294,9 +316,11 @@ class ContactDetector:
 
     def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
         """Whether a rise of the force is told from a drift and from a swing."""
-        if not self._config.measure_bias:
+        if not self._baseline.is_measured:
             return True
         rise, evidence = self._rise, approach.surface.evidence
+        if self._has_released and not approach.has_advanced():
+            evidence = 0.0
         rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
         if evidence < MIN_EVIDENCE:
             # A drift, which rises whatever the probe does; or the beginning of a contact that is
@@ -324,16 +348,36 @@ class ContactDetector:
         self._doubted_chunks = 0
 
     def _watch_below_baseline(self, below: bool) -> None:
-        self._chunks_below = self._chunks_below + 1 if below and self._config.measure_bias else 0
+        self._chunks_below = self._chunks_below + 1 if below and self._baseline.is_measured else 0
         if self._chunks_below < _BELOW_BASELINE_CHUNKS:
             return
-        # The chunks before were a contact, or the force has the wrong sign.
-        self.below_baseline += 1
-        self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
+        if self._config.measure_bias:
+            # The chunks before were a contact, or the force has the wrong sign.
+            self.below_baseline += 1
+            self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
         self._chunks_below = 0
         self._highest = None
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
+
+    def _watch_floor(self, chunk: Chunk, own: float, bias: float) -> None:
+        """Take note of a touch that the air's own noise [N] would show, and its floor hides.
+
+        It is one where the force follows the way, and no contact has come of it when it is over.
+        """
+        config = self._config
+        if config.force_noise or not 0.0 < own < config.noise_floor:
+            return
+        if chunk.mean - bias <= CLEAR_DEVIATIONS * own:
+            if self._is_touch_hidden:
+                self.hidden_above = own
+            self._hidden_chunks, self._is_touch_hidden = 0, False
+            return
+        self._hidden_chunks += 1
+        if self._hidden_chunks == _HIDDEN_CHUNKS:
+            approach = self._approach_until(chunk.end_ns, bias, own, is_clear=True, is_bare=True)
+            evidence = approach.surface.evidence
+            self._is_touch_hidden = evidence >= MIN_EVIDENCE and approach.has_advanced()
 
     def _watch_fall(self, chunk: Chunk, threshold: float) -> None:
         """Count a force that falls as the probe advances; it is not taken for anything else."""
@@ -355,8 +399,9 @@ class ContactDetector:
         return self._baseline.drift if self._config.measure_bias else 0.0
 
     def _approach_until(
-        self, now_ns: int, bias: float, white: float, *, is_clear: bool
+        self, now_ns: int, bias: float, white: float, *, is_clear: bool, is_bare: bool = False
     ) -> Approach:
+        """Return the samples until now; `is_bare`: by the white noise [N] alone."""
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -369,7 +414,7 @@ class ContactDetector:
         level = self._baseline.level(
             bias, white, pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         )
-        if level.noise > _COLOUR * white:
+        if level.noise > _COLOUR * white and not is_bare:
             # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
             surface = find_surface(
                 time, force, displacement, self._order, level.noise, LONG_WINDOW
@@ -423,7 +468,8 @@ class ContactDetector:
         self._newest.clear()
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
         self._samples.clear()
-        self._chunks_below = 0
+        self._chunks_below = self._hidden_chunks = 0
+        self._is_touch_hidden = False
         self._baseline.is_suspected = False
         self._behind_chunks = 0
         self._surface = self._deepest = surface.displacement
@@ -475,6 +521,7 @@ class ContactDetector:
     def _release(self, stamp_ns: int) -> Release:
         self.in_contact = False
         self._has_released = self.has_seen_air = True
+        self._baseline.is_measured = True
         self._highest = None
         # What is air at the end of a contact is air before the next one.
         pressing = self.force_bias + self.release_threshold

@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether a probe palpates without lifting clear of the tissue: its strokes are no presses."""
+
+from __future__ import annotations
+
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+
+#: A probe has lifted where it was off the surface by this part of its last depth behind it; by the
+#: second where its touch was not seen. The surface of a stroke that never lifts is found where the
+#: stroke turns: within 1 % of the depth on silicone (2 Hz, 0.05 N of noise), 4 % of simulated
+#: linear tissue, and 12 % (20 %) of exponential tissue with 2 % (10 %) of its force as noise.
+_LIFTED, _LIFTED_UNSEEN = 0.1, 0.25
+#: So many touches in a row without a lift are strokes; one or two are presses made anew.
+_LEAST_STROKES = 3
+#: So many periods in one contact whose touch was not seen are strokes too.
+_LEAST_PERIODS = 5.0
+#: What to write into the parameter file.
+REMEDY = "contact: {mode: continuous}"
+
+
+class Strokes:
+    """Watches for a probe that palpates and never lifts.
+
+    Attributes
+    ----------
+    frequency : float or None
+        Of the palpation, once it is told [Hz].
+    """
+
+    def __init__(self) -> None:
+        self.frequency: float | None = None
+        self._strokes = self._lifts = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the motion so far, but not what was told."""
+        self._finder = PalpationFrequency()
+        self._start_ns: int | None = None
+        self._lowest = self._deepest = 0.0
+        self._surface: float | None = None  # of the present contact, or the last
+        self._count = 0
+        self._unseen_ns: int | None = None  # since when a contact lasts whose touch was not seen
+
+    @property
+    def prevails(self) -> bool:
+        """Whether it is told, and no more touches came after a lift than without one."""
+        return self.frequency is not None and self._lifts <= self._strokes
+
+    @property
+    def warning(self) -> str:
+        """What to do, in words; empty while nothing is told."""
+        if self.frequency is None:
+            return ""
+        return (
+            f"the probe palpates at {self.frequency:.2g} Hz and never lifts clear of the tissue, "
+            f"so its strokes are no presses: write {REMEDY} into the parameter file for the "
+            "stiffness in N/m"
+        )
+
+    def add(self, pair: Pair, *, in_contact: bool) -> None:
+        """Take a sample."""
+        if self._start_ns is None:
+            self._start_ns, self._lowest = pair.stamp_ns, pair.displacement
+        self._finder.add((pair.stamp_ns - self._start_ns) / NANOSECONDS, pair.displacement)
+        if in_contact:
+            self._deepest = max(self._deepest, pair.displacement)
+        else:
+            self._lowest = min(self._lowest, pair.displacement)
+        frequency, unseen_ns = self._finder.value, self._unseen_ns
+        if frequency is None or unseen_ns is None:
+            return
+        if (pair.stamp_ns - unseen_ns) / NANOSECONDS * frequency > _LEAST_PERIODS:
+            self._tell()
+
+    def touch(self, onset: Onset) -> None:
+        """Take the beginning of a contact."""
+        lowest = min(self._lowest, float(onset.way[1].min(initial=self._lowest)))
+        before = self._surface
+        depth = self._deepest - (onset.displacement if before is None else before)
+        clearance = onset.displacement - lowest
+        least = (_LIFTED if onset.seen else _LIFTED_UNSEEN) * depth
+        is_stroke = before is not None and clearance < least
+        self._count = self._count + 1 if is_stroke else 0
+        self._strokes += is_stroke
+        self._lifts += before is not None and not is_stroke
+        self._unseen_ns = None if onset.seen else onset.samples[0].stamp_ns
+        self._surface = onset.displacement
+        self._deepest = onset.samples[-1].displacement
+        if self._count >= _LEAST_STROKES:
+            self._tell()
+
+    def release(self) -> None:
+        """Take the end of a contact."""
+        self._unseen_ns = None
+        self._lowest = self._deepest
+
+    def _tell(self) -> None:
+        self.frequency = self.frequency or self._finder.value

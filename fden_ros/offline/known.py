@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether a contact has a result: its stiffness in N/m, where its law is not known."""
+
+from __future__ import annotations
+
+from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
+
+
+def knows_stiffness(summary: ContactSummary) -> bool:
+    """Whether N/m is known of a contact: as measured, or by a law that nothing stands against.
+
+    As measured it is stated from four of its deviations on; by the law it has to be larger than
+    one, from where on it is shown as a number. Where a unit or the geometry is wrong nothing is,
+    nor where no touch was seen: there the signs may be wrong, and the air the contact.
+    """
+    if summary.flags & (WITHHELD | Flag.ORIGIN_UNCERTAIN):
+        return False
+    by_law = summary.apparent_stiffness
+    is_law = by_law is not None and by_law.sd < by_law.value
+    is_doubted = bool(summary.flags & (Flag.MODEL_MISMATCH | Flag.ESTIMATE_AT_EDGE))
+    return summary.measured.loading is not None or (is_law and not is_doubted)
+
+
+def knows_stiffness_alone(summary: ContactSummary) -> bool:
+    """Whether N/m is known of a press, and not G."""
+    estimate = summary.estimate
+    if summary.converged or summary.is_of_path or (estimate is not None and estimate.knows(0)):
+        return False
+    return knows_stiffness(summary)

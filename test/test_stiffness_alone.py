@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where G and Gn are not to be had: N/m alone is a result, and strokes are no presses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fden_ros.cli import main
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.strokes import REMEDY
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.ros.status import PipelineProblems
+
+SPRING = 1000.0  # [N/m]
+RATE = 250.0
+GEOMETRY = {"geometry.area": 7.85e-5, "geometry.thickness": 0.03}
+CONFIG = """\
+/**:
+  ros__parameters:
+    geometry: {area: 7.85e-5, thickness: 0.03}
+"""
+
+
+def pressed(bias: float = 0.4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, force and depth of two presses of a spring, with 0.02 N of noise."""
+    corners = [0, 2, 3.5, 5.5, 7, 9, 10.5, 12.5, 14, 16]
+    depths = [-3, 0, 5, 5, -3, 0, 5, 5, 0, -3]
+    time = np.arange(0.0, corners[-1], 1.0 / RATE)
+    depth = 1e-3 * np.interp(time, corners, depths)
+    return time, _spring(depth) + bias, depth
+
+
+def palpated(lowest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same of strokes of 3 mm at 1.5 Hz, from a depth [m] that is the lowest."""
+    time = np.arange(0.0, 20.0, 1.0 / RATE)
+    depth = lowest + 1.5e-3 * (1.0 - np.cos(2.0 * np.pi * 1.5 * time))
+    return time, _spring(depth), depth
+
+
+def _spring(depth: np.ndarray) -> np.ndarray:
+    noise = np.random.default_rng(4).standard_normal(depth.size)
+    return SPRING * np.maximum(depth, 0.0) + 0.02 * noise
+
+
+def written(path: Path, columns: tuple[np.ndarray, ...]) -> str:
+    np.savetxt(path, np.stack(columns).T, delimiter=",", header="time_s,force_N,depth_m",
+               comments="")  # fmt: skip
+    return str(path)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "probe.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_why(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
+) -> None:
+    table = written(tmp_path / "spring.csv", pressed())
+    assert main(["replay", table, "--config", str(config)]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    words = " ".join(printed.out.split())
+    assert words.count("N/m known") == 2
+    for number in (1, 2):
+        said = words.split(f"contact {number}: ")[1]
+        value, _, deviation = said.partition(" N/m are known")[0].partition(" ± ")
+        assert abs(float(value) - SPRING) < 4.0 * float(deviation)
+        assert said.split("as measured; ")[1].startswith("G and Gn are not: ")
+    rows = [line.split() for line in printed.out.splitlines() if line[:1] in "12"]
+    assert all(row[2].startswith(("(", "–")) for row in rows if len(row) > 6)
+
+
+def test_what_may_be_the_air_of_a_force_of_the_wrong_sign_is_no_result(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
+) -> None:
+    # Both signs are wrong: what is taken for the contact is the air.
+    time, force, depth = pressed()
+    table = written(tmp_path / "wrong.csv", (time, -force, -depth))
+    assert main(["replay", table, "--config", str(config)]) == 3
+    printed = capsys.readouterr()
+    assert "do both have the wrong sign" in printed.err
+    assert "N/m known" not in " ".join(printed.out.split())
+
+
+@pytest.mark.parametrize("measure_bias", [True, False])
+def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffness(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path, measure_bias: bool
+) -> None:
+    table = written(tmp_path / "strokes.csv", palpated(1e-3))
+    if not measure_bias:
+        config.write_text(f"{CONFIG}    force: {{measure_bias: false}}\n")
+    assert main(["replay", table, "--config", str(config)]) == 3
+    printed = capsys.readouterr()
+    assert REMEDY in printed.err and "1.5 Hz" in printed.err
+    assert "undetermined" not in printed.out  # no row of a table
+    config.write_text(f"{config.read_text()}    {REMEDY}\n")
+    assert main(["replay", table, "--config", str(config)]) == 0
+    shown = capsys.readouterr().out
+    assert "1 stiffness" in " ".join(shown.split()) or "stiffness, cut short" in shown
+
+
+@pytest.mark.parametrize(("lowest", "is_told"), [(1e-3, True), (0.0, True), (-1e-3, False)])
+def test_strokes_are_told_from_presses_once_and_while_they_come(
+    lowest: float, is_told: bool
+) -> None:
+    pipeline = Pipeline(pipeline_config(check(GEOMETRY)), lambda _output: None)
+    problems, said = PipelineProblems(pipeline), []
+    for number, (time, force, depth) in enumerate(np.transpose(palpated(lowest))):
+        stamp_ns = round(1e9 * (1.0 + time))
+        pipeline.add_displacement(stamp_ns, float(depth))
+        pipeline.add_force(stamp_ns, float(force))
+        if number % RATE == 0:
+            said.append(any(REMEDY in words for words in problems.look().warnings))
+    pipeline.finish()
+    assert pipeline.never_lifts is is_told
+    # As what is odd about the input, for ten looks, and never again.
+    assert sum(said) == (10 if is_told else 0)
+    assert sum(REMEDY in words for words in pipeline.warnings) == is_told
+
+
+@pytest.mark.parametrize(("lowest", "is_told"), [(1e-3, True), (-3e-3, False)])
+def test_configure_suggests_the_mode_for_a_probe_that_never_lifts(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, lowest: float, is_told: bool
+) -> None:
+    table = written(tmp_path / "strokes.csv", palpated(lowest))
+    assert main(["configure", table]) == 0
+    assert (REMEDY in capsys.readouterr().out) is is_told
+
+
+def test_presses_that_outnumber_the_strokes_keep_their_table() -> None:
+    # Eight strokes that do not lift, then sixteen that do.
+    first, second = palpated(1e-3), palpated(-1e-3)
+    count = [round(periods / 1.5 * RATE) for periods in (8, 16)]
+    force, depth = (np.concatenate([first[k][: count[0]], second[k][: count[1]]]) for k in (1, 2))
+    pipeline = Pipeline(pipeline_config(check(GEOMETRY)), lambda _output: None)
+    for number, (newtons, metres) in enumerate(zip(force, depth, strict=True)):
+        stamp_ns = round(1e9 * (1.0 + number / RATE))
+        pipeline.add_displacement(stamp_ns, float(metres))
+        pipeline.add_force(stamp_ns, float(newtons))
+    pipeline.finish()
+    assert any(REMEDY in words for words in pipeline.warnings)
+    assert not pipeline.never_lifts
