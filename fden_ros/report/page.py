@@ -207,7 +207,10 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
     states = contact.states.items
     drawings = []
     if any(state.signals is not None for state in states):
-        drawings += [plots.signals(session, contact), plots.characteristic(contact, summary)]
+        drawings += [
+            plots.signals(session, contact),
+            plots.characteristic(session, contact, summary),
+        ]
     if any(state.estimate is not None for state in states):
         drawings.append(plots.convergence(contact, session.truth.get(summary.site_id)))
     place = ""

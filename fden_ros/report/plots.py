@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.characteristic import elastic_response
+from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law.relaxation import StressMoments, memory_weights
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.session import Contact, Session, predicted_stress
@@ -188,15 +190,9 @@ def signals(session: Session, contact: Contact) -> str:
     return draw(plot)
 
 
-def characteristic(contact: Contact, summary: ContactSummary) -> str:
+def characteristic(session: Session, contact: Contact, summary: ContactSummary) -> str:
     """Fractional stress against strain, with the fitted law and its band."""
-    points = np.array(
-        [
-            (s.signals.strain, s.signals.fractional_stress)
-            for s in contact.states.items
-            if s.signals is not None
-        ]
-    )
+    points = _points(session.geometry, contact, summary)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -228,6 +224,34 @@ def characteristic(contact: Contact, summary: ContactSummary) -> str:
         axes.legend(loc="upper left")
 
     return draw(plot)
+
+
+def _points(geometry: Geometry, contact: Contact, summary: ContactSummary) -> Array:
+    """Return strains and fractional stresses at the last alpha and origin, shape (n, 2).
+
+    A state has those of its own time: an alpha that was learned later lifts or lowers them.
+    """
+    estimate, moments = summary.estimate, StressMoments()
+    points: list[tuple[float, float]] = []
+    before: tuple[int, float] | None = None
+    for state in contact.states.items:
+        signals = state.signals
+        if signals is None:
+            continue
+        strain, response = signals.strain, signals.fractional_stress
+        if before is not None and state.stamp_ns > before[0]:
+            step = (state.stamp_ns - before[0]) / NANOSECONDS
+            moments.add(step, before[1], signals.stress)
+        own = np.append(moments.values, signals.stress)
+        if estimate is not None and state.estimate is not None:
+            order, then = estimate.fractional_order, state.estimate
+            changed = memory_weights(order) - memory_weights(then.fractional_order)
+            response += float(changed @ own)
+            moved = then.strain_origin - estimate.strain_origin
+            strain = geometry.strain(geometry.compression(strain) + moved)
+        points.append((strain, response))
+        before = state.stamp_ns, signals.stress
+    return np.array(points).reshape(-1, 2)
 
 
 def _law(strain: Array, summary: ContactSummary) -> tuple[Array, Array]:
