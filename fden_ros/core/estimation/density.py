@@ -164,7 +164,8 @@ class Density:
         if not self._has_field_prior:
             return Priors(self.model, base, None)
         characteristic = characteristic_prior(math.exp(state[LOG_GN]), self.model.last_knot)
-        return Priors(self.model, base, (kernel_prior(), characteristic))
+        kernel = kernel_prior(self.model.order(state))
+        return Priors(self.model, base, (kernel, characteristic))
 
     def tails(self, state: Array) -> float:
         """Return by how much Student's tails are above the quadratic of `priors` [1].
