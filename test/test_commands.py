@@ -153,6 +153,26 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     assert table.read_text().startswith(before)
 
 
+def test_what_is_interrupted_says_what_is_done_and_how_to_go_on(tmp_path, capsys, monkeypatch):
+    table = tmp_path / "results.csv"
+    for name in ("one", "two", "three"):
+        air(tmp_path / "archive" / name, 1, 20)
+
+    def interrupted(bags, work, results, workers, on_bag):
+        rows = batch.identify(str(bags[0]), work)
+        results.add(rows)
+        on_bag(rows)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(batch, "run", interrupted)
+        assert main(["batch", str(tmp_path / "archive"), "-o", str(table)]) == 130
+    said = capsys.readouterr().err
+    assert f"interrupted: {table} has 1 of 3 bags; the same command does the others" in said
+    assert main(["batch", str(tmp_path / "archive"), "-o", str(table), "--workers", "1"]) == 0
+    assert "3 bags, 1 of them done before" in capsys.readouterr().out
+
+
 # Without workers
 
 

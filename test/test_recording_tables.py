@@ -113,6 +113,14 @@ STATED = {
     + "Time,Load,Extension\n(s),(N),(mm)\n" + PLAIN,
     "measured beside desired": "time_s,force_N,press_desired_mm,press_actual_mm\n"
     + "".join(f"{t},{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "set and reference": "time_s,force_set_N,force_N,depth_ref_mm,depth_mm\n"
+    + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "Soll and Ist": "Zeit [s];Sollkraft [N];Istkraft [N];Sollweg [mm];Istweg [mm]\n"
+    + comma("".join(f"{t};9;{f};9;{1e3 * d}\n" for t, f, d in ROWS)),
+    "measured beside another direction": "time_s,force_N,press_desired_mm,press_actual_mm,x_mm\n"
+    + "".join(f"{t},{f},9,{1e3 * d},9\n" for t, f, d in ROWS),
+    "measured force beside others": "time_s,force_cmd_N,force_meas_N,force_N,depth_mm\n"
+    + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
     "commanded force": "Time (s),Target load (N),Load (N),Depth (mm)\n"
     + "".join(f"{t},9,{f},{1e3 * d}\n" for t, f, d in ROWS),
 }  # fmt: skip
@@ -204,6 +212,14 @@ def test_columns_that_are_given_are_read_below_any_preamble(
         ("Time (s),Load A (N),Load B (N),Depth (mm)", "the force: Load A (N), Load B (N)"),
         ("Time (s),Load (N),Load (N),Depth (mm)", "the force: 2, 3"),
         ("Time (s),Load (N),Stroke (mm),Depth (mm)", "the displacement: Stroke (mm), Depth (mm)"),
+        (
+            "time_s,force_N,press_actual,x_mm",
+            "the displacement: press_actual (no unit stated), x_mm; name the columns, such as "
+            "--columns 'time_s,force_N,press_actual*0.001'",
+        ),
+        ("time_s,force_N,depth,x_mm", "the displacement: depth (no unit stated), x_mm"),
+        ("time_s,force_desired_N,force,depth_mm", "the force: force (no unit stated), force_des"),
+        ("time_s,ft1_force_N,ft2_force_N,z_mm", "the force: ft1_force_N, ft2_force_N"),
         ("Time (s),Load (N),Depth,Width", "which column is the displacement:"),
         ("a,b,c,d", "it has a, b, c, d"),
     ],
@@ -217,6 +233,25 @@ def test_what_stays_ambiguous_is_asked_for_with_the_candidates(
         stated_columns(path)
     line = str(caught.value)
     assert words in line and "--columns" in line and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("headings", "said"),
+    [
+        ("time_s,force_N,depth_desired_mm", ["column depth_desired_mm is commanded by its head"]),
+        ("time_s,force_N,depth_mm", []),
+    ],
+)
+def test_a_column_that_was_only_commanded_is_said_to_be(
+    tmp_path: Path, headings: str, said: list[str]
+) -> None:
+    path = tmp_path / "press.csv"
+    path.write_text(f"{headings}\n" + PLAIN)
+    source = open_source(path, check({}))
+    assert [
+        warning[: len(words)] for warning, words in zip(source.warnings, said, strict=True)
+    ] == said
+    assert source.inputs["displacement"] == f"column {headings.split(',')[2]}"
 
 
 @pytest.mark.parametrize(

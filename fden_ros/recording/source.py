@@ -30,7 +30,12 @@ from fden_ros.recording.stamps import (
 )
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
-from fden_ros.recording.topics import NoTopicError, find_topic, topic_with_messages
+from fden_ros.recording.topics import (
+    NoTopicError,
+    find_topic,
+    is_commanded,
+    topic_with_messages,
+)
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
@@ -119,7 +124,11 @@ class BagSource:
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
-        self._notes: list[str] = []
+        self._notes = [
+            f"{topic.name} is commanded by its name, not measured"
+            for stream, topic in self.topics.items()
+            if stream not in TRANSFORM_TOPICS and is_commanded(topic)
+        ]
         self.stamp_problems: list[str] = []
         self._inputs: Inputs | None = None
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fden_ros.errors import InputError
-from fden_ros.recording.headings import RECORDERS, Heading, candidates
+from fden_ros.recording.headings import RECORDERS, Heading, candidates, rivals
 from fden_ros.recording.text import Layout, clock_ns, layout_of, numeral, stamp_of_clock
 
 _NS = Decimal(1_000_000_000)
@@ -123,6 +123,10 @@ def stated_columns(path: str | Path) -> Columns:
         quantity: candidates(headings, quantity, layout.holds_numbers, layout.is_clock)
         for quantity in _QUANTITIES
     }
+    for quantity, fitting in found.items():
+        better = rivals(headings, quantity, [i for i, _ in fitting], layout.holds_numbers)
+        # Asked for: the unit is that of the neighbour, in what is proposed alone.
+        fitting[:0] = [(index, fitting[0][1]) for index in better]
     several = [quantity for quantity, fitting in found.items() if len(fitting) > 1]
     missing = [quantity for quantity, fitting in found.items() if not fitting]
     if missing:
@@ -135,7 +139,7 @@ def stated_columns(path: str | Path) -> Columns:
     chosen = Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
     if several:
         listed = "; ".join(
-            f"the {quantity}: {', '.join(_name(headings, index) for index, _ in found[quantity])}"
+            f"the {quantity}: {', '.join(_shown(headings, index) for index, _ in found[quantity])}"
             for quantity in several
         )
         raise InputError(
@@ -155,6 +159,11 @@ def _name(headings: Sequence[Heading], index: int) -> str:
     text = headings[index].text
     is_one = [heading.text for heading in headings].count(text) == 1
     return text if is_one and not set("*\"'") & set(text) else str(index + 1)
+
+
+def _shown(headings: Sequence[Heading], index: int) -> str:
+    said = _name(headings, index)
+    return f"{said} (no unit stated)" if headings[index].is_silent else said
 
 
 def _column(headings: Sequence[Heading], index: int, factor: float) -> Column:
@@ -200,9 +209,17 @@ class TableReader:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the rows read so far, a line each."""
-        if not self.skipped:
-            return ()
-        return (f"{self.skipped} rows of {self.path.name} hold no number where one is needed",)
+        headings = _headings(self.layout)
+        lines = [
+            f"{self.named(column)} is commanded by its heading, not measured"
+            for column in self._columns.each[1:]
+            if (index := self._index(column.name)) < len(headings) and not headings[index].rank
+        ]
+        if self.skipped:
+            lines.append(
+                f"{self.skipped} rows of {self.path.name} hold no number where one is needed"
+            )
+        return tuple(lines)
 
     def named(self, column: Column) -> str:
         """Return a column in words: with the heading of a number, and the unit below it."""
