@@ -368,6 +368,8 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
     assert words in as_they_are.warnings[0]
     assert "--stamps recording" in as_they_are.warnings[0]
     received = replay(bag, check({}), Selection(stamps="recording"))
+    by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
+    assert result_object(by_parameter) == result_object(received)
     whole = replay(KINDS["MCAP"](tmp_path / "whole", small()), check({}))
     assert received.samples == whole.samples > 100
     assert not any("stamps" in warning for warning in received.warnings)

@@ -33,6 +33,8 @@ def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, V
     for stream, joint in readings[0].joints.items():
         values[f"{stream}.name"] = joint
     values.update(readings[0].parameters)
+    if readings[0].selection.stamps != "header":
+        values["synchronize.stamp_source"] = "receive"
     for finding in survey.findings:
         values.update(finding.parameters)
     return {

@@ -110,6 +110,9 @@ class BagSource:
         self.reader = BagReader(path)
         self.parameters = parameters
         self._selection = selection
+        self._is_stamped = selection.stamps == "header" and (
+            parameters.synchronize.stamp_source == "header"
+        )
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
         # The surface and the like first: what carries them could be taken for the displacement.
@@ -224,7 +227,7 @@ class BagSource:
 
         What is wrong with the stamps of force, displacement and the like joins the warnings.
         """
-        if self._selection.stamps == "recording":
+        if not self._is_stamped:
             return map(restamped, self.reader.messages(topics))
         self.stamp_problems = problems(
             {
@@ -255,8 +258,8 @@ class BagSource:
         field, inputs = self._fields[stream], self._inputs
         assert inputs is not None
         if field is not None:
-            is_stamped = self._selection.stamps == "header"
-            return _FieldHandler(stream, topic, FieldPath(field), inputs, self.note, is_stamped)
+            path = FieldPath(field)
+            return _FieldHandler(stream, topic, path, inputs, self.note, self._is_stamped)
         handle = handler_of(stream, message_class(topic.type_name), inputs)
         return lambda message: handle(message.data)
 
