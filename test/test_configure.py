@@ -317,6 +317,10 @@ def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys
             ["timestamp", "actual_TCP_pose_2", "actual_TCP_force_2"],
             "timestamp,actual_TCP_force_2,actual_TCP_pose_2*-1",
         ),
+        (
+            ["timestamp", *(f"actual_TCP_{w}_{k}" for w in ("pose", "force") for k in range(6))],
+            "timestamp,actual_TCP_force,actual_TCP_pose",
+        ),
         (["Zeit [s]", "Kraft [N]", "Weg [mm]"], "Zeit [s],Kraft [N],Weg [mm]*0.001"),
         (["t", "f", "z"], None),
         (["time_s", "force_N", "temperature_K"], None),
@@ -324,7 +328,8 @@ def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys
 )
 def test_headings_with_units_say_the_columns(tmp_path, headings, columns):
     table = tmp_path / "press.csv"
-    table.write_text(",".join(headings) + "\n0.0,0.1,0.2\n0.1,0.2,0.3\n")
+    rows = ("".join(f",{0.1 * (k + row):.1f}" for k in range(len(headings))) for row in range(2))
+    table.write_text("\n".join([",".join(headings), *(row[1:] for row in rows)]))
     if columns is None:
         with pytest.raises(InputError, match="do not say"):
             stated_columns(table)

@@ -12,15 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fden_ros.cli import main
 from fden_ros.errors import InputError
-from fden_ros.parameters import check
+from fden_ros.offline.replay import replay
+from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.source import Selection, open_source
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
 
 POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
+PRESS = Path(__file__).resolve().parents[1] / "examples" / "press.csv"
 
 #: Time [s], force [N] and displacement [m] of the rows that every table below holds.
 ROWS = [(0.0, 0.0, 0.0), (0.1, 0.25, 0.0005), (0.2, 1234.5, 0.0015), (0.3, 2.75, 0.012)]
@@ -416,3 +419,77 @@ def test_options_of_tables_that_do_not_fit_are_refused_in_a_line(
         code = int(str(error.code))
     line = capsys.readouterr().err
     assert code in (1, 2) and line.count("\n") == 1 and words in line
+
+
+# An arm's recorder: places and forces are vectors, in the base or in the tool
+
+
+DOWN = Rotation.from_rotvec([np.pi, 0.0, 0.0])
+UPRIGHT = (DOWN,) * 3
+ASKEW = (DOWN, DOWN * Rotation.from_euler("x", 20.0, degrees=True), Rotation.identity())
+LYING = (Rotation.from_euler("y", 90.0, degrees=True),) * 3
+BASE, TOOL = "actual_TCP_force", "ft_raw_wrench"
+
+
+def arm_table(path: Path, turns: tuple[Rotation, ...], force: str, *, has_turns: bool) -> Path:
+    """Write a press at three places 50 mm apart, along the tool's z, as a UR's recorder does."""
+    time, load, depth = np.loadtxt(PRESS, delimiter=",", skiprows=1).T
+    first = time < 5.6
+    parts = []
+    for k, turn in enumerate(turns):
+        into = turn.apply([0.0, 0.0, 1.0])
+        place = 1e-3 * np.outer(depth[first], into) + [0.3, -0.2 + 0.05 * k, 0.1]
+        push = np.outer(load[first], -into)
+        push = push if force == BASE else turn.inv().apply(push)
+        angles = [np.tile(turn.as_rotvec(), (push.shape[0], 1))] if has_turns else []
+        parts.append(np.hstack([time[first, None] + 5.6 * k, place, *angles, push]))
+    names = [f"actual_TCP_pose_{k}" for k in range(6 if has_turns else 3)]
+    names += [f"{force}_{k}" for k in range(3)]
+    header = " ".join(["timestamp", *names])
+    np.savetxt(path, np.vstack(parts), "%.7f", header=header, comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("turns", "force", "has_turns", "said"),
+    [
+        (UPRIGHT, BASE, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
+        (UPRIGHT, BASE, False, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
+        (UPRIGHT, TOOL, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, -1.0]"),
+        (LYING, BASE, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [-1.0, 0.0, 0.0]"),
+        (LYING, TOOL, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [0.0, 0.0, -1.0]"),
+        (ASKEW, BASE, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
+        (ASKEW, TOOL, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
+    ],
+)
+def test_three_places_of_an_arm_are_three_sites_whatever_the_frame_of_the_force(
+    tmp_path: Path, turns: tuple[Rotation, ...], force: str, has_turns: bool, said: str
+) -> None:
+    table = arm_table(tmp_path / "robot_data.csv", turns, force, has_turns=has_turns)
+    parameters = read_parameter_file(PRESS.with_name("probe.yaml"))
+    arm = replay(table, parameters)
+    (usual, _) = replay(PRESS, parameters).summaries
+    assert [one.site_id for one in arm.summaries] == [1, 2, 3]
+    for one in arm.summaries:
+        assert one.converged and one.estimate is not None and usual.estimate is not None
+        assert one.max_force == pytest.approx(usual.max_force, rel=0.01)
+        ratio = one.estimate.linear_stiffness / usual.estimate.linear_stiffness
+        assert ratio == pytest.approx(1.0, abs=0.05)
+    assert arm.set_by_recording[0].replace("-0.0", "0.0").startswith(said.replace("-0.0", "0.0"))
+    frame = "the base's frame" if force == BASE else "the tool's frame"
+    assert arm.inputs["force"] == f"columns {force}_0 to {force}_2, in {frame}"
+
+
+def test_axes_that_are_stated_count_for_an_arm_and_a_machines_options_do_not(
+    tmp_path: Path,
+) -> None:
+    table = arm_table(tmp_path / "robot_data.csv", LYING, BASE, has_turns=True)
+    stated = {"displacement.axis": [2.0, 0.0, 0.0], "force.axis": [-1.0, 0.0, 0.0]}
+    source = open_source(table, check(stated))
+    assert source.set_by_recording == ()
+    assert source.parameters == check(stated)
+    with pytest.raises(InputError, match="--from-touch is for a machine's one direction"):
+        open_source(table, check({}), Selection(from_touch=True))
+    placed = arm_table(tmp_path / "places.csv", LYING, BASE, has_turns=False)
+    with pytest.raises(InputError, match="asks for the tool's orientation"):
+        open_source(placed, check({"displacement.along_tool": True}))

@@ -45,11 +45,45 @@ _GERMAN = re.compile(r"(ist|soll)(?:\w*(?:kraft|weg)|position|wert|last)")
 _FIELDS = ("wrench", "pose", "position", "force", "point", "transform")
 _BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 
-#: Headings of recorders that are known by name: time, force, displacement.
+#: Headings of recorders that are known by name: time, force, displacement. Of Universal Robots'
+#: real-time interface (its guide: outputs): the compensated force and the pose are in the robot's
+#: base, the raw force is in the tool's flange.
 RECORDERS = (
-    # Universal Robots' real-time interface, in the robot's base: the tool presses downwards.
+    ("timestamp", "actual_TCP_force", "actual_TCP_pose"),
+    ("timestamp", "ft_raw_wrench", "actual_TCP_pose"),
+    # Less of it: the tool presses downwards.
     ("timestamp", "actual_TCP_force_2", "actual_TCP_pose_2*-1"),
 )
+#: Forces with one of these words are in a frame that turns with the tool.
+_TOOL = {"tool", "tool0", "flange", "ft", "sensor"}
+#: How the parts of a vector are called: numbers, as in a list, or letters.
+_PARTS = (("_0", "_1", "_2"), ("[0]", "[1]", "[2]"), ("_x", "_y", "_z"), (".x", ".y", ".z"))
+#: Of a pose as six numbers the last three are the rotation vector [rad].
+_TURNS = (("_3", "_4", "_5"), ("[3]", "[4]", "[5]"))
+
+
+def parts_of(name: str, headings: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Return the columns of a vector of that name, and those of a rotation vector beside it.
+
+    Both are empty where the headings have none.
+    """
+    if name in headings:
+        return [], []
+    places, turns = (
+        next((each for parts in kinds if (each := _columns_of(name, parts, headings))), [])
+        for kinds in (_PARTS, _TURNS)
+    )
+    return places, turns if places else []
+
+
+def _columns_of(name: str, parts: Sequence[str], headings: Sequence[str]) -> list[int]:
+    wanted = [name + part for part in parts]
+    return [headings.index(one) for one in wanted] if set(wanted) <= set(headings) else []
+
+
+def is_in_tool(name: str) -> bool:
+    """Return whether a force is in a frame that turns with the tool, by its heading."""
+    return bool(set(Heading(name).words) & _TOOL)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from fden_ros.core.streams.rotation import conjugate, rotate
 from fden_ros.core.streams.samples import Sink
 from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
+from fden_ros.recording.arm import arm_values
 from fden_ros.recording.candidates import hint_of
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
@@ -362,9 +364,8 @@ class TableSource:
                 "joint_state, so that it is taken off the displacement"
             )
         self._table = TableReader(path, selection.columns, selection.where)
-        values, self.set_by_recording = machine_values(
-            self._table, parameters, selection.from_touch
-        )
+        find = arm_values if any(self._table.has_vectors) else machine_values
+        values, self.set_by_recording = find(self._table, parameters, selection.from_touch)
         #: The parameters, with what the table says or needs.
         self.parameters = parameters.changed(values) if values else parameters
 
@@ -392,14 +393,19 @@ class TableSource:
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the rows in the order of the file."""
         inputs = Inputs(self.parameters, sink)
+        is_turned = self.parameters.displacement.along_tool and not self._table.is_in_tool
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
             if row.surface is not None:
                 inputs.places["surface"].add_value("", row.stamp_ns, row.surface)
             if row.displacement is not None:
-                inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
+                place = inputs.places["displacement"]
+                place.add_value("", row.stamp_ns, row.displacement, row.turn)
             if row.force is not None:
-                inputs.add_force_value("", row.stamp_ns, row.force)
+                force = row.force
+                if is_turned and row.turn is not None and not isinstance(force, float):
+                    force = rotate(conjugate(row.turn), force)
+                inputs.add_force_value("", row.stamp_ns, force)
             yield done
 
 
