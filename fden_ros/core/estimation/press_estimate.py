@@ -87,7 +87,7 @@ def prior_estimate(setting: PressSetting) -> Estimate:
     """Return what is known before a press."""
     config, carried = setting.config, setting.carried
     mean, full, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
-    if carried is not None:
+    if carried is not None and carried.is_sound:
         mean, full = carried.mean[:3], carried.covariance
         origin = setting.origin(carried.mean)
     covariance = _published(setting, full)
