@@ -294,6 +294,17 @@ def test_signs_that_the_data_leave_open_are_said_with_their_probability_by_the_r
     assert "ATTENTION" not in capsys.readouterr().err
 
 
+def test_a_force_without_any_noise_warns_of_nothing(tmp_path, capsys):
+    # In two steps, as a coarse sensor shows it: lines through the air leave nothing.
+    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1)
+    rows[:, 1] = np.where(rows[:, 1] > 0.05, 0.1, 0.0)
+    table = tmp_path / "steps.csv"
+    np.savetxt(table, rows, "%.6f", ",", header="time_s,force_N,depth_mm", comments="")
+    assert run("configure", table, "--json") == 0
+    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    assert abs(found["force drift"]["value"]) < 1e-9
+
+
 @pytest.mark.parametrize("name", ["recorder 1.log", "recorder"])
 def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys):
     table, probe = tmp_path / name, tmp_path / "probe.yaml"

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.core.outputs import ContactSummary, Flag, is_path
 from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
 
 #: Significant digits of a value.
@@ -56,7 +56,7 @@ def table_of(
 def contact_table(summaries: Iterable[ContactSummary]) -> Table:
     """Return one row a contact, of at most 80 columns."""
     shown = list(summaries)
-    on_path = any(summary.is_of_path for summary in shown)
+    on_path = is_path(shown)
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
     table = table_of(
         {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 9},
