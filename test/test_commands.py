@@ -155,6 +155,26 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     assert table.read_text().startswith(before)
 
 
+def test_what_is_interrupted_says_what_is_done_and_how_to_go_on(tmp_path, capsys, monkeypatch):
+    table = tmp_path / "results.csv"
+    for name in ("one", "two", "three"):
+        air(tmp_path / "archive" / name, 1, 20)
+
+    def interrupted(bags, work, results, workers, on_bag):
+        rows = batch.identify(str(bags[0]), work)
+        results.add(rows)
+        on_bag(rows)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(batch, "run", interrupted)
+        assert main(["batch", str(tmp_path / "archive"), "-o", str(table)]) == 130
+    said = capsys.readouterr().err
+    assert f"interrupted: {table} has 1 of 3 bags; the same command does the others" in said
+    assert main(["batch", str(tmp_path / "archive"), "-o", str(table), "--workers", "1"]) == 0
+    assert "3 bags, 1 of them done before" in capsys.readouterr().out
+
+
 # Without workers
 
 
@@ -257,6 +277,19 @@ def test_the_report_draws_the_path(bag, tmp_path):
         words in text
         for words in ("max strain", "undetermined", "origin uncertain", "normal not", "rejected:")
     )
+
+
+@pytest.mark.parametrize("first", [500, 700])
+def test_what_begins_in_contact_is_reported_as_contacts_not_as_a_path(first, tmp_path, capsys):
+    press, page = tmp_path / "press.csv", tmp_path / "page.html"
+    heading, *rows = (ROOT / "examples" / "press.csv").read_text(encoding="utf-8").splitlines()
+    press.write_text("\n".join([heading, *rows[first:]]))
+    config = str(ROOT / "examples" / "probe.yaml")
+    assert main(["report", str(press), "--config", config, "-o", str(page)]) == 0
+    assert "<h2>Contacts</h2>" in page.read_text(encoding="utf-8")
+    assert main(["replay", str(press), "--config", config]) == 0
+    said = capsys.readouterr().out
+    assert "Places" not in said and "contact.mode continuous" not in said
 
 
 # ``fden report``: what the page says, and that a browser shows it without a complaint

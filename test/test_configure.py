@@ -261,6 +261,50 @@ def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, caps
     assert any("millimetres" in problem for problem in answer["problems"])
 
 
+def test_signs_that_the_data_leave_open_are_said_with_their_probability_by_the_replay_too(
+    tmp_path, capsys
+):
+    # A spring that is never left: pushed one way it answers as pulled the other.
+    times = np.arange(0.0, 12.0, 0.01)
+    depth = 2.0 + 1.5 * np.sin(0.4 * np.pi * times)
+    force = 0.3 * depth + np.random.default_rng(1).normal(0.0, 0.002, times.size)
+    table, probe = tmp_path / "spring.csv", tmp_path / "probe.yaml"
+    rows = np.stack([times, force, depth], axis=1)
+    np.savetxt(table, rows, "%.6f", ",", header="time_s,force_N,depth_mm", comments="")
+    assert run("configure", table, *INDENTER, "-o", probe, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    axes = [f for f in answer["findings"] if f["subject"].endswith("axis")]
+    assert [f["claim"] for f in axes] == [False, False]
+    assert 0.5 < axes[0]["probability"] == axes[1]["probability"] < 0.99
+    assert not {"force.inverted", "displacement.inverted"} & answer["parameters"].keys()
+    words = f"(a probability of {axes[0]['probability']:.2f})"
+    run("replay", table, "--config", probe, "--json")
+    said = capsys.readouterr()
+    assert words in said.err and said.err.startswith(f"ATTENTION: {probe}: the axis of the force")
+    assert json.loads(said.out)["contacts"] is not None
+    # Signs that the data show say nothing of the kind.
+    assert run("configure", PRESS, *INDENTER, "-o", probe, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert all(
+        f["probability"] > 0.9999 and f["claim"] and "probability of over 0.9999" in f["evidence"]
+        for f in answer["findings"]
+        if f["subject"].endswith("axis")
+    )
+    assert run("replay", PRESS, "--config", probe) == 0
+    assert "ATTENTION" not in capsys.readouterr().err
+
+
+def test_a_force_without_any_noise_warns_of_nothing(tmp_path, capsys):
+    # In two steps, as a coarse sensor shows it: lines through the air leave nothing.
+    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1)
+    rows[:, 1] = np.where(rows[:, 1] > 0.05, 0.1, 0.0)
+    table = tmp_path / "steps.csv"
+    np.savetxt(table, rows, "%.6f", ",", header="time_s,force_N,depth_mm", comments="")
+    assert run("configure", table, "--json") == 0
+    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    assert abs(found["force drift"]["value"]) < 1e-9
+
+
 @pytest.mark.parametrize("name", ["recorder 1.log", "recorder"])
 def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys):
     table, probe = tmp_path / name, tmp_path / "probe.yaml"
@@ -284,6 +328,10 @@ def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys
             ["timestamp", "actual_TCP_pose_2", "actual_TCP_force_2"],
             "timestamp,actual_TCP_force_2,actual_TCP_pose_2*-1",
         ),
+        (
+            ["timestamp", *(f"actual_TCP_{w}_{k}" for w in ("pose", "force") for k in range(6))],
+            "timestamp,actual_TCP_force,actual_TCP_pose",
+        ),
         (["Zeit [s]", "Kraft [N]", "Weg [mm]"], "Zeit [s],Kraft [N],Weg [mm]*0.001"),
         (["t", "f", "z"], None),
         (["time_s", "force_N", "temperature_K"], None),
@@ -291,7 +339,8 @@ def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys
 )
 def test_headings_with_units_say_the_columns(tmp_path, headings, columns):
     table = tmp_path / "press.csv"
-    table.write_text(",".join(headings) + "\n0.0,0.1,0.2\n0.1,0.2,0.3\n")
+    rows = ("".join(f",{0.1 * (k + row):.1f}" for k in range(len(headings))) for row in range(2))
+    table.write_text("\n".join([",".join(headings), *(row[1:] for row in rows)]))
     if columns is None:
         with pytest.raises(InputError, match="do not say"):
             stated_columns(table)

@@ -359,6 +359,30 @@ def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsy
     assert 0.2 < contact["decision_time"] < 1.5
 
 
+def test_a_class_that_cannot_be_learned_is_named_with_the_reason(tmp_path, capsys, monkeypatch):
+    good = drawn(np.random.default_rng(0), specimens=6, each=2)
+    none = replace(good.only([]), sources=("there",), skipped={"not converged": 3})
+
+    def read(source, *arguments):
+        return good if source.tissue == "a" else none
+
+    monkeypatch.setattr(labelled, "read_source", read)
+    library = tmp_path / "library.yaml"
+    line = (
+        "skin cannot be learned: none of its contacts has converged (3 not converged); fden "
+        "replay says of there what they lack"
+    )
+    code, out, _ = train(capsys, "a=here", "skin=there", "-o", library, "--json")
+    assert code == 0 and json.loads(out)["warnings"][0] == line
+    code, out, _ = train(capsys, "a=here", "skin=there", "-o", library)
+    assert code == 0 and line in " ".join(out.split())
+    assert load_library(library).class_names == ("a", "b", "unknown")
+    code, _, error = train(capsys, "a=here", "skin=there", "-o", library, "--prior", "skin=0.5")
+    assert code == 1 and f"--prior skin: {line}" in error
+    code, _, error = train(capsys, "skin=there", "-o", library)
+    assert code == 1 and line in error and error.count("\n") == 1
+
+
 def test_prior_of_the_estimator_is_taken_out_of_what_recordings_tell(bags):
     folder, config = bags
     parameters = read_parameter_file(config)

@@ -223,7 +223,10 @@ def test_the_documented_program_runs_as_it_stands():
     assert "Traceback" not in controller.output and "Error" not in controller.output
 
 
-def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 0), (signal.SIGHUP, 0), (signal.SIGKILL, -signal.SIGKILL)]
+)
+def test_the_live_system_starts_and_ends_with_ctrl_c_its_terminal_or_its_parent(number, code):
     with Ears() as ears:
         forces = ears.hear(WrenchStamped, "/fden_live/force")
         with process_of([sys.executable, "-m", "fden_ros.cli", "live"]) as live:
@@ -235,9 +238,12 @@ def test_the_live_system_starts_and_ends_cleanly_on_ctrl_c(tmp_path):
                 lambda: ears.node.count_publishers("/fden_live/identifier/estimate"),
                 "the identifier",
             )
-            live.send_signal(signal.SIGINT)
-            assert live.wait(LIMIT) == 0
-        assert "stopped tissue_simulator, identifier, force_controller" in live.output
+            # Piped, it prints as it goes.
+            assert live.stdout.readline()
+            live.send_signal(number)
+            assert live.wait(LIMIT) == code
+        said = "stopped tissue_simulator, identifier, force_controller" in live.output
+        assert said == (code == 0)
         assert "Traceback" not in live.output
         ears.wait_for(
             lambda: not ears.node.count_publishers("/fden_live/force"), "everybody's end"

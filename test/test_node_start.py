@@ -21,7 +21,7 @@ from lifecycle_msgs.srv import GetState
 from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from ros_helpers import RELIABLE, STEP_NS, Bench, active, identifier
+from ros_helpers import RELIABLE, STEP_NS, Bench, active, identifier, stamp
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -85,6 +85,34 @@ def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_
     if looks_that_say(bench, "no message has come") == 1:
         assert not warnings_of(node, "no message has come")
     assert node.output.count("force and displacement come now") == 1
+
+
+def test_stamps_of_zero_are_said_with_the_parameter_that_takes_the_times_of_receipt_instead():
+    def air(bench: Bench) -> None:
+        bench.publish(0, 0.0, 0.0)
+        bench.spin_for(0.004)
+
+    with Bench() as bench:
+        with active():
+            bench.wait_until_heard()
+            words = "set synchronize.stamp_source to receive"
+            bench.wait_for(
+                lambda: air(bench) or words in bench.diagnostic().get("message", ""), words
+            )
+            assert bench.diagnostic()["rejected.force.zero_stamp"] != "0"
+        bench.estimates.clear()
+        with active({"synchronize.stamp_source": "receive"}):
+            bench.wait_until_heard()
+            begin = time.time_ns()
+            said = bench.wait_for(
+                lambda: (
+                    air(bench)
+                    or [m for m in bench.estimates if m.status == TissueEstimate.STATUS_NO_CONTACT]
+                ),
+                "an estimate in the air",
+            )
+            # The middleware's clock, to its resolution.
+            assert begin - 1_000_000 < stamp(said[0]) < time.time_ns()
 
 
 def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet():

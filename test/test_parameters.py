@@ -269,8 +269,8 @@ def test_parameter_says_what_of_a_message_counts(name):
         assert samples.heard == [(stream, number)]
 
 
-#: Shown with the running node, in test_parameter_files.py.
-LIVE = {"force.message", "displacement.message"}
+#: Shown with the running node, in test_parameter_files.py and test_node_start.py.
+LIVE = {"force.message", "displacement.message", "synchronize.stamp_source"}
 TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
 #: In test_frames.py.
 FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.normal"}

@@ -58,6 +58,7 @@ from simulation.scenario import (
 from simulation.simulate import simulate
 from simulation.trajectory import RampHold
 
+UR = Path(__file__).parents[1] / "docs" / "ur.md"
 SENSORS = Sensors(rate=500.0, force_sd=0.005, displacement_sd=5e-6)
 PRESS = Motion(depth=5e-3, speed=0.02, hold=1.0, release=0.02)
 TARGET = Target((0.1, 0.1, math.inf))
@@ -105,6 +106,20 @@ def test_a_loud_sensor_leaves_the_scales_of_the_errors_open_in_a_plan_too():
     pairs = zip(stated, expected, strict=True)
     ratios = np.array([one.deviations / two.deviations for one, two in pairs])
     np.testing.assert_allclose(np.exp(np.log(ratios).mean(axis=0))[1:], 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("rate", "noise", "fastest"),
+    [(500.0, 0.005, 0.02), (500.0, 0.02, 0.008), (125.0, 0.01, 0.008), (2000.0, 0.02, 0.02)],
+)
+def test_a_press_with_much_noise_is_advised_as_slow_as_the_page_of_the_arm_says(
+    rate, noise, fastest
+):
+    sensors = Sensors(rate, noise, 5e-6)
+    assert Limits.usual(CONFIG, sensors).speed == fastest
+    chosen = plan(CONFIG, sensors, TARGET, tissue=LIVER)
+    assert chosen.motion.speed <= fastest
+    assert "**Speed**: 2 to 8 mm/s" in UR.read_text(encoding="utf-8")
 
 
 def test_a_deep_press_after_a_shallow_one_divides_by_nothing():

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import shlex
 import shutil
@@ -335,6 +336,14 @@ def test_a_topic_without_messages_is_named_as_such(tmp_path):
             assert "damaged" not in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["/target_joints", "/joints"])
+def test_a_topic_that_is_only_commanded_is_said_to_be(name, tmp_path):
+    messages = [m._replace(topic=m.topic.replace("/joints", name)) for m in small()]
+    result = replay(KINDS["MCAP"](tmp_path, messages), check({}))
+    said = f"{name} is commanded by its name, not measured" in result.warnings
+    assert (result.inputs["displacement"], said) == (name, name == "/target_joints")
+
+
 # Stamps
 
 #: Header stamps of the force by time of recording, and what is said of them.
@@ -359,6 +368,8 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
     assert words in as_they_are.warnings[0]
     assert "--stamps recording" in as_they_are.warnings[0]
     received = replay(bag, check({}), Selection(stamps="recording"))
+    by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
+    assert result_object(by_parameter) == result_object(received)
     whole = replay(KINDS["MCAP"](tmp_path / "whole", small()), check({}))
     assert received.samples == whole.samples > 100
     assert not any("stamps" in warning for warning in received.warnings)
@@ -430,6 +441,9 @@ def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, ca
     (archive / "notes" / "readme.txt").write_text("what was done on that day\nand why\n")
     rows = "".join(f"{0.01 * k + 1},{0.1 * k},{0.2 * k}\n" for k in range(100))
     (archive / "press.csv").write_text("time_s,force_N,depth_mm\n" + rows)
+    (archive / "packed.csv.gz").write_bytes(
+        gzip.compress(("time_s,force_N,depth_mm\n" + rows).encode())
+    )
     (archive / "press.txt").write_text("time_s force_N depth_mm\n" + rows.replace(",", " "))
     (tmp_path / "empty").mkdir()
     output = archive / "results.csv"
@@ -438,9 +452,13 @@ def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, ca
     for _ in range(2):
         assert main(command) == 0
         with output.open(newline="") as file:
-            found = {Path(row["bag"]).name: row["error"] for row in csv.DictReader(file)}
+            rows = list(csv.DictReader(file))
+        found = {Path(row["bag"]).name: row["error"] for row in rows}
+        chosen = {Path(row["bag"]).name: row["inputs"] for row in rows}
+        assert chosen["old.bag"] == "force from /force, displacement from /joints"
         assert found.keys() == {
-            *("bag", "old.bag", "old.db3", "press.csv", "press.txt", "empty", "nowhere")
+            *("bag", "old.bag", "old.db3", "press.csv", "packed.csv.gz", "press.txt"),
+            *("empty", "nowhere"),
         }
         errors = {name: error for name, error in found.items() if error}
         assert errors.keys() == {"empty", "nowhere"}

@@ -12,15 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fden_ros.cli import main
 from fden_ros.errors import InputError
-from fden_ros.parameters import check
+from fden_ros.offline.replay import replay
+from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.source import Selection, open_source
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
 
 POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
+PRESS = Path(__file__).resolve().parents[1] / "examples" / "press.csv"
 
 #: Time [s], force [N] and displacement [m] of the rows that every table below holds.
 ROWS = [(0.0, 0.0, 0.0), (0.1, 0.25, 0.0005), (0.2, 1234.5, 0.0015), (0.3, 2.75, 0.012)]
@@ -113,6 +116,14 @@ STATED = {
     + "Time,Load,Extension\n(s),(N),(mm)\n" + PLAIN,
     "measured beside desired": "time_s,force_N,press_desired_mm,press_actual_mm\n"
     + "".join(f"{t},{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "set and reference": "time_s,force_set_N,force_N,depth_ref_mm,depth_mm\n"
+    + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "Soll and Ist": "Zeit [s];Sollkraft [N];Istkraft [N];Sollweg [mm];Istweg [mm]\n"
+    + comma("".join(f"{t};9;{f};9;{1e3 * d}\n" for t, f, d in ROWS)),
+    "measured beside another direction": "time_s,force_N,press_desired_mm,press_actual_mm,x_mm\n"
+    + "".join(f"{t},{f},9,{1e3 * d},9\n" for t, f, d in ROWS),
+    "measured force beside others": "time_s,force_cmd_N,force_meas_N,force_N,depth_mm\n"
+    + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
     "commanded force": "Time (s),Target load (N),Load (N),Depth (mm)\n"
     + "".join(f"{t},9,{f},{1e3 * d}\n" for t, f, d in ROWS),
 }  # fmt: skip
@@ -204,6 +215,14 @@ def test_columns_that_are_given_are_read_below_any_preamble(
         ("Time (s),Load A (N),Load B (N),Depth (mm)", "the force: Load A (N), Load B (N)"),
         ("Time (s),Load (N),Load (N),Depth (mm)", "the force: 2, 3"),
         ("Time (s),Load (N),Stroke (mm),Depth (mm)", "the displacement: Stroke (mm), Depth (mm)"),
+        (
+            "time_s,force_N,press_actual,x_mm",
+            "the displacement: press_actual (no unit stated), x_mm; name the columns, such as "
+            "--columns 'time_s,force_N,press_actual*0.001'",
+        ),
+        ("time_s,force_N,depth,x_mm", "the displacement: depth (no unit stated), x_mm"),
+        ("time_s,force_desired_N,force,depth_mm", "the force: force (no unit stated), force_des"),
+        ("time_s,ft1_force_N,ft2_force_N,z_mm", "the force: ft1_force_N, ft2_force_N"),
         ("Time (s),Load (N),Depth,Width", "which column is the displacement:"),
         ("a,b,c,d", "it has a, b, c, d"),
     ],
@@ -217,6 +236,25 @@ def test_what_stays_ambiguous_is_asked_for_with_the_candidates(
         stated_columns(path)
     line = str(caught.value)
     assert words in line and "--columns" in line and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("headings", "said"),
+    [
+        ("time_s,force_N,depth_desired_mm", ["column depth_desired_mm is commanded by its head"]),
+        ("time_s,force_N,depth_mm", []),
+    ],
+)
+def test_a_column_that_was_only_commanded_is_said_to_be(
+    tmp_path: Path, headings: str, said: list[str]
+) -> None:
+    path = tmp_path / "press.csv"
+    path.write_text(f"{headings}\n" + PLAIN)
+    source = open_source(path, check({}))
+    assert [
+        warning[: len(words)] for warning, words in zip(source.warnings, said, strict=True)
+    ] == said
+    assert source.inputs["displacement"] == f"column {headings.split(',')[2]}"
 
 
 @pytest.mark.parametrize(
@@ -381,3 +419,77 @@ def test_options_of_tables_that_do_not_fit_are_refused_in_a_line(
         code = int(str(error.code))
     line = capsys.readouterr().err
     assert code in (1, 2) and line.count("\n") == 1 and words in line
+
+
+# An arm's recorder: places and forces are vectors, in the base or in the tool
+
+
+DOWN = Rotation.from_rotvec([np.pi, 0.0, 0.0])
+UPRIGHT = (DOWN,) * 3
+ASKEW = (DOWN, DOWN * Rotation.from_euler("x", 20.0, degrees=True), Rotation.identity())
+LYING = (Rotation.from_euler("y", 90.0, degrees=True),) * 3
+BASE, TOOL = "actual_TCP_force", "ft_raw_wrench"
+
+
+def arm_table(path: Path, turns: tuple[Rotation, ...], force: str, *, has_turns: bool) -> Path:
+    """Write a press at three places 50 mm apart, along the tool's z, as a UR's recorder does."""
+    time, load, depth = np.loadtxt(PRESS, delimiter=",", skiprows=1).T
+    first = time < 5.6
+    parts = []
+    for k, turn in enumerate(turns):
+        into = turn.apply([0.0, 0.0, 1.0])
+        place = 1e-3 * np.outer(depth[first], into) + [0.3, -0.2 + 0.05 * k, 0.1]
+        push = np.outer(load[first], -into)
+        push = push if force == BASE else turn.inv().apply(push)
+        angles = [np.tile(turn.as_rotvec(), (push.shape[0], 1))] if has_turns else []
+        parts.append(np.hstack([time[first, None] + 5.6 * k, place, *angles, push]))
+    names = [f"actual_TCP_pose_{k}" for k in range(6 if has_turns else 3)]
+    names += [f"{force}_{k}" for k in range(3)]
+    header = " ".join(["timestamp", *names])
+    np.savetxt(path, np.vstack(parts), "%.7f", header=header, comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("turns", "force", "has_turns", "said"),
+    [
+        (UPRIGHT, BASE, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
+        (UPRIGHT, BASE, False, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
+        (UPRIGHT, TOOL, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, -1.0]"),
+        (LYING, BASE, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [-1.0, 0.0, 0.0]"),
+        (LYING, TOOL, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [0.0, 0.0, -1.0]"),
+        (ASKEW, BASE, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
+        (ASKEW, TOOL, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
+    ],
+)
+def test_three_places_of_an_arm_are_three_sites_whatever_the_frame_of_the_force(
+    tmp_path: Path, turns: tuple[Rotation, ...], force: str, has_turns: bool, said: str
+) -> None:
+    table = arm_table(tmp_path / "robot_data.csv", turns, force, has_turns=has_turns)
+    parameters = read_parameter_file(PRESS.with_name("probe.yaml"))
+    arm = replay(table, parameters)
+    (usual, _) = replay(PRESS, parameters).summaries
+    assert [one.site_id for one in arm.summaries] == [1, 2, 3]
+    for one in arm.summaries:
+        assert one.converged and one.estimate is not None and usual.estimate is not None
+        assert one.max_force == pytest.approx(usual.max_force, rel=0.01)
+        ratio = one.estimate.linear_stiffness / usual.estimate.linear_stiffness
+        assert ratio == pytest.approx(1.0, abs=0.05)
+    assert arm.set_by_recording[0].replace("-0.0", "0.0").startswith(said.replace("-0.0", "0.0"))
+    frame = "the base's frame" if force == BASE else "the tool's frame"
+    assert arm.inputs["force"] == f"columns {force}_0 to {force}_2, in {frame}"
+
+
+def test_axes_that_are_stated_count_for_an_arm_and_a_machines_options_do_not(
+    tmp_path: Path,
+) -> None:
+    table = arm_table(tmp_path / "robot_data.csv", LYING, BASE, has_turns=True)
+    stated = {"displacement.axis": [2.0, 0.0, 0.0], "force.axis": [-1.0, 0.0, 0.0]}
+    source = open_source(table, check(stated))
+    assert source.set_by_recording == ()
+    assert source.parameters == check(stated)
+    with pytest.raises(InputError, match="--from-touch is for a machine's one direction"):
+        open_source(table, check({}), Selection(from_touch=True))
+    placed = arm_table(tmp_path / "places.csv", LYING, BASE, has_turns=False)
+    with pytest.raises(InputError, match="asks for the tool's orientation"):
+        open_source(placed, check({"displacement.along_tool": True}))

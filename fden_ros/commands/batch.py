@@ -78,12 +78,21 @@ def run(args: argparse.Namespace) -> int:
                 _tell_broken(rows[0]["bag"], rows[0]["error"])
             show(done)
 
-        batch.run(left, work, results, args.workers, see)
+        try:
+            batch.run(left, work, results, args.workers, see)
+        except KeyboardInterrupt:
+            count_done = len(bags) - len(left) + done
+            _tell_interrupted(f"{args.output} has {count_done} of {len(bags)} bags")
+            raise
     print(
         f"{args.output}: {len(bags)} bags, {len(bags) - len(left)} of them done before, "
         f"{broken} broken; {contacts} contacts new"
     )
     return 0
+
+
+def _tell_interrupted(what: str) -> None:
+    print(f"interrupted: {what}; the same command does the others", file=sys.stderr)
 
 
 def _tell_broken(bag: str, error: str) -> None:

@@ -141,7 +141,10 @@ def result_object(found: Survey, readings: Sequence[Reading]) -> dict[str, Any]:
     """Return what ``--json`` prints."""
     from fden_ros.configure.writer import parameter_values, replay_problems
 
-    names = ("subject", "claim", "value", "deviation", "unit", "seconds", "evidence", "motion")
+    names = (
+        *("subject", "claim", "value", "deviation", "probability", "unit", "seconds"),
+        *("evidence", "motion"),
+    )
     return {
         "inputs": [
             {

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -126,6 +127,7 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
 def parameters_of(args: argparse.Namespace) -> Parameters:
     """Return the checked parameters of every ``--config`` for ``--node``, and of sizes given."""
     from fden_ros.parameters import read_parameter_files
+    from fden_ros.parameters.files import open_axes
     from fden_ros.shipped import shipped
 
     files = list(args.config or [])
@@ -133,6 +135,9 @@ def parameters_of(args: argparse.Namespace) -> Parameters:
         # What the files say outdoes it.
         files.insert(0, shipped("config/bench.yaml"))
     parameters = read_parameter_files(files, args.node)
+    for path in files:
+        for words in open_axes(path):
+            print(f"ATTENTION: {path}: {words}", file=sys.stderr)
     sizes = _sizes_of(args)
     if sizes and parameters.geometry.kind != "flat_punch":
         args.parser.error(

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
+import errno
+import os
 import signal
 import subprocess
 import sys
@@ -19,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from fden_ros.commands.command import positive, write_picture
+from fden_ros.commands.monitor import ending_signals, watch
 from fden_ros.errors import InputError
 from fden_ros.simulation import phantom
 
@@ -28,7 +32,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Start the tissue simulator, the identifier and the force controller, each in a process of its own,
-and show them in this terminal. Ctrl-C stops them all.
+and show them in this terminal. Ctrl-C stops them all, and so does the end of the terminal or of
+the process that has started this one; with nohup they go on.
 """
 
 EPILOG = """\
@@ -41,6 +46,8 @@ examples:
 
 NAMESPACE = "/fden_live"
 _STOP_TIMEOUT = 10.0
+#: Of prctl(2).
+_PR_SET_PDEATHSIG = 1
 
 Processes = dict[str, subprocess.Popen[bytes]]
 
@@ -68,7 +75,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the live system; return the exit code."""
-    from fden_ros.commands.monitor import watch
     from fden_ros.shipped import shipped
 
     path = args.parameters or shipped("config/tissue_simulator.yaml")
@@ -87,16 +93,27 @@ def run(args: argparse.Namespace) -> int:
             settings["planner"] = ""
         nodes = opened.enter_context(_running(path, NAMESPACE, settings))
 
+        parent, is_bound = os.getppid(), signal.SIGHUP in ending_signals()
+
         def look(monitor: Monitor) -> None:
             nonlocal summaries
             summaries = monitor.summaries
+            if is_bound and os.getppid() != parent:
+                raise KeyboardInterrupt
             for name, process in nodes.items():
                 if process.poll() is not None:
                     raise InputError(f"{name} ended early, with exit code {process.returncode}")
 
-        with contextlib.suppress(KeyboardInterrupt):
+        try:
             watch(f"{NAMESPACE}/identifier", duration=args.duration, look=look)
-    print("stopped " + ", ".join(nodes))
+        except KeyboardInterrupt:
+            pass
+        except OSError as error:
+            # Of a terminal or a pipe that is gone: nobody looks any more.
+            if error.errno not in (errno.EIO, errno.EPIPE):
+                raise
+    with contextlib.suppress(OSError):  # of a terminal that is gone
+        print("stopped " + ", ".join(nodes), flush=True)
     if args.plan is not None:
         _draw(args.plan, summaries)
     return 0
@@ -149,7 +166,9 @@ def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
 
 @contextlib.contextmanager
 def _running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> Iterator[Processes]:
-    """Run nodes as long as the context lasts; SIGTERM ends the program as Ctrl-C does.
+    """Run nodes as long as the context lasts; SIGTERM and SIGHUP end the program as Ctrl-C does.
+
+    However this process ends, they do.
 
     Parameters
     ----------
@@ -161,7 +180,11 @@ def _running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> I
         ``name:=value``; empty: none.
     """
     processes: Processes = {}
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    before = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in ending_signals()
+        if number != signal.SIGINT
+    }
     try:
         for name, setting in settings.items():
             command = [
@@ -171,14 +194,24 @@ def _running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> I
             ]
             # In a session of their own: Ctrl-C comes to them once, from here.
             processes[name] = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, start_new_session=True
+                command,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
             )
         yield processes
     finally:
         # In reverse, so that nobody commands a rig that is gone.
         for process in reversed(processes.values()):
             _stop(process)
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end_with_parent() -> None:
+    """Have Linux end the calling process as Ctrl-C does when its parent is gone, even killed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

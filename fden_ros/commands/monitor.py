@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -16,10 +17,12 @@ from fden_ros.commands.command import positive
 
 if TYPE_CHECKING:
     from fden_ros.nodes.monitor import Monitor
+    from fden_ros.report.monitor import MonitorView
 
 DESCRIPTION = """\
 Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
-standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it.
+standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it. Where
+the output is no terminal it prints a line a second.
 """
 
 EPILOG = """\
@@ -29,6 +32,8 @@ examples:
 """
 
 _PERIOD = 0.2
+#: Where it is no terminal a line is printed so often [s].
+_LINE_PERIOD = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,36 +64,63 @@ def watch(
     KeyboardInterrupt
         After SIGINT or SIGTERM.
     """
-    from rich.console import Console
-    from rich.live import Live
-
     from fden_ros.nodes.monitor import Monitor
-    from fden_ros.report.monitor import monitor_view
 
-    console = Console()
     end = time.monotonic() + duration if duration is not None else None
-    with (
-        _signals_noted() as noted,
-        Monitor(identifier) as monitor,
-        Live(console=console, auto_refresh=False, transient=False) as live,
-    ):
+    with _signals_noted() as noted, Monitor(identifier) as monitor, _shown() as show:
         while not noted and (end is None or time.monotonic() < end):
             monitor.spin(_PERIOD)
             look(monitor)
-            live.update(monitor_view(monitor.view()), refresh=True)
-    if not console.is_terminal:
-        console.line()  # rich ends the last line on terminals only
+            show(monitor.view())
     if noted:
         raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
+def _shown() -> Iterator[Callable[[MonitorView], object]]:
+    """Show views in a terminal; elsewhere print a line now and then, and the last in full."""
+    from rich.console import Console
+    from rich.live import Live
+
+    from fden_ros.report.monitor import monitor_line, monitor_view
+
+    console = Console()
+    if console.is_terminal:
+        with Live(console=console, auto_refresh=False, transient=False) as live:
+            yield lambda view: live.update(monitor_view(view), refresh=True)
+        return
+    last: list[MonitorView] = []
+    newest = -math.inf
+
+    def note(view: MonitorView) -> None:
+        nonlocal newest
+        last[:] = [view]
+        if time.monotonic() - newest >= _LINE_PERIOD:
+            newest = time.monotonic()
+            print(monitor_line(view), flush=True)
+
+    try:
+        yield note
+    finally:
+        for view in last:
+            console.print(monitor_view(view))
+
+
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that end a command: also a terminal's end, unless that is ignored."""
+    found = [signal.SIGINT, signal.SIGTERM]
+    # As with nohup.
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return found if is_ignored else [*found, signal.SIGHUP]
+
+
+@contextlib.contextmanager
 def _signals_noted() -> Iterator[list[int]]:
-    """Note SIGINT and SIGTERM: raised in the middle of rclpy they come out as something else."""
+    """Note what ends it: raised in the middle of rclpy it comes out as something else."""
     noted: list[int] = []
     before = {
         number: signal.signal(number, lambda caught, _: noted.append(caught))
-        for number in (signal.SIGINT, signal.SIGTERM)
+        for number in ending_signals()
     }
     try:
         yield noted

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, unit, usual in (
         ("depth", "m", "a strain of 0.3"),
         ("force", "N", "plausible.force"),
-        ("speed", "m/s", "0.02"),
+        ("speed", "m/s", "0.02, 0.008 with much noise"),
         ("time", "s", "10"),
     ):
         words = f"at most (default: {usual})"
@@ -104,7 +104,7 @@ def _motion(args: argparse.Namespace) -> int:
         args.config or [], parameters, args.noise, args.rate, args.displacement_noise
     )
     most = {name: getattr(args, f"max_{name}") for name in LIMITS}
-    limits = Limits.usual(config).stated(**most)
+    limits = Limits.usual(config, sensors).stated(**most)
     target = Target(args.target) if args.target else None
     search = Search(config, sensors, target, limits, tissue)
     plan = search.plan()

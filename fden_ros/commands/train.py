@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
     from fden_ros.core.classification.classifier import TissueLibrary
+    from fden_ros.offline.labelled import Source
     from fden_ros.parameters import Parameters
     from fden_ros.tissues.training import Check, Contacts, Spread
 
@@ -80,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     )
 
     parameters = parameters_of(args)
-    contacts = _read(args, parameters)
+    contacts, unlearned = _read(args, parameters)
     geometry = _geometry(parameters) if geometry_of(parameters).is_stated else {}
     units = units_of(geometry_of(parameters))
     unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
@@ -103,15 +105,16 @@ def run(args: argparse.Namespace) -> int:
                 "mismatched": contacts.mismatched,
                 "left_out": dict(contacts.skipped),
                 "check": check_object(result),
-                "warnings": _warnings(contacts, result),
+                "warnings": [*unlearned, *_warnings(contacts, result)],
             }
         )
-    _print(contacts, spreads, result, units)
+    _print(contacts, spreads, result, units, [*unlearned, *_warnings(contacts, result)])
     print(f"wrote {args.output}")
     return 0
 
 
-def _read(args: argparse.Namespace, parameters: Parameters) -> Contacts:
+def _read(args: argparse.Namespace, parameters: Parameters) -> tuple[Contacts, list[str]]:
+    """Return the contacts, and of each tissue that has none of use why, in a line."""
     from fden_ros.offline.labelled import Source, read_source
     from fden_ros.progress import progress
     from fden_ros.tissues.training import joined
@@ -123,14 +126,36 @@ def _read(args: argparse.Namespace, parameters: Parameters) -> Contacts:
         for source in sources:
             parts.append(read_source(source, parameters, selection))
             show(len(parts))
+    unlearned = _unlearned(sources, parts)
+    if not any(map(len, parts)):
+        raise InputError("; ".join(unlearned.values()))
     contacts = joined(parts)
     for tissue, _ in args.prior:
+        if tissue in unlearned:
+            raise InputError(f"--prior {tissue}: {unlearned[tissue]}")
         if tissue not in contacts.classes:
             raise InputError(
                 f"--prior {tissue}: there is no such tissue in the data; it has "
                 f"{', '.join(contacts.classes)}"
             )
-    return contacts
+    return contacts, list(unlearned.values())
+
+
+def _unlearned(sources: Sequence[Source], parts: Sequence[Contacts]) -> dict[str, str]:
+    """Return why tissues cannot be learned, by their names."""
+    lines = {}
+    for tissue in dict.fromkeys(source.tissue for source in sources):
+        own = [(s, part) for s, part in zip(sources, parts, strict=True) if s.tissue == tissue]
+        if any(len(part) for _, part in own):
+            continue
+        left_out = sum((Counter(part.skipped) for _, part in own), Counter[str]())
+        why = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
+        places = " ".join(str(source.path) for source, _ in own)
+        lines[tissue] = (
+            f"{tissue} cannot be learned: none of its contacts has converged "
+            f"({why or 'no contact was found'}); fden replay says of {places} what they lack"
+        )
+    return lines
 
 
 def _geometry(parameters: Parameters) -> dict[str, Any]:
@@ -167,7 +192,13 @@ def _warnings(contacts: Contacts, result: Check) -> list[str]:
     return warnings
 
 
-def _print(contacts: Contacts, spreads: Mapping[str, Spread], result: Check, units: str) -> None:
+def _print(
+    contacts: Contacts,
+    spreads: Mapping[str, Spread],
+    result: Check,
+    units: str,
+    warnings: Sequence[str],
+) -> None:
     import numpy as np
     from rich.console import Console
     from rich.markup import escape
@@ -219,7 +250,7 @@ def _print(contacts: Contacts, spreads: Mapping[str, Spread], result: Check, uni
             f"error {np.mean(result.errors):.1%} (95 %: {low:.1%} to {high:.1%}) over "
             f"{len(result.truth)} contacts of {len(set(result.groups))} specimens"
         )
-    for warning in _warnings(contacts, result):
+    for warning in warnings:
         console.print(f"[yellow]note:[/yellow] {escape(warning)}", soft_wrap=True)
 
 

@@ -58,10 +58,15 @@ class Axes:
     sessions: tuple[Session, ...]
     reason: str = ""  #: why one of them is not known
     by_approach: bool = False  #: the displacement's is that of approaches and retreats
+    probability: float | None = None  #: of the signs, from the data; None: not looked for
 
     def findings(self) -> tuple[Finding, Finding]:
         """Return what to say of the force's axis and of the displacement's."""
-        return self._finding("force", self.force), self._finding("displacement", self.displacement)
+        force, displacement = (
+            replace(self._finding(stream, axis), probability=self.probability)
+            for stream, axis in (("force", self.force), ("displacement", self.displacement))
+        )
+        return force, displacement
 
     def _finding(self, stream: str, axis: Axis | None) -> Finding:
         subject = f"{stream} axis"
@@ -71,21 +76,32 @@ class Axes:
         value = tuple(float(v) for v in axis.direction)
         if len(value) == 1:
             verb = "falls" if value[0] < 0.0 else "grows"
-            evidence = f"the {stream} {verb} as the probe presses; {axis.basis}"
+            sure = self._sureness()
+            evidence = f"the {stream} {verb} as the probe presses; {axis.basis}{sure}"
             values = {f"{stream}.inverted": value[0] < 0.0}
             return Finding(subject, value[0], 0.0, evidence, seconds, parameters=values)
         degrees = math.degrees(axis.sd)
         if not axis.is_stated:
             evidence = f"only known to {degrees:.1f} degrees from {axis.basis}"
             return unknown(subject, evidence, "", value, axis.sd, seconds)
-        evidence = f"within {degrees:.2g} degrees, from {axis.basis}"
+        evidence = f"within {degrees:.2g} degrees, from {axis.basis}{self._sureness()}"
         rounded = {f"{stream}.axis": [round(v, 4) for v in value]}
         return Finding(subject, value, axis.sd, evidence, seconds, parameters=rounded)
+
+    def _sureness(self) -> str:
+        if self.probability is None:
+            return ""
+        return f"; the sign with a probability of {_probability_words(self.probability)}"
 
 
 def find_axes(sessions: Sequence[Session]) -> Axes:
     """Find both axes from the contacts of one rig's recordings."""
     lines = next((session.lines for session in sessions if session.lines is not None), None)
+    found = _found_axes(sessions, lines)
+    return found if lines is None else replace(found, probability=lines.signs.probability)
+
+
+def _found_axes(sessions: Sequence[Session], lines: Lines | None) -> Axes:
     touched = tuple(session for session in sessions if session.contacts)
     if lines is None or not touched:
         return Axes(None, None, (), "no contact was seen")
@@ -110,9 +126,17 @@ def _two_readings(lines: Lines) -> str:
     )
     ratio = math.exp(lines.signs.log_ratio)
     return (
-        f"two readings fit: {first}, or {second}; the first is {ratio:.2g} times as likely, and "
-        f"{LEAST_RATIO:g} times would exclude the other"
+        f"two readings fit: {first}, or {second}; the first is {ratio:.2g} times as likely (a "
+        f"probability of {_probability_words(lines.signs.probability)}), and {LEAST_RATIO:g} "
+        "times would exclude the other"
     )
+
+
+def _probability_words(probability: float) -> str:
+    """Return a probability to the digits in which it is not certain."""
+    if probability > 0.9999:
+        return "over 0.9999"
+    return f"{probability:.4f}" if probability > 0.99 else f"{probability:.2f}"
 
 
 def _along(direction: Array) -> str:

@@ -99,6 +99,8 @@ class Finding:
         What to do so that the next recording tells.
     parameters : mapping
         Values of the parameter file, by dotted name.
+    probability : float, optional
+        Of a sign, from the data.
     claim : bool
         Whether it is stated; False: the recording cannot tell, and `motion` says what would.
     """
@@ -111,6 +113,7 @@ class Finding:
     motion: str = ""
     parameters: Mapping[str, Value] = field(default_factory=dict)
     claim: bool = True
+    probability: float | None = None
 
     @property
     def unit(self) -> str:

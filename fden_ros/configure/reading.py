@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -114,9 +114,8 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     table = TableReader(path, columns, selection.where)
     rows = list(table.rows())
     stamps = np.array([row.stamp_ns for row in rows], dtype=np.int64)
-    # What a row does not hold becomes NaN.
-    values = np.array([row[1:3] for row in rows], dtype=float).reshape(-1, 2)
-    good = np.isfinite(values)
+    force_values, places = (_filled([row[i] for row in rows]) for i in (1, 2))
+    good = np.stack([np.isfinite(one).all(axis=1) for one in (force_values, places)], axis=1)
     least = int(good.sum(axis=0).min())
     if least < _LEAST_SAMPLES:
         raise InputError(f"{path} has {least} rows: at least {_LEAST_SAMPLES} are needed")
@@ -124,10 +123,24 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     if good.all(axis=1).sum() >= _LEAST_SAMPLES:
         good[:] = good.all(axis=1, keepdims=True)
     (force_times, force), (times, motion) = (_times(stamps, first, good[:, i]) for i in (0, 1))
-    streams = Streams(str(path), force_times, values[force, :1], times, values[motion, 1:])
+    turns = None
+    if table.has_turns and table.is_in_tool and table.has_vectors[0]:
+        # Of the force's frame: that of a force in the base does not turn.
+        turns = _filled([row.turn for row in rows])[motion]
+    streams = Streams(
+        str(path), force_times, force_values[force], times, places[motion], orientation=turns
+    )
     named = {"force": columns.force, "displacement": columns.displacement}
     inputs = {stream: table.named(column) for stream, column in named.items()}
     return Reading(path, streams, selection, inputs, warnings=table.warnings)
+
+
+def _filled(values: Sequence[float | tuple[float, ...] | None]) -> Array:
+    """Return numbers or vectors as (n, 1) or (n, k); what a row does not hold becomes NaN."""
+    some = next((np.atleast_1d(value) for value in values if value is not None), np.zeros(1))
+    nothing = np.full(some.size, np.nan)
+    kept = [nothing if value is None else np.atleast_1d(value) for value in values]
+    return np.array(kept, dtype=float).reshape(-1, some.size)
 
 
 @dataclass

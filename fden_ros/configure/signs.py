@@ -80,11 +80,14 @@ class Signs:
         1 where it grows into the tissue, -1 where it falls.
     log_ratio : float
         Logarithm of its likelihood over that of the next best reading.
+    probability : float
+        Of the reading, all four equally likely before the data.
     """
 
     force: float
     motion: float
     log_ratio: float
+    probability: float
 
     @property
     def is_stated(self) -> bool:
@@ -96,7 +99,8 @@ def find_signs(courses: Sequence[Course]) -> Signs:
     """Compare the readings of recordings of one rig."""
     total = sum((_compared(course) for course in courses), np.zeros(len(_READINGS)))
     next_best, best = np.argsort(total)[-2:]
-    return Signs(*_READINGS[best], float(total[best] - total[next_best]))
+    probability = 1.0 / float(np.exp(total - total[best]).sum())
+    return Signs(*_READINGS[best], float(total[best] - total[next_best]), probability)
 
 
 def _compared(course: Course) -> Array:

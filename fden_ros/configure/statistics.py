@@ -62,7 +62,9 @@ def pooled(values: ArrayLike, sds: ArrayLike) -> tuple[float, float]:
 
     Where the values scatter by more than their deviations, that counts.
     """
-    found, weights = np.asarray(values, dtype=float), 1.0 / np.square(np.asarray(sds, dtype=float))
+    found, each = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
+    # One without any scatter, as of a coarse sensor, outweighs the others, and no more.
+    weights = 1.0 / np.square(np.maximum(each, 1e-9 * max(float(each.max()), 1e-9)))
     mean = float(weights @ found / weights.sum())
     misfit = float(weights @ (found - mean) ** 2) / max(found.size - 1, 1)
     return mean, math.sqrt(max(misfit, 1.0) / float(weights.sum()))

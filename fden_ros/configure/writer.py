@@ -16,7 +16,7 @@ from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
 from fden_ros.errors import InputError
 from fden_ros.parameters import PARAMETERS, Value
-from fden_ros.parameters.files import LIVE_LINE
+from fden_ros.parameters.files import ATTENTION_LINE, LIVE_LINE, OPEN_AXIS
 from fden_ros.recording.source import SELECTION_LINE, Selection
 from fden_ros.recording.table import stated_columns
 
@@ -33,6 +33,8 @@ def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, V
     for stream, joint in readings[0].joints.items():
         values[f"{stream}.name"] = joint
     values.update(readings[0].parameters)
+    if readings[0].selection.stamps != "header":
+        values["synchronize.stamp_source"] = "receive"
     for finding in survey.findings:
         values.update(finding.parameters)
     return {
@@ -56,7 +58,7 @@ def replay_problems(survey: Survey) -> list[str]:
         if not axis.claim:
             unknown.setdefault(f"{axis.evidence}. To find out: {axis.motion}", []).append(stream)
     for why, names in unknown.items():
-        problems.append(f"the axis of the {' and of the '.join(names)} is not known: {why}")
+        problems.append(f"{OPEN_AXIS}{' and of the '.join(names)} is not known: {why}")
     lift_off = survey.finding("lift-off")
     if lift_off.value == "never":
         problems.append(f"no touch is seen for sure: {lift_off.motion}")
@@ -141,7 +143,7 @@ def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> 
         lines.append(f"{SELECTION_LINE}{shlex.join(chosen)}")
     lines.append("# ± is one standard deviation. What stays at its default is left out.")
     for problem in replay_problems(survey):
-        lines += _comment(f"ATTENTION: {problem}", "")
+        lines += _comment(f"{ATTENTION_LINE.removeprefix('# ')}{problem}", "")
     for note in notes:
         lines += _comment(f"note: {note}", "")
     lines.append("#")

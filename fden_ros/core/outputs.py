@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from fden_ros.core.classification.classifier import ClassProbabilities
@@ -159,6 +160,16 @@ class ContactSummary:
         # Along a path G is never determined, Gn at times; a press begun unseen may have it.
         estimate = self.estimate
         return estimate is None or not estimate.valid & ParameterSet.LINEAR_STIFFNESS
+
+
+def is_path(summaries: Sequence[ContactSummary]) -> bool:
+    """Return whether contacts are places on a path: their stiffness is known, no touch was seen.
+
+    Where one was seen, one that began unseen is a contact beside it.
+    """
+    return any(summary.is_of_path for summary in summaries) and all(
+        Flag.ORIGIN_UNCERTAIN in summary.flags for summary in summaries
+    )
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,8 @@ class Plausibility:
         )
         return (
             f"a contact reached {force:.3g} N, more than plausible.force ({most:g} N): is the "
-            f"force in {asked or 'N'}? If it is that large, set plausible.force"
+            f"force in {asked or 'N'}? If it is that large, set plausible.force to "
+            f"{10.0 ** math.ceil(math.log10(force)):g} in the parameter file"
         )
 
     def _of_rate(self, strain: float, elapsed: float) -> str:

@@ -24,6 +24,8 @@ _POLICIES = (
 )
 #: Other topics that are named where nothing publishes the one that is listened to, at most.
 _MOST_NAMED = 3
+#: What does without header stamps.
+_RECEIVE = "set synchronize.stamp_source to receive"
 #: The middleware's name of a node whose publisher was discovered before itself.
 _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 
@@ -113,16 +115,18 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
     if pipeline.pair_count or not all(map(inputs.has_come, inputs.names)):
         return None
     mends = {
+        f"{stream}.{Reason.ZERO_STAMP}": (
+            f"the header stamps of the {stream} are not set: set them, or {_RECEIVE}"
+        )
+        for stream in inputs.names
+    } | {
         f"force.{Reason.MISSING_FIELD}": "no joint of that name, or no effort: set force.name",
         f"displacement.{Reason.MISSING_FIELD}": (
             "no joint of that name, or no position or orientation: set displacement.name"
         ),
-        f"force.{Reason.ZERO_STAMP}": "the header stamps of the force are not set",
-        f"displacement.{Reason.ZERO_STAMP}": "the header stamps of the displacement are not set",
         f"surface.{Reason.MISSING_FIELD}": (
             "no joint of that name, or no position: set surface.name"
         ),
-        f"surface.{Reason.ZERO_STAMP}": "the header stamps of the surface are not set",
         f"force.{Reason.NO_TRANSFORM}": "are the stamps of the transforms of the same clock?",
         f"force.{Reason.NO_SURFACE}": "are the header stamps of the surface of the same clock?",
     }
@@ -131,7 +135,7 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
             return f"force and displacement come, but no pair of them ({reason}): {mends[reason]}"
     return (
         "force and displacement come, but no pair of them: do their header stamps overlap, and "
-        "are they of one clock?"
+        f"are they of one clock? If not, {_RECEIVE}"
     )
 
 

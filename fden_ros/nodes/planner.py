@@ -101,7 +101,7 @@ class Planner(Node):
         wanted = [sd if sd > 0.0 else math.inf for sd in request.target]
         target = Target(wanted) if min(wanted) < math.inf else None
         most = {name: getattr(request, f"max_{name}") for name in LIMITS}
-        limits = Limits.usual(self._config).stated(**most)
+        limits = Limits.usual(self._config, self._sensors).stated(**most)
         known = [one.estimate for one in self._contacts.values() if one.estimate is not None]
         tissue = TissueBelief.found(known[-1]) if known else None
         return plan(self._config, self._sensors, target, limits, tissue)

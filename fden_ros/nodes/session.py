@@ -32,8 +32,10 @@ from fden_ros.nodes.lag import Lag
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall_in_parts
 from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.recording.stamps import restamped_data
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import INPUT_MESSAGES, Inputs
+from fden_ros.ros.messages import type_name
 from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 
 #: Whether the input has stopped is looked at so often [s].
@@ -147,8 +149,15 @@ class Session:
         )
         self.listened_to.append(ListenedTo(topic, subscription))
         self._loss_counters[topic] = loss_counter(subscription)
+        self.backlog.inputs.append(Input(topic, taker(subscription), self._reader(topic, kind)))
+
+    def _reader(self, topic: str, kind: type) -> Callable[[bytes], None]:
+        """Return what reads the bytes of a message, with the stamp that is asked for."""
         read = handler_of(topic, kind, self.inputs)
-        self.backlog.inputs.append(Input(topic, taker(subscription), read))
+        if self._parameters.synchronize.stamp_source == "header":
+            return read
+        name, backlog = type_name(kind), self.backlog
+        return lambda data: read(restamped_data(data, name, backlog.received_ns))
 
     def _take(self) -> None:
         with self._lock:

@@ -36,9 +36,11 @@ from fden_ros.recording.source import Selection
 from fden_ros.recording.text import TABLE_SUFFIXES, layout_of
 from fden_ros.tissues.library import load_library
 
-#: Of the bag: what it was identified with, what is wrong with it, its length, and how many
-#: contacts it has, which tells whether all of its rows are there.
-_BAG_COLUMNS = ("bag", "configuration", "error", "warnings", "seconds", "pairs", "contacts")
+#: Of the bag: what it was identified with, what was chosen in it, what is wrong with it, its
+#: length, and how many contacts it has, which tells whether all of its rows are there.
+_BAG_COLUMNS = (
+    "bag", "configuration", "inputs", "error", "warnings", "seconds", "pairs", "contacts",
+)  # fmt: skip
 
 Row = dict[str, Any]
 
@@ -107,9 +109,10 @@ def _bags_at(path: Path) -> Iterator[Path]:
 
 def _is_table(path: Path) -> bool:
     """Return whether a file found in a folder is a recording: a table, not of results, no text."""
-    if path.suffix.lower() not in TABLE_SUFFIXES:
+    suffix = (Path(path.stem) if path.suffix.lower() == ".gz" else path).suffix.lower()
+    if suffix not in TABLE_SUFFIXES:
         return False
-    is_text = path.suffix.lower() == ".txt"
+    is_text = suffix == ".txt"
     try:
         layout = layout_of(path)
     except InputError:
@@ -153,6 +156,7 @@ def _identify(row: Row, work: Work) -> list[Row]:
 
     result = replay(row["bag"], work.parameters, work.selection, on_output=see, on_input=tick)
     row = row | {
+        "inputs": ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items()),
         "warnings": "; ".join(result.warnings),
         "seconds": (times[-1] - times[0]) * 1e-9 if times else 0.0,
         "pairs": result.samples,
@@ -263,6 +267,7 @@ def run(
     InputError
         If a process was killed, as for want of memory.
     """
+    others = multiprocessing.active_children()
     # A fork would take the threads of the numerics with it.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
@@ -271,6 +276,11 @@ def run(
             rows = future.result()
             results.add(rows)
             on_bag(rows)
+    except KeyboardInterrupt:
+        # What they are at is not kept: nobody waits for it.
+        for process in set(multiprocessing.active_children()) - set(others):
+            process.terminate()
+        raise
     except BrokenProcessPool:
         raise InputError(
             f"a process was killed: {results.path} has what was done before; run it again, with "

@@ -23,6 +23,11 @@ from fden_ros.parameters.table import Parameters, check, node_parameter_named
 
 #: Line of a parameter file that names a live node's topics, as remappings.
 LIVE_LINE = "# Live: "
+#: Begins what a parameter file says of itself that stands against its numbers; lines that go on
+#: begin with a blank more.
+ATTENTION_LINE = "# ATTENTION: "
+#: Such a line of a direction that nothing has shown begins with this.
+OPEN_AXIS = "the axis of the "
 #: The node whose sections count where no other is named.
 NODE = "/identifier"
 _KEY = "ros__parameters"
@@ -58,6 +63,20 @@ class Section:
             parts.get(part, "/" + re.escape(part)) for part in _qualified(self.node)[1:].split("/")
         )
         return re.fullmatch(pattern, _qualified(node)) is not None
+
+
+def open_axes(path: str | Path) -> list[str]:
+    """Return what a parameter file says of axes and signs that are not known, a line each."""
+    found: list[str] = []
+    is_inside = False
+    for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
+        if is_inside and line.startswith("#   "):
+            found[-1] += line[3:]
+            continue
+        is_inside = line.startswith(ATTENTION_LINE + OPEN_AXIS)
+        if is_inside:
+            found.append(line.removeprefix(ATTENTION_LINE))
+    return found
 
 
 def read_parameter_file(path: str | Path, node: str = NODE) -> Parameters:

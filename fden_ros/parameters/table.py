@@ -319,6 +319,12 @@ class SynchronizeParameters:
         0.01,
         60.0,
     )
+    stamp_source: str = text(
+        "header",
+        "Whose time a sample has: its message's header, or its receipt (of a bag: its recording), "
+        "which jitters: for drivers that stamp with 0, or by two clocks.",
+        choices=("header", "receive"),
+    )
 
 
 @dataclass(frozen=True)

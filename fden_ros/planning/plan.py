@@ -47,6 +47,11 @@ _AMPLITUDE, _CYCLES = 0.05, 2
 #: Strain beyond which nobody presses unless it is allowed [1], usual largest speed [m/s], longest
 #: time [s].
 _USUAL_STRAIN, _USUAL_SPEED, _USUAL_TIME = 0.3, 0.02, 10.0
+#: White noise of the force [N/sqrt(Hz)] from which a faster press than this [m/s] tells less: 20
+#: mN a sample at 500 Hz. An arm's simulated presses (docs/ur.md) of 8 and 20 mm/s tell alike with
+#: 10 mN. With 20 and 50 mN, in five cases of depth and hold, G was known 10 to 40 % less closely
+#: at 20 mm/s, and was twice as wrong. With 1 mN the fast ones tell more.
+_LOUD, _SPEED_OF_LOUD = 0.02 / math.sqrt(500.0), 0.008
 NAMES = ("G", "Gn", "alpha")
 LIMITS = ("depth", "force", "speed", "time")
 #: Times closer than this are the same [s]: a depth that takes just the time allowed is rounded.
@@ -69,10 +74,14 @@ class Limits:
     time: float = _USUAL_TIME
 
     @classmethod
-    def usual(cls, config: PipelineConfig) -> Limits:
-        """Return those of a configuration that nobody has limited further."""
+    def usual(cls, config: PipelineConfig, sensors: Sensors | None = None) -> Limits:
+        """Return those of a configuration, and of its sensors, that nobody has limited further."""
         depth = config.geometry.length * config.geometry.compression(_USUAL_STRAIN)
-        return cls(depth, min(config.synchronize.force_limit, config.plausibility.most_force))
+        # Rounded: 20 mN as configure writes them are as loud.
+        is_loud = sensors is not None and sensors.force_sd >= 0.9 * _LOUD * math.sqrt(sensors.rate)
+        speed = _SPEED_OF_LOUD if is_loud else _USUAL_SPEED
+        force = min(config.synchronize.force_limit, config.plausibility.most_force)
+        return cls(depth, force, speed)
 
     def stated(self, **limits: float | None) -> Limits:
         """Return these with what is stated of depth, force, speed and time, and is not 0."""
@@ -210,7 +219,7 @@ class Search:
     ) -> None:
         self._config = config
         self.target = target or Target.converged(config)
-        self.limits = limits or Limits.usual(config)
+        self.limits = limits or Limits.usual(config, sensors)
         known = tissue or TissueBelief.stated(config.estimator.prior)
         self._draws = known.draws(_LIMITED)
         self.forecast = Forecast(config, sensors, known)

@@ -33,21 +33,57 @@ _DERIVED = {
     "error", "sd", "std", "noise", "rate", "speed", "velocity", "offset", "bias", "threshold",
     "limit", "max", "min", "peak",
 }  # fmt: skip
-_MEASURED = {"measured", "actual", "real", "feedback", "meas", "ist"}
+_MEASURED = {"measured", "actual", "real", "feedback", "meas", "act", "sensed", "encoder", "ist"}
 #: What is wanted rather than measured, in headings and in names of topics.
 COMMANDED = {
     "setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo", "cmd",
-    "demand", "nominal", "planned", "soll",
+    "demand", "nominal", "planned", "set", "ref", "wanted", "soll",
 }  # fmt: skip
+#: German compounds begin so: Istkraft, Sollweg.
+_GERMAN = re.compile(r"(ist|soll)(?:\w*(?:kraft|weg)|position|wert|last)")
 #: A heading with one of these is a field of a message, in SI units.
 _FIELDS = ("wrench", "pose", "position", "force", "point", "transform")
 _BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 
-#: Headings of recorders that are known by name: time, force, displacement.
+#: Headings of recorders that are known by name: time, force, displacement. Of Universal Robots'
+#: real-time interface (its guide: outputs): the compensated force and the pose are in the robot's
+#: base, the raw force is in the tool's flange.
 RECORDERS = (
-    # Universal Robots' real-time interface, in the robot's base: the tool presses downwards.
+    ("timestamp", "actual_TCP_force", "actual_TCP_pose"),
+    ("timestamp", "ft_raw_wrench", "actual_TCP_pose"),
+    # Less of it: the tool presses downwards.
     ("timestamp", "actual_TCP_force_2", "actual_TCP_pose_2*-1"),
 )
+#: Forces with one of these words are in a frame that turns with the tool.
+_TOOL = {"tool", "tool0", "flange", "ft", "sensor"}
+#: How the parts of a vector are called: numbers, as in a list, or letters.
+_PARTS = (("_0", "_1", "_2"), ("[0]", "[1]", "[2]"), ("_x", "_y", "_z"), (".x", ".y", ".z"))
+#: Of a pose as six numbers the last three are the rotation vector [rad].
+_TURNS = (("_3", "_4", "_5"), ("[3]", "[4]", "[5]"))
+
+
+def parts_of(name: str, headings: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Return the columns of a vector of that name, and those of a rotation vector beside it.
+
+    Both are empty where the headings have none.
+    """
+    if name in headings:
+        return [], []
+    places, turns = (
+        next((each for parts in kinds if (each := _columns_of(name, parts, headings))), [])
+        for kinds in (_PARTS, _TURNS)
+    )
+    return places, turns if places else []
+
+
+def _columns_of(name: str, parts: Sequence[str], headings: Sequence[str]) -> list[int]:
+    wanted = [name + part for part in parts]
+    return [headings.index(one) for one in wanted] if set(wanted) <= set(headings) else []
+
+
+def is_in_tool(name: str) -> bool:
+    """Return whether a force is in a frame that turns with the tool, by its heading."""
+    return bool(set(Heading(name).words) & _TOOL)
 
 
 @dataclass(frozen=True)
@@ -75,13 +111,20 @@ class Heading:
         words = self.words
         if not words or set(words) & _DERIVED - {words[-1]} or words[-1] in _DERIVED - {"min"}:
             return False
-        found = set(words) & WORDS[quantity]
+        found = self._found(quantity)
         ending = _ENDINGS.get(quantity)
         return bool(
             found - _LETTERS
             or words[0] in found
             or (ending and any(word.endswith(ending) for word in words))
         )
+
+    def names_by_letter(self, quantity: str) -> bool:
+        """Return whether a letter alone names it: x may be the depth, or another direction."""
+        return self.names(quantity) and self._found(quantity) <= _LETTERS
+
+    def _found(self, quantity: str) -> set[str]:
+        return set(self.words) & WORDS[quantity]
 
     def factor(self, quantity: str) -> float | None:
         """Return the factor to SI of the unit that it states, or None if it states none."""
@@ -109,6 +152,11 @@ class Heading:
         """Whether it states a unit of whatever quantity."""
         return any(self.factor(quantity) is not None for quantity in UNITS)
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing stands where a unit would."""
+        return not (self.unit or _BRACKETED.search(self.text) or self.has_unit)
+
     def _is_of_a_message(self, quantity: str) -> bool:
         path = re.split(r"[/.]", self.text.lower())
         if quantity == "time":
@@ -119,6 +167,7 @@ class Heading:
     def rank(self) -> int:
         """2: measured by its words, 0: commanded, 1: neither is said."""
         words = set(self.words)
+        words |= {match[1] for match in map(_GERMAN.fullmatch, words) if match}
         if words & COMMANDED:
             return 0
         return 2 if words & _MEASURED else 1
@@ -156,6 +205,34 @@ def candidates(
             found.append((index, factor))
     best = max((headings[index].rank for index, _ in found), default=0)
     return [one for one in found if headings[one[0]].rank == best]
+
+
+def rivals(
+    headings: Sequence[Heading],
+    quantity: str,
+    chosen: Sequence[int],
+    is_usable: Callable[[int], bool] = lambda index: True,
+) -> list[int]:
+    """Return columns without a unit whose words speak for a quantity more than those chosen do.
+
+    Such a column is better measured (``press_actual`` beside ``x_mm``), or named by a word where
+    the chosen are by a letter (``depth`` beside ``x_mm``).
+    """
+    if not chosen:
+        return []
+    rank = max(headings[index].rank for index in chosen)
+    is_weak = all(headings[index].names_by_letter(quantity) for index in chosen)
+    return [
+        index
+        for index, heading in enumerate(headings)
+        if heading.is_silent
+        and heading.names(quantity)
+        and is_usable(index)
+        and (
+            heading.rank > rank
+            or (heading.rank == rank and is_weak and not heading.names_by_letter(quantity))
+        )
+    ]
 
 
 def unit_of(heading: Heading) -> str:

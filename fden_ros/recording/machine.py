@@ -71,7 +71,7 @@ def machine_values(
     if not is_touched:
         return values, tuple(lines)
     rows = list(islice(table.rows(), _MOST_ROWS))
-    places = [row.displacement for row in rows if row.displacement is not None]
+    places = [row.displacement for row in rows if isinstance(row.displacement, float)]
     sign = -1.0 if parameters.displacement.inverted else 1.0
     signs = sign, -1.0 if parameters.force.inverted else 1.0
     if not places or (from_touch is None and not begins_at_touch(rows, signs)):
@@ -135,8 +135,8 @@ def _streams(rows: Iterable[Row]) -> tuple[Array, Array]:
     place: float | None = None
     found: list[tuple[float, float]] = []
     for row in rows:
-        place = row.displacement if row.displacement is not None else place
-        if row.force is not None and place is not None:
+        place = row.displacement if isinstance(row.displacement, float) else place
+        if isinstance(row.force, float) and place is not None:
             found.append((place, row.force))
     way, force = np.array(found, dtype=float).reshape(-1, 2).T
     return way, force

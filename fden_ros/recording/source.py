@@ -12,9 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from fden_ros.core.streams.rotation import conjugate, rotate
 from fden_ros.core.streams.samples import Sink
 from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
+from fden_ros.recording.arm import arm_values
 from fden_ros.recording.candidates import hint_of
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
@@ -30,7 +32,12 @@ from fden_ros.recording.stamps import (
 )
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
-from fden_ros.recording.topics import NoTopicError, find_topic, topic_with_messages
+from fden_ros.recording.topics import (
+    NoTopicError,
+    find_topic,
+    is_commanded,
+    topic_with_messages,
+)
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
@@ -105,6 +112,9 @@ class BagSource:
         self.reader = BagReader(path)
         self.parameters = parameters
         self._selection = selection
+        self._is_stamped = selection.stamps == "header" and (
+            parameters.synchronize.stamp_source == "header"
+        )
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
         # The surface and the like first: what carries them could be taken for the displacement.
@@ -119,7 +129,11 @@ class BagSource:
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
-        self._notes: list[str] = []
+        self._notes = [
+            f"{topic.name} is commanded by its name, not measured"
+            for stream, topic in self.topics.items()
+            if stream not in TRANSFORM_TOPICS and is_commanded(topic)
+        ]
         self.stamp_problems: list[str] = []
         self._inputs: Inputs | None = None
 
@@ -215,7 +229,7 @@ class BagSource:
 
         What is wrong with the stamps of force, displacement and the like joins the warnings.
         """
-        if self._selection.stamps == "recording":
+        if not self._is_stamped:
             return map(restamped, self.reader.messages(topics))
         self.stamp_problems = problems(
             {
@@ -246,8 +260,8 @@ class BagSource:
         field, inputs = self._fields[stream], self._inputs
         assert inputs is not None
         if field is not None:
-            is_stamped = self._selection.stamps == "header"
-            return _FieldHandler(stream, topic, FieldPath(field), inputs, self.note, is_stamped)
+            path = FieldPath(field)
+            return _FieldHandler(stream, topic, path, inputs, self.note, self._is_stamped)
         handle = handler_of(stream, message_class(topic.type_name), inputs)
         return lambda message: handle(message.data)
 
@@ -350,9 +364,8 @@ class TableSource:
                 "joint_state, so that it is taken off the displacement"
             )
         self._table = TableReader(path, selection.columns, selection.where)
-        values, self.set_by_recording = machine_values(
-            self._table, parameters, selection.from_touch
-        )
+        find = arm_values if any(self._table.has_vectors) else machine_values
+        values, self.set_by_recording = find(self._table, parameters, selection.from_touch)
         #: The parameters, with what the table says or needs.
         self.parameters = parameters.changed(values) if values else parameters
 
@@ -380,14 +393,19 @@ class TableSource:
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the rows in the order of the file."""
         inputs = Inputs(self.parameters, sink)
+        is_turned = self.parameters.displacement.along_tool and not self._table.is_in_tool
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
             if row.surface is not None:
                 inputs.places["surface"].add_value("", row.stamp_ns, row.surface)
             if row.displacement is not None:
-                inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
+                place = inputs.places["displacement"]
+                place.add_value("", row.stamp_ns, row.displacement, row.turn)
             if row.force is not None:
-                inputs.add_force_value("", row.stamp_ns, row.force)
+                force = row.force
+                if is_turned and row.turn is not None and not isinstance(force, float):
+                    force = rotate(conjugate(row.turn), force)
+                inputs.add_force_value("", row.stamp_ns, force)
             yield done
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from fden_ros.recording.cdr import serialize
-from fden_ros.recording.reader import RawMessage, decode
+from fden_ros.recording.definitions import message_class
+from fden_ros.recording.reader import RawMessage
 from fden_ros.ros.inputs import TYPE_NAMES
 
 #: What a stamp may be taken from, the default first.
@@ -25,7 +26,10 @@ LOOKED_AT = 200
 _SAME_CLOCK = 1.0
 #: Fewer equal stamps may be chance.
 _STANDSTILL = 10
-_REMEDY = "take the times of recording with --stamps recording"
+_REMEDY = (
+    "take the times of recording with --stamps recording, live with synchronize.stamp_source: "
+    "receive"
+)
 
 _NS = 1_000_000_000
 #: Types that begin with a header, whose stamp follows the encapsulation's 4 bytes.
@@ -35,15 +39,26 @@ _BODY = 4
 
 def restamped(message: RawMessage) -> RawMessage:
     """Return an input message with its time of recording as header stamp; others as they are."""
-    if message.type_name == TRANSFORMS:
-        transforms = decode(message)
+    data = restamped_data(message.data, message.type_name, message.log_time_ns)
+    return message._replace(data=data)
+
+
+def restamped_data(data: bytes, type_name: str, time_ns: int) -> bytes:
+    """Return the bytes of an input message with another header stamp; of others as they are."""
+    if type_name == TRANSFORMS:
+        from rclpy.serialization import deserialize_message
+
+        try:
+            transforms = deserialize_message(data, message_class(type_name))
+        except Exception:  # damaged bytes are counted where they are read
+            return data
         for one in transforms.transforms:
-            one.header.stamp.sec, one.header.stamp.nanosec = divmod(message.log_time_ns, _NS)
-        return message._replace(data=serialize(transforms))
-    if message.type_name not in _STAMPED or len(message.data) < _BODY + 8:
-        return message
-    stamp = struct.pack(_format(message.data), *divmod(message.log_time_ns, _NS))
-    return message._replace(data=message.data[:_BODY] + stamp + message.data[_BODY + 8 :])
+            one.header.stamp.sec, one.header.stamp.nanosec = divmod(time_ns, _NS)
+        return serialize(transforms)
+    if type_name not in _STAMPED or len(data) < _BODY + 8:
+        return data
+    stamp = struct.pack(_format(data), *divmod(time_ns, _NS))
+    return data[:_BODY] + stamp + data[_BODY + 8 :]
 
 
 def raw_stamp(message: RawMessage) -> int | None:

@@ -13,25 +13,37 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import NamedTuple
 
+from fden_ros.core.streams.rotation import Quaternion, Vector, by_rotation_vector
 from fden_ros.errors import InputError
-from fden_ros.recording.headings import RECORDERS, Heading, candidates
+from fden_ros.recording.headings import (
+    RECORDERS,
+    Heading,
+    candidates,
+    is_in_tool,
+    parts_of,
+    rivals,
+)
 from fden_ros.recording.text import Layout, clock_ns, layout_of, numeral, stamp_of_clock
 
 _NS = Decimal(1_000_000_000)
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
 _QUANTITIES = ("time", "force", "displacement")
 
+#: What a row has of a quantity: a number, or a vector in a frame.
+NumberOrVector = float | Vector
+
 
 class Row(NamedTuple):
     """One row: a stamp (ns), a force [N], a displacement and the surface's place [m].
 
-    None where the row has nothing of it.
+    None where the row has nothing of it. Force and displacement are numbers or vectors.
     """
 
     stamp_ns: int
-    force: float | None
-    displacement: float | None
+    force: NumberOrVector | None
+    displacement: NumberOrVector | None
     surface: float | None = None
+    turn: Quaternion | None = None  #: of the tool, where the displacement is a pose
 
 
 @dataclass(frozen=True)
@@ -117,12 +129,16 @@ def stated_columns(path: str | Path) -> Columns:
     headings = _headings(layout)
     names = [heading.text for heading in headings]
     for columns in RECORDERS:
-        if {column.partition("*")[0] for column in columns} <= set(names):
+        if all(name in names or parts_of(name, names)[0] for name in _bare(columns)):
             return Columns.parse(",".join(columns))
     found = {
         quantity: candidates(headings, quantity, layout.holds_numbers, layout.is_clock)
         for quantity in _QUANTITIES
     }
+    for quantity, fitting in found.items():
+        better = rivals(headings, quantity, [i for i, _ in fitting], layout.holds_numbers)
+        # Asked for: the unit is that of the neighbour, in what is proposed alone.
+        fitting[:0] = [(index, fitting[0][1]) for index in better]
     several = [quantity for quantity, fitting in found.items() if len(fitting) > 1]
     missing = [quantity for quantity, fitting in found.items() if not fitting]
     if missing:
@@ -135,7 +151,7 @@ def stated_columns(path: str | Path) -> Columns:
     chosen = Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
     if several:
         listed = "; ".join(
-            f"the {quantity}: {', '.join(_name(headings, index) for index, _ in found[quantity])}"
+            f"the {quantity}: {', '.join(_shown(headings, index) for index, _ in found[quantity])}"
             for quantity in several
         )
         raise InputError(
@@ -143,6 +159,10 @@ def stated_columns(path: str | Path) -> Columns:
             f"--columns '{chosen}'"
         )
     return chosen
+
+
+def _bare(columns: Sequence[str]) -> list[str]:
+    return [column.partition("*")[0] for column in columns]
 
 
 def _headings(layout: Layout) -> list[Heading]:
@@ -155,6 +175,11 @@ def _name(headings: Sequence[Heading], index: int) -> str:
     text = headings[index].text
     is_one = [heading.text for heading in headings].count(text) == 1
     return text if is_one and not set("*\"'") & set(text) else str(index + 1)
+
+
+def _shown(headings: Sequence[Heading], index: int) -> str:
+    said = _name(headings, index)
+    return f"{said} (no unit stated)" if headings[index].is_silent else said
 
 
 def _column(headings: Sequence[Heading], index: int, factor: float) -> Column:
@@ -189,9 +214,12 @@ class TableReader:
         self._rate = self._rate_of(columns.time)
         self._time = self._index(columns.time.name) if self._rate is None else -1
         self._is_clock = self._rate is None and self.layout.is_clock(self._time)
+        #: Whether the force's vector turns with the tool.
+        self.is_in_tool = is_in_tool(columns.force.name)
+        self._turn = self._turn_of(columns.displacement)
         self._numbers = [
-            self._number("force", columns.force),
-            self._number("displacement", columns.displacement),
+            self._reader("force", columns.force),
+            self._reader("displacement", columns.displacement),
         ]
         if columns.surface is not None:
             self._numbers.append(self._number("displacement", columns.surface))
@@ -200,19 +228,52 @@ class TableReader:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the rows read so far, a line each."""
-        if not self.skipped:
-            return ()
-        return (f"{self.skipped} rows of {self.path.name} hold no number where one is needed",)
+        headings = _headings(self.layout)
+        lines = [
+            f"{self.named(column)} is commanded by its heading, not measured"
+            for column in self._columns.each[1:]
+            if not (self._parts(column) or column.name.isdigit())
+            and not headings[self._index(column.name)].rank
+        ]
+        if self.skipped:
+            lines.append(
+                f"{self.skipped} rows of {self.path.name} hold no number where one is needed"
+            )
+        return tuple(lines)
+
+    @property
+    def has_vectors(self) -> tuple[bool, bool]:
+        """Whether force and displacement are vectors."""
+        each = (self._columns.force, self._columns.displacement)
+        force, displacement = (bool(self._parts(column)) for column in each)
+        return force, displacement
+
+    @property
+    def has_turns(self) -> bool:
+        """Whether the displacement is a pose: a place and the tool's orientation."""
+        return self._turn is not None
 
     def named(self, column: Column) -> str:
-        """Return a column in words: with the heading of a number, and the unit below it."""
+        """Return a column in words: with the heading of a number, and the unit below it.
+
+        Of a vector the frame is said, of a number a factor that turns its sign.
+        """
         if column.name.startswith("@"):
             return f"{column.name[1:]} rows a second"
+        if parts := self._parts(column):
+            first, *_, last = [self.layout.headings[index] for index in parts]
+            frame = ""
+            if column == self._columns.force:
+                frame = ", in the tool's frame" if self.is_in_tool else ", in the base's frame"
+            elif self.has_turns:
+                frame = " and the tool's orientation beside them"
+            return f"columns {first} to {last}{frame}"
         index = self._index(column.name)
         heading = self.layout.headings[index : index + 1]
         words = [f"column {column.name}"]
         words += [f"({name})" for name in heading if name != column.name]
         words += [f"[{unit}]" for unit in self.layout.units[index : index + 1] if unit]
+        words += ["with its sign turned"] if column.factor and column.factor < 0 else []
         return " ".join(words)
 
     def rows(self) -> Iterator[Row]:
@@ -235,10 +296,13 @@ class TableReader:
             if None in values and not (is_sparse and any(v is not None for v in values)):
                 self.skipped += 1
                 continue
+            turn = self._turn(cells) if self._turn is not None else None
             if shift is None:
                 # 0 stands for "no stamp" everywhere in ROS.
                 shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
-            yield Row(stamp_ns + shift, *values)
+            force, displacement, *others = values
+            surface = others[0] if others and isinstance(others[0], float) else None
+            yield Row(stamp_ns + shift, force, displacement, surface, turn)
 
     def _is_sparse(self) -> bool:
         """Return whether more of the first rows hold one quantity than hold all."""
@@ -251,6 +315,37 @@ class TableReader:
             every += all(values)
             some += any(values) and not all(values)
         return some > every
+
+    def _parts(self, column: Column) -> list[int]:
+        return parts_of(column.name, self.layout.headings)[0]
+
+    def _reader(
+        self, quantity: str, column: Column
+    ) -> Callable[[Sequence[str]], NumberOrVector | None]:
+        """Return what reads a column, or the three columns of a vector."""
+        parts = self._parts(column)
+        if not parts:
+            return self._number(quantity, column)
+        numbers = [self._number(quantity, Column(str(i + 1), column.factor)) for i in parts]
+
+        def read(cells: Sequence[str]) -> Vector | None:
+            x, y, z = (number_of(cells) for number_of in numbers)
+            return None if x is None or y is None or z is None else (x, y, z)
+
+        return read
+
+    def _turn_of(self, column: Column) -> Callable[[Sequence[str]], Quaternion | None] | None:
+        """Return what reads the rotation vector [rad] beside a place; None where there is none."""
+        turns = parts_of(column.name, self.layout.headings)[1]
+        if not turns:
+            return None
+        numbers = [self._number("angle", Column(str(i + 1), Decimal(1))) for i in turns]
+
+        def read(cells: Sequence[str]) -> Quaternion | None:
+            x, y, z = (number_of(cells) for number_of in numbers)
+            return None if x is None or y is None or z is None else by_rotation_vector((x, y, z))
+
+        return read
 
     def _number(self, quantity: str, column: Column) -> Callable[[Sequence[str]], float | None]:
         """Return what reads a column: its number in SI, None where it holds none."""

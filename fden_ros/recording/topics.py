@@ -100,6 +100,11 @@ def topic_with_messages(where: str, present: Sequence[Topic], name: str) -> Topi
     return topic
 
 
+def is_commanded(topic: Topic) -> bool:
+    """Return whether a topic carries what is wanted, not measured, by its name."""
+    return bool(_words(topic) & COMMANDED)
+
+
 def _described(topic: Topic) -> str:
     return f"{topic.name} ({topic.type_name}{'' if topic.message_count else ', no messages'})"
 
@@ -111,7 +116,7 @@ def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:
     if len(named) == 1:
         return named
     for keep in (
-        lambda t: not _words(t) & COMMANDED,
+        lambda t: not is_commanded(t),
         lambda t: t.type_name != joints,
         lambda t: _words(t) & WORDS.get(stream, {stream}),
     ):

@@ -59,6 +59,15 @@ def monitor_view(view: MonitorView) -> Group:
     return Group(*parts)
 
 
+def monitor_line(view: MonitorView) -> str:
+    """Return the view in one line, for what is no terminal."""
+    parts = [_status(view).plain]
+    if view.state is not None:
+        parts.append(f"contact {_contact(view.state)}")
+        parts += [" ".join(f"{name} {words}".split()) for name, words in _parameters(view.state)]
+    return "; ".join(parts)
+
+
 def _present(view: MonitorView) -> Table:
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="dim", no_wrap=True)

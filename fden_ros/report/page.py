@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from fden_ros import __version__
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.input_warnings import unusual
-from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, is_path
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
 from fden_ros.planning.region import Presses, Region
@@ -54,8 +54,8 @@ def page(session: Session) -> str:
         undefined=StrictUndefined,
     )
     summaries = session.replay.summaries
-    is_path = any(summary.is_of_path for summary in summaries)
-    detailed = [] if is_path else session.contacts[:DETAILED_CONTACTS]
+    on_path = is_path(summaries)
+    detailed = [] if on_path else session.contacts[:DETAILED_CONTACTS]
     return environment.get_template("page.html").render(
         name=session.path.name,
         version=__version__,
@@ -64,24 +64,24 @@ def page(session: Session) -> str:
         headline=_headline(session),
         warnings=list(_warnings(session)),
         overview=plots.overview(session) if session.end_ns else None,
-        comparison=_comparison(session, is_path=is_path),
+        comparison=_comparison(session, on_path=on_path),
         site_map=(
-            plots.site_map(session) if any(s.position for s in summaries) and not is_path else None
+            plots.site_map(session) if any(s.position for s in summaries) and not on_path else None
         ),
-        region=None if is_path else _region(summaries),
-        is_path=is_path,
-        rows=[_row(summary, on_path=is_path) for summary in summaries],
+        region=None if on_path else _region(summaries),
+        is_path=on_path,
+        rows=[_row(summary, on_path=on_path) for summary in summaries],
         time_scale=f"{session.parameters.estimate.time_scale:g}",
         contacts=[_contact(session, contact) for contact in detailed],
-        left_out=0 if is_path else max(0, len(summaries) - DETAILED_CONTACTS),
+        left_out=0 if on_path else max(0, len(summaries) - DETAILED_CONTACTS),
         open_contacts=len(summaries) <= _OPEN_CONTACTS,
         parameters=sorted(session.parameters.as_dict().items()),
     )
 
 
-def _comparison(session: Session, *, is_path: bool) -> str | None:
+def _comparison(session: Session, *, on_path: bool) -> str | None:
     summaries = session.replay.summaries
-    if is_path:
+    if on_path:
         return draw(functools.partial(draw_path, summaries=summaries), _PATH_SIZE)
     return plots.comparison(session) if any(s.estimate for s in summaries) else None
 
@@ -147,7 +147,7 @@ def _warnings(session: Session) -> Iterator[str]:
         were = f"{_count(count, 'sample')} of the {stream} {'was' if count == 1 else 'were'}"
         yield f"{were} rejected: {why.replace('_', ' ')}."
     summaries = session.replay.summaries
-    if any(summary.is_of_path for summary in summaries):
+    if is_path(summaries):
         return
     linear = [str(s.contact_id) for s in summaries if _knows_g_alone(s)]
     if linear:

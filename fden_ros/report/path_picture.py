@@ -25,12 +25,17 @@ def draw_path(figure: Figure, summaries: Sequence[ContactSummary]) -> None:
     is_located = all(one.position is not None for one in places)
     distance, label = _distance(places) if is_located else _time(places)
     stiffness, order = figure.subplots(2, 1, sharex=True)
-    found = [one.apparent_stiffness for one in places if one.apparent_stiffness is not None]
-    _draw(stiffness, distance, [(one.value, one.sd) for one in found])
-    scale = f"{found[0].time_scale:g}" if found else ""
+    found = [one.apparent_stiffness for one in places]
+    _draw(stiffness, distance, [(one.value, one.sd) if one is not None else None for one in found])
+    scale = next((f"{one.time_scale:g}" for one in found if one is not None), "")
     stiffness.set_title(f"dF/dd for a motion of {scale} s [N/m], ±2 sd")
-    estimates = [one.estimate for one in places if one.estimate is not None]
-    _draw(order, distance, [(one.fractional_order, one.fractional_order_sd) for one in estimates])
+    orders = [
+        (one.estimate.fractional_order, one.estimate.fractional_order_sd)
+        if one.estimate is not None
+        else None
+        for one in places
+    ]
+    _draw(order, distance, orders)
     order.set_title("α, ±2 sd")
     order.set_xlabel(label)
 
@@ -47,6 +52,10 @@ def _time(places: Sequence[ContactSummary]) -> tuple[Sequence[float], str]:
     return [(one.end_ns - first) / NANOSECONDS for one in places], "time [s]"
 
 
-def _draw(axes: Axes, distance: Sequence[float], found: Sequence[tuple[float, float]]) -> None:
-    value, sd = np.array(found, dtype=float).reshape(-1, 2).T
-    style.intervals(axes, distance, value, value - 2.0 * sd, value + 2.0 * sd, joined=True)
+def _draw(
+    axes: Axes, distance: Sequence[float], found: Sequence[tuple[float, float] | None]
+) -> None:
+    """Draw value and deviation of each place that has them."""
+    known = [(at, *one) for at, one in zip(distance, found, strict=True) if one is not None]
+    at, value, sd = np.array(known, dtype=float).reshape(-1, 3).T
+    style.intervals(axes, at, value, value - 2.0 * sd, value + 2.0 * sd, joined=True)

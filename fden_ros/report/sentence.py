@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from fden_ros.core.classification.classifier import UNKNOWN
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.core.outputs import ContactSummary, Flag, is_path
 from fden_ros.offline.advice import cure
 from fden_ros.offline.session import Session
 from fden_ros.report.numbers import DASH, stiffness
@@ -23,7 +23,7 @@ _EACH = 3
 def sentence(session: Session) -> str:
     """Return what a recording says, in one sentence."""
     summaries = session.replay.summaries
-    if any(summary.is_of_path for summary in summaries):
+    if is_path(summaries):
         return _of_path([summary for summary in summaries if summary.is_of_path])
     if session.parameters.contact.mode == "continuous":
         return "No stiffness is known on the path: it takes a probe that palpates as it slides."

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.core.outputs import ContactSummary, Flag, is_path
 from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
 
 #: Significant digits of a value.
@@ -61,7 +61,7 @@ def contact_table(
     `alone`: numbers of the contacts of which N/m is known, and not G.
     """
     shown = list(summaries)
-    on_path = any(summary.is_of_path for summary in shown)
+    on_path = is_path(shown)
     rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
     table = table_of(

@@ -93,7 +93,7 @@ def prior_estimate(setting: PressSetting) -> Estimate:
     config, carried = setting.config, setting.carried
     mean, full, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
     motions: tuple[SmallMotion, ...] = ()
-    if carried is not None:
+    if carried is not None and carried.is_sound:
         mean, full = carried.mean[:3], carried.covariance
         whole = Member(1.0, carried.mean, carried.covariance)
         motions = (SmallMotion(carried.model, (whole,), setting.origin_sd),)

@@ -40,6 +40,11 @@ class Carried:
     mean: Array
     covariance: Array
 
+    @property
+    def is_sound(self) -> bool:
+        """Whether no variance is negative: rounding may do that to one beside huge ones."""
+        return bool((self.covariance.diagonal() >= 0.0).all())
+
 
 @dataclass(frozen=True)
 class PressSetting:
@@ -109,7 +114,7 @@ class PressSetting:
         )
         noise = Noise(self.stress_sd, compression_sd, self.zero_sd)
         belief, grid, has_fields = self._first_belief(model), scales_of(config.uncertainty), True
-        if self.carried is not None:
+        if self.carried is not None and self.carried.is_sound:
             belief, has_fields = _taken_over(self.carried, model, belief)
             if not has_fields:
                 grid = carried_scales(config.uncertainty)
