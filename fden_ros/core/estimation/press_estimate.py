@@ -17,7 +17,7 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 #: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
@@ -78,7 +78,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         mismatch_probability=mismatch_probability,
         at_edge=claims.at_edge,
         is_order_contradicted=is_contradicted,
-        with_origin=tuple((setting.origin_sd * full[ORIGIN, :3]).tolist()),
+        with_origin=tuple(setting.origin_covariance(full)[:3].tolist()),
         modes=_of_law(solved.model, modes),
     )
 

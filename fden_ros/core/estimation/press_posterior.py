@@ -12,6 +12,7 @@ is not explained, a look for a change.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -55,6 +56,8 @@ _WORK_RATE = 1.2e5
 _MOST_WORK = 3e4
 #: A look for a change has this much more, since it has to tell within 0.1 s [1].
 _LOOK_HASTE = 12.0
+#: Standard deviations of a long delay for which stress waits for its motion [1].
+_LATE = 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -125,7 +128,10 @@ class PressPosterior:
         is_one_sided = setting.geometry.is_one_sided
         reach = _REACH * setting.origin_sd if is_one_sided else 0.0
         is_at_rest = is_one_sided and setting.carried is None
-        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest)
+        late = setting.delay_reach
+        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest, delay=late)
+        # Samples whose motion may not have come yet.
+        self._held: deque[tuple[Sample, bool]] = deque()
         if way is not None and (reach or is_at_rest):
             self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
         self.deepest, self.compression_sd = deepest, compression_sd
@@ -187,10 +193,28 @@ class PressPosterior:
 
     def take(self, sample: Sample, compression_sd: float, *, is_free: bool) -> None:
         """Take a sample whose compression has a standard deviation [1]."""
-        self._now = sample.time
         if compression_sd:
             self.compression_sd = compression_sd
             self.record.noise_sd = self.record.noise_sd or compression_sd
+        if not self.setting.is_late:
+            self._take(sample, is_free=is_free)
+            return
+        self._held.append((sample, is_free))
+        until = sample.time - self._lateness()
+        while self._held and self._held[0][0].time <= until:
+            held, was_free = self._held.popleft()
+            self._take(held, is_free=was_free)
+
+    def _lateness(self) -> float:
+        """Return how late the displacement may be [s], as far as is known by now."""
+        most = self.setting.delay_reach
+        if self.solved is None:
+            return most
+        delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
+        return min(max(delay + _LATE * sd, 0.0), most)
+
+    def _take(self, sample: Sample, *, is_free: bool) -> None:
+        self._now = sample.time
         self._is_pressed |= not is_free
         is_observed = not (is_free and self._is_pressed)
         self.record.add(*sample, is_observed=is_observed)
@@ -214,6 +238,8 @@ class PressPosterior:
 
         """
         innovation = self._unpredicted(stress)
+        if self._held:
+            self.record.see_ahead([sample for sample, _ in self._held])
         blocks = self.record.blocks(self._samples) if self._samples else []
         if self.filter is not None and blocks:
             innovation = self._filtered(self.filter, blocks, compression)
@@ -315,6 +341,7 @@ class PressPosterior:
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._is_over, self._begun = True, None
+        self.record.see_ahead([sample for sample, _ in self._held])
         if self._look is None and self._placing is None:
             self.begin_solution()
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -188,6 +188,30 @@ class Points:
     counts: Array
     stresses: Array
 
+    #: The motion of which it is a part, as times [s] and compressions [1]; None: its own.
+    path: tuple[Array, Array, Array] | None = None
+
+    def earlier(self, delay: float, touch_speed: float) -> Points:
+        """Return the record with the motion of `delay` later [s], about a touch at a speed [1/s].
+
+        Beyond its ends the motion goes on as there.
+        """
+        own = self.times, self.compressions, self.speeds
+        times, compressions, speeds = self.path if self.path is not None else own
+        at = self.times + delay
+        within = np.clip(at, times[0], times[-1])
+        found = np.interp(within, times, compressions)
+        rates = np.interp(within, times, speeds)
+        found += (at - within) * rates - delay * touch_speed
+        bends = np.zeros_like(found)
+        if found.size > 2:
+            bends[1:-1] = np.abs(np.diff(np.diff(found) / np.diff(self.times)))
+        # It may bend anywhere between two points.
+        steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
+        moved = replace(self, compressions=found, speeds=rates, bends=bends, steps=steps)
+        moved.__dict__["moments"] = self.moments  # by the times alone
+        return moved
+
     @functools.cached_property
     def met(self) -> NDArray[np.intp]:
         """The first point that each block meets, the one after those of the block before, (m,)."""
@@ -216,12 +240,22 @@ class Record:
     is_at_rest : bool
         That place is where the compression is 0; else the tissue may be met first where the
         record begins.
+    delay : float
+        How late or early the motion may be, so that the stress changes where the motion does not
+        [s]; 0: blocks may last where it rests.
     """
 
     def __init__(
-        self, noise_sd: float = 0.0, reach: float = 0.0, *, is_at_rest: bool = False
+        self,
+        noise_sd: float = 0.0,
+        reach: float = 0.0,
+        *,
+        is_at_rest: bool = False,
+        delay: float = 0.0,
     ) -> None:
         self.noise_sd, self._reach, self._is_at_rest = noise_sd, reach, is_at_rest
+        self._delay = delay
+        self._ahead: list[_Cell] = []  # the motion since the newest sample
         self._way: list[_Cell] = []
         self._cells: list[_Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest
@@ -368,7 +402,7 @@ class Record:
         if off > _MOST_OFF + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
-        if last.is_observed != cell.is_observed or last.start - self._start < TOUCH_TIME:
+        if self._delay or last.is_observed != cell.is_observed or last.start - self._start < TOUCH_TIME:
             return False
         change = abs(cell.compression / cell.count - last.compression / last.count)
         return (
@@ -386,7 +420,22 @@ class Record:
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
         if self._reach or self._is_at_rest:
             rows = [cell.row() for cell in self._approach(self._cells + opened)] + rows
-        return _points(rows, self.noise_sd)
+        found = _points(rows, self.noise_sd)
+        return found if not self._delay else replace(found, path=self._path_of(rows))
+
+    def see_ahead(self, samples: Sequence[Sample]) -> None:
+        """Take the motion since the newest sample, whose stress does not count yet."""
+        self._ahead = []
+        for sample in samples:
+            if not self._ahead or sample.time - self._ahead[-1].start >= BLOCK_TIME - _SAME_TIME:
+                self._ahead.append(_Cell(sample.time, False))
+            self._ahead[-1].add(*sample)
+
+    def _path_of(self, rows: Sequence[Block]) -> tuple[Array, Array, Array]:
+        """Return the motion of blocks, and of what is ahead."""
+        ahead = [cell.row() for cell in self._ahead if cell.start > rows[-1].middle]
+        found = _points([*rows, *ahead], self.noise_sd)
+        return found.times, found.compressions, found.speeds
 
     def _approach(self, cells: Sequence[_Cell]) -> list[_Cell]:
         """Return the motion before the first block where the touch may have been before that one.
@@ -451,7 +500,12 @@ class Record:
 
     def points_after(self, blocks: Sequence[Block], before: float) -> Points:
         """Return blocks as a record that goes on after the time `before` [s]."""
-        return _points(blocks, self.noise_sd, before)
+        found = _points(blocks, self.noise_sd, before)
+        if not self._delay:
+            return found
+        rows = self._rows_on_path(self._newest_path() or self._path)
+        rows += [self._open.row()] if self._open is not None else []
+        return replace(found, path=self._path_of(rows))
 
 
 def _block_of(samples: Sequence[Sample], path: _Cell | None) -> Block:
