@@ -40,7 +40,14 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Block, Record, Sample
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER, Unknown
+from fden_ros.core.estimation.unknowns import (
+    LAW,
+    LINEAR_DELAY,
+    LOG_G,
+    LOG_GN,
+    ORDER,
+    Unknown,
+)
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.characteristic import elastic_response
 
@@ -56,6 +63,8 @@ _WORK_RATE = 1.2e5
 _MOST_WORK = 3e4
 #: A look for a change has this much more, since it has to tell within 0.1 s [1].
 _LOOK_HASTE = 12.0
+#: A long delay is told anew where its standard deviation has fallen to this part [1].
+_TOLD = 0.5
 #: Standard deviations of a long delay for which stress waits for its motion [1].
 _LATE = 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
@@ -187,7 +196,22 @@ class PressPosterior:
         """Whether the newest solution was not found, or the newest block is not explained."""
         if self.solved is None:
             return False
-        return self._is_surprised or self.is_lost or not self.solved.best.is_solved
+        return (
+            self._is_surprised
+            or self.is_lost
+            or not self.solved.best.is_solved
+            or self._is_delay_open
+        )
+
+    @property
+    def _is_delay_open(self) -> bool:
+        """Whether a long delay is not known so well that the model is linear in it."""
+        if self.solved is None or self.filter is None or not self.setting.is_late:
+            return False
+        best = self.solved.best
+        delay, sd = self.setting.delay(best.mean, best.covariance)
+        now, _ = self.setting.delay(self.filter.mean, self.filter.covariance)
+        return max(sd, abs(now - delay)) > LINEAR_DELAY
 
     # Samples
 
@@ -325,7 +349,16 @@ class PressPosterior:
             self._now - self._start > _TIME_RATIO * elapsed
             or self.record.max_compression > _DEPTH_RATIO * depth > 0.0
             or self._has_moved()
+            or self._has_told_delay()
         )
+
+    def _has_told_delay(self) -> bool:
+        """Whether the delay has become known since a solution about which the filter is linear."""
+        if self.solved is None or self.filter is None or not self._is_delay_open:
+            return False
+        _, before = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
+        _, now = self.setting.delay(self.filter.mean, self.filter.covariance)
+        return now < _TOLD * before
 
     def _has_moved(self) -> bool:
         """Whether the filter is a standard deviation from the solution about which it is linear.

@@ -16,6 +16,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.unknowns import (
@@ -30,6 +31,8 @@ from fden_ros.core.law.geometry import Geometry
 
 #: Standard deviations of the delay for which stress waits for its motion [1].
 _LATEST = 2.0
+#: Delays at which a solution may begin, in standard deviations [1]: as far as stress waits.
+_DELAYS = np.linspace(-2.0, 2.0, 17)
 #: Added to the variances of scaled unknowns [1], so that rounding leaves them positive.
 _ROUNDING = 1e-9
 
@@ -67,6 +70,24 @@ class PressSetting:
     def is_late(self) -> bool:
         """Whether the delay may be so long that the motion is shifted by it."""
         return self.config.uncertainty.delay_sd > LINEAR_DELAY
+
+    def timed(self, start: Array, model: PressModel, points: Points) -> Array:
+        """Return a start with the delay at which a multiple of its stress is nearest to a record.
+
+        A step of the motion that is met a step late leads to a delay in between.
+        """
+        if not self.is_late:
+            return start
+        best, nearest = start, -math.inf
+        for place in _DELAYS:
+            tried = start.copy()
+            tried[self._delay_place] += place
+            stress = model.response(points, tried).stress
+            size = float(stress @ stress)
+            near = float(stress @ points.stresses) ** 2 / size if size > 0.0 else -math.inf
+            if near > nearest:
+                best, nearest = tried, near
+        return best
 
     def delay(self, mean: Array, covariance: Array) -> tuple[float, float]:
         """Return the delay [s] of a state and its standard deviation, where the motion is late."""
