@@ -190,25 +190,33 @@ class Points:
 
     #: The motion of which it is a part, as times [s] and compressions [1]; None: its own.
     path: tuple[Array, Array, Array] | None = None
+    #: Change of the compressions by the delay that has moved them [1/s]; None: none has.
+    rates: Array | None = None
 
     def earlier(self, delay: float, touch_speed: float) -> Points:
         """Return the record with the motion of `delay` later [s], about a touch at a speed [1/s].
 
-        Beyond its ends the motion goes on as there.
+        Beyond its ends the motion goes on as there. It is the mean over a block, so that a
+        solution can follow its derivative past the points.
         """
         own = self.times, self.compressions, self.speeds
-        times, compressions, speeds = self.path if self.path is not None else own
-        at = self.times + delay
-        within = np.clip(at, times[0], times[-1])
-        found = np.interp(within, times, compressions)
-        rates = np.interp(within, times, speeds)
-        found += (at - within) * rates - delay * touch_speed
+        path = self.path if self.path is not None else own
+        at, half = self.times + delay, 0.5 * BLOCK_TIME
+        before, after = _along(path, at - half), _along(path, at + half)
+        found = (after.integral - before.integral) / BLOCK_TIME - delay * touch_speed
         bends = np.zeros_like(found)
         if found.size > 2:
             bends[1:-1] = np.abs(np.diff(np.diff(found) / np.diff(self.times)))
         # It may bend anywhere between two points.
         steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
-        moved = replace(self, compressions=found, speeds=rates, bends=bends, steps=steps)
+        moved = replace(
+            self,
+            compressions=found,
+            speeds=np.interp(at, path[0], path[2]),
+            bends=bends,
+            steps=steps,
+            rates=(after.value - before.value) / BLOCK_TIME,
+        )
         moved.__dict__["moments"] = self.moments  # by the times alone
         return moved
 
@@ -226,6 +234,26 @@ class Points:
         """Return the means over the blocks of values at the points, shape (..., m)."""
         result: Array = 0.5 * (values[..., self.first] + values[..., self.last])
         return result
+
+
+class _Along(NamedTuple):
+    """A motion at some times."""
+
+    value: Array  #: compressions [1]
+    integral: Array  #: of them over the time [s]
+
+
+def _along(path: tuple[Array, Array, Array], at: Array) -> _Along:
+    """Return a motion, linear between its points and beyond its ends."""
+    times, values, speeds = path
+    slopes = np.concatenate([speeds[:1], np.diff(values) / np.diff(times), speeds[-1:]])
+    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
+    until = np.concatenate([[0.0], np.cumsum(areas)])
+    segment = np.searchsorted(times, at, side="right")
+    begin = np.maximum(segment - 1, 0)
+    since, slope = at - times[begin], slopes[segment]
+    value = values[begin] + slope * since
+    return _Along(value, until[begin] + 0.5 * (values[begin] + value) * since)
 
 
 class Record:

@@ -228,7 +228,8 @@ def _shift(size: float, points: Points) -> Array:
 
 
 def _late(delay: float, touch_speed: float, points: Points) -> Array:
-    result: Array = delay * (points.speeds - touch_speed)
+    rates = points.speeds if points.rates is None else points.rates
+    result: Array = delay * (rates - touch_speed)
     return result
 
 
