@@ -204,9 +204,9 @@ class Points:
         at, half = self.times + delay, 0.5 * BLOCK_TIME
         before, after = _along(path, at - half), _along(path, at + half)
         found = (after.integral - before.integral) / BLOCK_TIME - delay * touch_speed
-        bends = np.zeros_like(found)
-        if found.size > 2:
-            bends[1:-1] = np.abs(np.diff(np.diff(found) / np.diff(self.times)))
+        # From the block before to the one behind, so that their errors follow the delay smoothly.
+        earlier, later = (_along(path, at + way * half).value for way in (-3.0, 3.0))
+        bends = np.abs(later - after.value - before.value + earlier) / BLOCK_TIME
         # It may bend anywhere between two points.
         steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
         moved = replace(
