@@ -430,7 +430,11 @@ class Record:
         if off > _MOST_OFF + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
-        if self._delay or last.is_observed != cell.is_observed or last.start - self._start < TOUCH_TIME:
+        if (
+            self._delay
+            or last.is_observed != cell.is_observed
+            or last.start - self._start < TOUCH_TIME
+        ):
             return False
         change = abs(cell.compression / cell.count - last.compression / last.count)
         return (
