@@ -218,10 +218,9 @@ class ContinuousSession:
         found, window = measured.found, self._window
         self._has_found = True
         outputs = self._follow(window, found, stamp_ns)
-        is_out_of_step = self._meter.out_of_step is not None
         self._out_of_step = self._out_of_step or self._meter.out_of_step
         if found is None:
-            self._lags += is_out_of_step
+            self._lags += self._meter.out_of_step is not None
             return outputs
         self._lags += bool(found.estimate.at_edge)
         if self._is_flat and found.apparent is not None:

@@ -95,6 +95,8 @@ def palpated(
     estimate = _estimate(float(order), float(covariance[1, 1]), own_order, config, samples)
     if grows or is_out_of_step(own_order, math.sqrt(max(float(measured[1, 1]), 0.0))):
         return Palpated(whole, None, _unknown(estimate))
+    if estimate.at_edge:
+        return Palpated(whole, None, estimate)
     sd = apparent * math.sqrt(max(variance, 0.0))
     return Palpated(whole, ApparentStiffness(apparent, sd, time_scale), estimate)
 

@@ -145,7 +145,8 @@ class PalpationMeter:
         is_known = found is not None and found.apparent is not None
         if found is not None and is_known:
             return self._with_nonlinearity(found)
-        if found is not None or leads_beyond_right_angle(value):
+        leads = value.value.imag > 0.0 and found is not None
+        if leads or leads_beyond_right_angle(value):
             self._out_of_step = self._out_of_step or sentence(value.value, frequency)
         return found
 
