@@ -80,6 +80,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         is_order_contradicted=is_contradicted,
         with_origin=tuple(setting.origin_covariance(full)[:3].tolist()),
         modes=_of_law(solved.model, modes),
+        delay=setting.delay(mean, full) if setting.is_late else None,
     )
 
 
