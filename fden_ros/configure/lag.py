@@ -219,5 +219,7 @@ def _phases(seen: Sequence[tuple[float, float]]) -> Iterator[_Phase]:
         middle = float(np.angle(np.exp(1j * phases).sum()))
         off = np.angle(np.exp(1j * (phases - middle)))
         scatter = float(off.std(ddof=1)) / math.sqrt(len(near))
-        value = (middle + 0.5 * math.pi) % (2.0 * math.pi) - 0.5 * math.pi
+        # The median: a window may hold the beginning of the oscillation.
+        value = middle + float(np.median(off))
+        value = (value + 0.5 * math.pi) % (2.0 * math.pi) - 0.5 * math.pi
         yield _Phase(float(frequencies.mean()), value, math.hypot(scatter, _PHASE_SD))
