@@ -163,6 +163,8 @@ class PressPosterior:
         self._size_at_look = 0
         self._suspected_at: float | None = None
         self._is_over = False
+        # Whether the records of the solution under way, and of the newest, show a long delay.
+        self._begins_with_delay = self._shows_delay = False
 
     @property
     def change_count(self) -> int:
@@ -208,6 +210,8 @@ class PressPosterior:
         """Whether a long delay is not known so well that the model is linear in it."""
         if self.solved is None or self.filter is None or not self.setting.is_late:
             return False
+        if not self._shows_delay:
+            return True
         best = self.solved.best
         delay, sd = self.setting.delay(best.mean, best.covariance)
         now, _ = self.setting.delay(self.filter.mean, self.filter.covariance)
@@ -412,6 +416,10 @@ class PressPosterior:
         found = Advanced(search.in_parts)
         self._begun = _Begun(search, self.record.max_compression, found, [])
         self.begun_at = self._blocks
+        if self.setting.is_late:
+            # An earlier press of the site has shown it.
+            is_known = self.setting.carried is not None
+            self._begins_with_delay = is_known or self.record.has_slowed
 
     def go_on(self) -> None:
         """Go on from the solution that was begun, by the blocks since."""
@@ -426,6 +434,7 @@ class PressPosterior:
             self.is_lost = True
             return
         self._solved_at = search.elapsed, begun.compression
+        self._shows_delay = self._begins_with_delay
         self._take_over(solved, float(search.points.times[-1]), begun.since)
 
     def _take_over(self, solved: Solved, end: float, since: list[Block]) -> None:

@@ -55,6 +55,8 @@ _SLOPE_DEVIATIONS = 3.0
 _LONGEST_APPROACH = 1.0
 #: The way of the probe that was seen before the touch makes at most 12 blocks [1].
 _BLOCKS_OF_WAY = 12
+#: Blocks over which a speed is told from the noise of the motion [1]: 50 ms.
+_BLOCKS_OF_SPEED = 5
 #: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
 #: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
@@ -308,6 +310,23 @@ class Record:
     def size(self) -> int:
         """Blocks so far."""
         return len(self._cells) + (self._open is not None)
+
+    @property
+    def has_slowed(self) -> bool:
+        """Whether the motion has slowed to half, longer ago than the delay may be.
+
+        A ramp alone shows no delay: of one a live state was 9 deviations off.
+        """
+        if len(self._rows) <= _BLOCKS_OF_SPEED:
+            return False
+        times = np.array([row.middle for row in self._rows])
+        compressions = np.array([row.compression for row in self._rows])
+        n = _BLOCKS_OF_SPEED
+        speeds = (compressions[n:] - compressions[:-n]) / (times[n:] - times[:-n])
+        is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
+        is_seen = times[n:] - times[0] > TOUCH_TIME
+        slow = np.flatnonzero(is_slow & is_seen)
+        return slow.size > 0 and bool(self.end - times[n:][slow[0]] >= self._delay)
 
     def add(self, time: float, compression: float, stress: float, *, is_observed: bool) -> None:
         """Take a sample; `is_observed`: its stress counts, not only its motion."""
