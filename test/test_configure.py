@@ -19,6 +19,7 @@ import pytest
 from fault_helpers import shift
 from frame_helpers import Place, arm, place, write_bag
 from live_helpers import process_of
+from property_helpers import first
 from scipy.spatial.transform import Rotation
 from unknown_rig_bags import RigBag
 from unknown_rigs import SimulatedRig, judge, simulate_rig
@@ -35,6 +36,16 @@ from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import live_topics, read_sections
 from fden_ros.recording.table import stated_columns
+from simulation.scenario import (
+    DisplacementSensor,
+    ForceSensor,
+    Geometry,
+    Scenario,
+    Site,
+    Tissue,
+)
+from simulation.simulate import simulate
+from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
 # What `fden configure` finds on simulated rigs, and says where a recording cannot tell
 
@@ -201,7 +212,62 @@ def test_taps_too_short_for_a_contact_are_none():
     assert not found.finding("lift-off").claim
 
 
+def late(delay: float, *motions: Trajectory, seed: int = 0) -> Streams:
+    """Presses of simulated tissue, the displacement stamped late by `delay` [s]."""
+    scenario = Scenario(
+        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
+        sites=(Site(Tissue(4000.0, 8.0, 0.1 + 0.05 * seed), motions),),
+        force=ForceSensor(200.0, noise_n=0.005),
+        displacement=DisplacementSensor(200.0, noise_m=5e-6, delay_s=delay),
+        approach=Approach(distance_m=0.004, speed_m_per_s=0.005, start_pause_s=2.0),
+    )
+    recording = simulate(scenario, seed)
+    force, moved = recording.force, recording.displacement
+    stamps = [1e-9 * (one.stamp_ns - force.stamp_ns[0]) for one in (force, moved)]
+    return Streams("late", stamps[0], force.value[:, None], stamps[1], moved.value[:, None])
+
+
+PUNCH: dict[str, float | str] = {"kind": "flat_punch", "area": math.pi * 1e-4, "thickness": 0.02}
+
+
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1])
+def test_a_press_of_tissue_proposes_a_delay_and_states_none(delay, seed):
+    streams = late(delay, RampHold(0.3, 0.25, 2.0, 0.6), seed=seed)
+    finding = survey([streams], PUNCH).finding("delay")
+    assert finding.value == pytest.approx(delay, abs=2.0 * finding.deviation)
+    assert finding.deviation < 0.02
+    assert not finding.claim and not finding.parameters
+    assert finding.proposed["displacement.delay"] == pytest.approx(finding.value, abs=1e-4)
+    assert finding.proposed["displacement.delay_sd"] >= 0.01
+    assert "relaxation looks alike" in finding.evidence and "plate" in finding.motion
+
+
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
+def test_sines_at_two_frequencies_tell_a_delay_from_relaxation(delay, seed):
+    sines = [Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3)]
+    finding = survey([late(delay, *sines, seed=seed)], PUNCH).finding("delay")
+    assert "1 and 4 Hz" in finding.evidence.replace("0.99", "1")
+    assert "alike" not in finding.evidence
+    assert finding.value == pytest.approx(delay, abs=3.0 * finding.deviation)
+    assert finding.deviation < 0.01
+
+
 # The command
+
+
+def test_a_delay_that_is_proposed_stands_in_the_file_as_a_comment(tmp_path, capsys):
+    output = tmp_path / "probe.yaml"
+    assert run("configure", PRESS, "-o", output) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "delay: perhaps" in printed and "tell them apart" in printed
+    assert read_parameter_file(output).displacement.delay == 0.0
+    text = output.read_text(encoding="utf-8")
+    output.write_text(re.sub(r"(?m)^( +)# (delay(_sd)?: [-\d.]+)$", r"\1\2", text))
+    stated = read_parameter_file(output).displacement
+    assert stated.delay != 0.0 and abs(stated.delay) < 3.0 * stated.delay_sd
+    assert stated.delay_sd >= 0.01
 
 
 def test_the_file_replays_on_presses_of_the_same_rig(bag, tmp_path, capsys):

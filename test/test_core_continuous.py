@@ -309,11 +309,58 @@ def test_a_stiffness_is_not_current_when_the_palpation_is_over():
     assert outputs[-1].apparent_stiffness is None
 
 
-def test_a_force_out_of_step_is_told_and_its_alpha_not_known():
-    pipeline, outputs = identify(palpated(6, is_rigid=True, delay=-0.06))
-    places = known_places(outputs)
-    assert all(Flag.ESTIMATE_AT_EDGE in one.flags and not one.estimate.known for one in places[4:])
+@pytest.mark.parametrize("delay", [-0.06, 0.06])
+@pytest.mark.parametrize("seed", first(6, 7, 8))
+def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay, seed):
+    """A position that is late by 60 ms makes 0.36 of alpha at 1.5 Hz."""
+    pipeline, outputs = identify(palpated(seed, is_rigid=True, delay=delay))
+    places = of(ContactSummary, outputs)[5:]
+    assert len(places) > 10 and not any(one.is_of_path for one in places)
+    assert all(Flag.ESTIMATE_AT_EDGE in one.flags and not one.estimate.valid for one in places)
     assert any("displacement.delay" in words for words in pipeline.warnings)
+
+
+def test_a_force_ahead_by_more_than_a_right_angle_is_told():
+    record = palpated(6, is_rigid=True, delay=0.2)
+    pipeline, outputs = identify(record, **NONLINEAR)
+    assert not any(state.apparent_stiffness for state in of(TissueState, outputs))
+    assert not of(DynamicModulus, outputs)
+    (words,) = pipeline.warnings
+    assert "leads the displacement by" in words and "stamped late" in words
+    degrees = float(words.split(" degrees")[0].split()[-1])
+    truth = math.degrees(0.2 * record.angular_frequency) + 90.0 * record.order
+    assert degrees == pytest.approx(truth, abs=3.0)
+
+
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+@pytest.mark.parametrize("delay", [0.0, 0.01])
+def test_a_phase_that_grows_with_the_frequency_is_a_lag(delay, seed):
+    """10 ms make 0.04 of alpha at 1 Hz and 0.16 at 4 Hz, which alone would pass for tissue."""
+    config = pipeline_config(check({"contact.mode": "continuous"} | RIGID))
+    outputs: list = []
+    pipeline = Pipeline(config, outputs.append)
+    for number, frequency in enumerate((1.0, 4.0)):
+        record = palpated(seed, is_rigid=True, frequency=frequency, delay=delay)
+        record = replace(record, way=np.zeros_like(record.way))
+        feed(pipeline, record, shift=number * 40.1)
+    pipeline.finish()
+    known = [state.apparent_stiffness is not None for state in of(TissueState, outputs)]
+    assert known[round(0.4 * len(known))]
+    assert known[-100] == (delay == 0.0)
+    is_told = any("leads the displacement" in words for words in pipeline.warnings)
+    assert is_told == (delay > 0.0)
+
+
+def test_a_delay_that_is_stated_as_not_known_widens_and_is_not_flagged():
+    record = palpated(6, delay=0.06)
+    _, outputs = identify(record, **{"displacement.delay_sd": 0.1})
+    places = known_places(outputs)
+    assert len(places) > 15
+    for place in places:
+        stiffness = place.apparent_stiffness
+        truth = record.apparent(place.position[0])
+        off = math.log(stiffness.value / truth) * stiffness.value / stiffness.sd
+        assert abs(off) < 2.5 and not place.estimate.valid
 
 
 def test_a_long_gap_ends_the_place_and_forgets_it():

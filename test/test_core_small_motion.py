@@ -27,6 +27,10 @@ def bent_model(geometry: Geometry, compliance_sd: float = 2e-4) -> PressModel:
     return PressModel(unknowns, geometry, is_bent=True, last_knot=0.4)
 
 
+def by_origin(model: PressModel) -> Array:
+    return ORIGIN_SD * np.eye(model.size)[ORIGIN]
+
+
 def state_of(model: PressModel, seed: int) -> Array:
     """Return a state with errors of the law, of the tool and of the origin."""
     random = np.random.default_rng(seed)
@@ -38,7 +42,9 @@ def state_of(model: PressModel, seed: int) -> Array:
 
 def value_of(model: PressModel, state: Array, stress: float) -> float:
     member = Member(1.0, state, np.zeros((model.size, model.size)))
-    found = log_stiffness([SmallMotion(model, (member,), ORIGIN_SD)], 0.25, stress, TIME_SCALE)
+    found = log_stiffness(
+        [SmallMotion(model, (member,), by_origin(model))], 0.25, stress, TIME_SCALE
+    )
     assert found is not None
     return found[0]
 
@@ -78,7 +84,9 @@ def test_its_variance_is_that_of_its_derivatives(geometry):
     root = np.random.default_rng(3).normal(0.0, 0.01, (model.size, model.size))
     covariance = root @ root.T
     member = Member(1.0, state, covariance)
-    found = log_stiffness([SmallMotion(model, (member,), ORIGIN_SD)], 0.25, stress, TIME_SCALE)
+    found = log_stiffness(
+        [SmallMotion(model, (member,), by_origin(model))], 0.25, stress, TIME_SCALE
+    )
     assert found is not None
     assert found[1] == pytest.approx(gradient @ covariance @ gradient, rel=1e-3)
 
@@ -90,7 +98,7 @@ def test_modes_that_disagree_widen_it():
     second[LOG_G] += math.log(2.0)
     nothing = np.zeros((model.size, model.size))
     modes = (Member(0.5, first, nothing), Member(0.5, second, nothing))
-    found = log_stiffness([SmallMotion(model, modes, ORIGIN_SD)], 0.25, 0.0, TIME_SCALE)
+    found = log_stiffness([SmallMotion(model, modes, by_origin(model))], 0.25, 0.0, TIME_SCALE)
     assert found is not None
     assert math.sqrt(found[1]) == pytest.approx(0.5 * math.log(2.0), rel=1e-6)
 

@@ -4,19 +4,21 @@
 """The delay between force and displacement, from what answers at once: turns and rigid presses.
 
 A tool's weight turns with the poses at once, and a rigid plate answers at once. Tissue does not:
-the force of an oscillation leads by the tissue's order and by the delay.
+the force of an oscillation leads by the tissue's order and by the delay. So what tissue tells is
+proposed, and not stated.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.configure.finding import Finding, Seconds, unknown
+from fden_ros.configure.finding import SUBJECTS, Finding, Seconds, unknown
+from fden_ros.configure.lag import Lag
 from fden_ros.configure.rigid import Press
 from fden_ros.configure.statistics import pooled
 from fden_ros.configure.weight import Weight
@@ -38,17 +40,47 @@ class _Source(NamedTuple):
     seconds: Seconds
 
 
-def delay_finding(weight: Weight | None, presses: Sequence[Press]) -> Finding:
-    """Return the delay of the displacement's stamps behind the force's."""
+#: What tells a delay from relaxation, beside what answers at once.
+_SINES = "oscillate in tissue at two frequencies, as 1 and 4 Hz"
+_ALIKE = "relaxation looks alike; a rigid plate or sines at 1 and 4 Hz tell them apart"
+
+
+def delay_finding(
+    weight: Weight | None, presses: Sequence[Press], in_tissue: Callable[[], Lag | None]
+) -> Finding:
+    """Return the delay of the displacement's stamps behind the force's.
+
+    `in_tissue` returns what tissue tells, which is asked where nothing answers at once.
+    """
     sources = _at_once(weight, presses)
     good = [source for source in sources if source.sd < _LARGEST_SD]
     if good:
         return _combined(good)
+    lag = in_tissue()
+    if lag is not None:
+        return _proposed(lag)
     if not sources:
         return unknown("delay", "nothing in it happens at once")
     best = min(sources, key=lambda source: source.sd)
     said = f"{1e3 * best.value:.1f} ± {1e3 * best.sd:.1g} ms from {best.name} is too uncertain"
     return unknown("delay", said)
+
+
+def _proposed(lag: Lag) -> Finding:
+    """Return what tissue tells, which may be its relaxation."""
+    return Finding(
+        "delay",
+        lag.value,
+        lag.sd,
+        lag.basis if lag.is_told_apart else f"{lag.basis}: {_ALIKE}",
+        lag.seconds,
+        SUBJECTS["delay"].motion + ("" if lag.is_told_apart else f", or {_SINES}"),
+        proposed={
+            "displacement.delay": round(lag.value, 4),
+            "displacement.delay_sd": round(lag.sd, 4),
+        },
+        claim=False,
+    )
 
 
 def _at_once(weight: Weight | None, presses: Sequence[Press]) -> list[_Source]:

@@ -99,6 +99,8 @@ class Finding:
         What to do so that the next recording tells.
     parameters : mapping
         Values of the parameter file, by dotted name.
+    proposed : mapping
+        Values that the parameter file holds as a comment: they may not be right.
     probability : float, optional
         Of a sign, from the data.
     claim : bool
@@ -112,6 +114,7 @@ class Finding:
     seconds: Seconds = ()
     motion: str = ""
     parameters: Mapping[str, Value] = field(default_factory=dict)
+    proposed: Mapping[str, Value] = field(default_factory=dict)
     claim: bool = True
     probability: float | None = None
 

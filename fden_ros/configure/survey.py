@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from fden_ros.configure.axes import Axes, find_axes
 from fden_ros.configure.delay import delay_finding
 from fden_ros.configure.finding import PRESS, TURN, Finding, unknown
+from fden_ros.configure.lag import find_lag
 from fden_ros.configure.rigid import Press, compliance_finding, rigid_presses
 from fden_ros.configure.sampling import bias_findings, lift_off_finding, sampling_findings
 from fden_ros.configure.session import Session, make_sessions
@@ -94,7 +95,7 @@ def survey(
         lift_off_finding(sessions),
         *bias_findings(sessions, axes.force, load_sd),
         *weight_findings(weight, recordings),
-        delay_finding(weight, presses),
+        delay_finding(weight, presses, lambda: find_lag(sessions, axes, indenter)),
         compliance_finding(presses),
         _indenter(indenter),
         *_place(sessions, is_one=one_place),

@@ -88,7 +88,22 @@ def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[
         lines += [f"    {group}:"] if inside else []
         for name, value in inside.items():
             lines.append(f"      {name.partition('.')[2]}: {_yaml(value)}")
+        lines += _proposed(survey, group, has_header=bool(inside))
     return "\n".join(lines) + "\n"
+
+
+def _proposed(survey: Survey, group: str, *, has_header: bool) -> list[str]:
+    """Return what is proposed of a group as comments."""
+    values = {
+        name.partition(".")[2]: value
+        for finding in survey.findings
+        for name, value in finding.proposed.items()
+        if name.startswith(f"{group}.")
+    }
+    if not values:
+        return []
+    header = [] if has_header else [f"    # {group}:"]
+    return header + [f"      # {name}: {_yaml(value)}" for name, value in values.items()]
 
 
 def value_text(finding: Finding) -> str:

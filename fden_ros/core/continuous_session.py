@@ -146,6 +146,7 @@ class ContinuousSession:
         self._has_found = False
         self._elapsed = 0.0
         self._lags = 0
+        self._out_of_step: str | None = None
         self._restart()
 
     def _restart(self) -> None:
@@ -187,7 +188,8 @@ class ContinuousSession:
             "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
             "a period, so no stiffness: contact.mode continuous wants a probe that palpates; "
             "sliding alone does not tell stiffness from the height of the surface": (is_silent),
-            "the force follows the displacement out of step with any tissue: is "
+            self._out_of_step
+            or "the force follows the displacement out of step with any tissue: is "
             "displacement.delay right?": self._lags,
         }
         return {words: int(count) for words, count in counts.items() if count}
@@ -216,10 +218,12 @@ class ContinuousSession:
         found, window = measured.found, self._window
         self._has_found = True
         outputs = self._follow(window, found, stamp_ns)
+        self._out_of_step = self._out_of_step or self._meter.out_of_step
         if found is None:
+            self._lags += self._meter.out_of_step is not None
             return outputs
         self._lags += bool(found.estimate.at_edge)
-        if self._is_flat:
+        if self._is_flat and found.apparent is not None:
             outputs.append(self._modulus(window, measured.modulus, found.stiffness, stamp_ns))
         return outputs
 
@@ -232,6 +236,7 @@ class ContinuousSession:
         if place is None or self._is_elsewhere(place, position):
             outputs = self._leave(stamp_ns, complete=True)
             self.site_count += 1
+            self._meter.move_on()
             place = self._place = Place(self.site_count, window.start_ns, position)
             place.rejected = self._rejected.total()
         place.take(window, found)

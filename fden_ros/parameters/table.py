@@ -170,9 +170,10 @@ class DisplacementParameters:
     delay_sd: float = number(
         0.0025,
         "s",
-        "Standard deviation of the delay that displacement.delay leaves; 0: none.",
+        "Standard deviation of the delay that displacement.delay leaves; 0: none. Above 0.01 each "
+        "press learns it, and nothing is claimed before it is known.",
         0.0,
-        1.0,
+        0.1,
     )
 
 

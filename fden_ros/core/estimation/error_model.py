@@ -112,7 +112,7 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        order = self._model.order(state)
+        points, order = self._model.moved(points, state), self._model.order(state)
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
         # An age of less than a block counts as none.
         numbers = np.array(

@@ -139,6 +139,9 @@ class Estimate(NamedTuple):
     #: Modes of (ln G, ln Gn, alpha), of which `covariance` is that of all, with the thickness and
     #: what else stands against it; one: the posterior is a Gaussian. Empty: not known.
     modes: tuple[Member, ...] = ()
+    #: Delay of the displacement [s] and its standard deviation [s]; None: it is not learned, or
+    #: stated within 10 ms.
+    delay: tuple[float, float] | None = None
     #: For the stiffness of a small motion: of each place that it may be; empty: not known.
     small_motions: tuple[SmallMotion, ...] = ()
 

@@ -36,6 +36,8 @@ from fden_ros.core.law.relaxation import StressMoments
 _UNKNOWN_ZERO = 0.01
 #: Probability of a relaxation that ends beyond which it is said [1].
 _MISMATCH = 0.95
+#: The speed at the touch is that of so long before it [s].
+_TOUCH_TIME = 0.1
 #: Part of the variance of what is stated of a rig that a press tells at least [1].
 _LEAST_TOLD = 0.01
 
@@ -178,6 +180,8 @@ class PosteriorEstimator(Estimator):
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         self._carry()
+        if self._setting.is_late and self._setting.carried is None and self._setting.origin_sd:
+            self._setting = replace(self._setting, touch_speed=_touch_speed(way))
         setting = replace(
             self._setting,
             zero_sd=bias_sd or _UNKNOWN_ZERO * self._setting.geometry.stress_per_force,
@@ -281,3 +285,14 @@ class PosteriorEstimator(Estimator):
         if estimate is None:
             estimate = prior_estimate(self._setting)
         return estimate._replace(sample_count=self._sample_count)
+
+
+def _touch_speed(way: Array | None) -> float:
+    """Return the speed of the compression before a touch [1/s]; 0: it was not seen to come."""
+    if way is None or way.shape[1] < 2:
+        return 0.0
+    times, compressions, _ = way
+    near = times >= times[-1] - _TOUCH_TIME
+    if np.ptp(times[near]) <= 0.0:
+        return 0.0
+    return float(np.polyfit(times[near] - times[-1], compressions[near], 1)[0])

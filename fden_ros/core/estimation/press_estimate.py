@@ -17,7 +17,7 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.small_motion import SmallMotion
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 #: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
@@ -82,9 +82,10 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         mismatch_probability=mismatch_probability,
         at_edge=claims.at_edge,
         is_order_contradicted=is_contradicted,
-        with_origin=tuple((setting.origin_sd * full[ORIGIN, :3]).tolist()),
+        with_origin=tuple(setting.origin_covariance(full)[:3].tolist()),
         modes=tuple(Member(m.weight, m.mean[:3], m.covariance[:3, :3]) for m in modes),
-        small_motions=(SmallMotion(solved.model, tuple(modes), setting.origin_sd),),
+        small_motions=(SmallMotion(solved.model, tuple(modes), setting.by_origin(mean.size)),),
+        delay=setting.delay(mean, full) if setting.is_late else None,
     )
 
 
@@ -96,7 +97,7 @@ def prior_estimate(setting: PressSetting) -> Estimate:
     if carried is not None and carried.is_sound:
         mean, full = carried.mean[:3], carried.covariance
         whole = Member(1.0, carried.mean, carried.covariance)
-        motions = (SmallMotion(carried.model, (whole,), setting.origin_sd),)
+        motions = (SmallMotion(carried.model, (whole,), setting.by_origin(whole.mean.size)),)
         origin = setting.origin(carried.mean)
     covariance = _published(setting, full)
     deviations = np.sqrt(covariance.diagonal())

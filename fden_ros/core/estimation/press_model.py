@@ -110,6 +110,9 @@ class PressModel:
         self.size = stop
         names = [u.name for u in unknowns]
         self._compliance = names.index("compliance") if "compliance" in names else None
+        late = [k for k, u in enumerate(unknowns) if u.touch_speed is not None]
+        self._late = late[0] if late else None  # the delay that shifts the motion
+        self._moved: tuple[Points, float, Points] | None = None
         self._adds_stress = np.array([u.stress is not None for u in unknowns])
         knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
         kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
@@ -123,7 +126,7 @@ class PressModel:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return it without what the last record and state have decided: that is found anew."""
-        return self.__dict__ | {"_designed": None, "_law_at": None}
+        return self.__dict__ | {"_designed": None, "_law_at": None, "_moved": None}
 
     def order(self, state: Array) -> float:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
@@ -145,6 +148,7 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
+        points = self.moved(points, state)
         _, rows = self._law(state)
         design, (surface, lifted) = self._design(points), self._surface(points, state)
         columns = Columns(self._kinds, design.motions, self._weight_of, rows, lifted)
@@ -164,6 +168,7 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
+        points = self.moved(points, state)
         surface, _ = self._surface(points, state)
         return self._evaluated(points, state, surface, None, ResponseState(0))
 
@@ -176,7 +181,7 @@ class PressModel:
         begun: ResponseState,
     ) -> Evaluation:
         steps = Steps(points.elapsed, points.moments, points.first, points.last)
-        compressions = self.compressions(points, state)
+        compressions = self._compressions(points, state)
         law, _ = self._law(state)
         found = loops.respond(law, steps, compressions, surface, columns, begun)
         stress = found.stress + self._of_unknowns(state) @ self._design(points).stresses
@@ -240,10 +245,27 @@ class PressModel:
             self._designed = points, _Design(motions, stresses, free)
         return self._designed[1]
 
-    def compressions(self, points: Points, state: Array) -> Array:
-        """Return the compressions from the origin at the points of a record."""
-        moved = self._of_unknowns(state) @ self._design(points).motions
-        result: Array = points.compressions + moved
+    def moved(self, points: Points, state: Array) -> Points:
+        """Return a record with its motion as early as a long delay says; that of the last is kept.
+
+        What follows from the record at a state takes this one.
+        """
+        if self._late is None:
+            return points
+        unknown = self.unknowns[self._late]
+        assert unknown.touch_speed is not None
+        delay = unknown.sd * float(state[self._late])
+        if self._moved is None or self._moved[0] is not points or self._moved[1] != delay:
+            self._moved = points, delay, points.earlier(delay, unknown.touch_speed)
+        return self._moved[2]
+
+    def _compressions(self, points: Points, state: Array) -> Array:
+        """Return the compressions from the origin at the points of a record that is moved."""
+        own = self._of_unknowns(state)
+        if self._late is not None:
+            own = own.copy()
+            own[self._late] = 0.0  # it has moved the record
+        result: Array = points.compressions + own @ self._design(points).motions
         return result
 
     def _of_unknowns(self, state: Array) -> Array:
@@ -255,9 +277,10 @@ class PressModel:
 
     def touch_gradient(self, points: Points, state: Array) -> Array:
         """Return how each unknown moves the touch, as a unit vector (n,)."""
+        points = self.moved(points, state)
         if self._free is None:
             result, motions = np.zeros(self.size), self._design(points).motions
-            first = int(np.argmax(self.compressions(points, state) > 0.0))
+            first = int(np.argmax(self._compressions(points, state) > 0.0))
             result[: len(self.unknowns)] = motions[:, first]
         else:
             # Tissue that has not recovered is met where the elastic response passes its surface.
@@ -323,7 +346,7 @@ class PressModel:
 
     def _elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the elastic response at the points, and its derivatives, (size, points)."""
-        compressions, exponent = self.compressions(points, state), self.geometry.exponent
+        compressions, exponent = self._compressions(points, state), self.geometry.exponent
         if self.geometry.is_one_sided:
             compressions = np.maximum(compressions, 0.0)
         sizes = np.abs(compressions)

@@ -12,6 +12,7 @@ is not explained, a look for a change.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -39,7 +40,14 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Block, Record, Sample
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER, Unknown
+from fden_ros.core.estimation.unknowns import (
+    LAW,
+    LINEAR_DELAY,
+    LOG_G,
+    LOG_GN,
+    ORDER,
+    Unknown,
+)
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.characteristic import elastic_response
 
@@ -55,6 +63,10 @@ _WORK_RATE = 1.2e5
 _MOST_WORK = 3e4
 #: A look for a change has this much more, since it has to tell within 0.1 s [1].
 _LOOK_HASTE = 12.0
+#: A long delay is told anew where its standard deviation has fallen to this part [1].
+_TOLD = 0.5
+#: Standard deviations of a long delay for which stress waits for its motion [1].
+_LATE = 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -125,7 +137,10 @@ class PressPosterior:
         is_one_sided = setting.geometry.is_one_sided
         reach = _REACH * setting.origin_sd if is_one_sided else 0.0
         is_at_rest = is_one_sided and setting.carried is None
-        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest)
+        late = setting.delay_reach
+        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest, delay=late)
+        # Samples whose motion may not have come yet.
+        self._held: deque[tuple[Sample, bool]] = deque()
         if way is not None and (reach or is_at_rest):
             self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
         self.deepest, self.compression_sd = deepest, compression_sd
@@ -148,6 +163,8 @@ class PressPosterior:
         self._size_at_look = 0
         self._suspected_at: float | None = None
         self._is_over = False
+        # Whether the records of the solution under way, and of the newest, show a long delay.
+        self._begins_with_delay = self._shows_delay = False
 
     @property
     def change_count(self) -> int:
@@ -181,16 +198,51 @@ class PressPosterior:
         """Whether the newest solution was not found, or the newest block is not explained."""
         if self.solved is None:
             return False
-        return self._is_surprised or self.is_lost or not self.solved.best.is_solved
+        return (
+            self._is_surprised
+            or self.is_lost
+            or not self.solved.best.is_solved
+            or self._is_delay_open
+        )
+
+    @property
+    def _is_delay_open(self) -> bool:
+        """Whether a long delay is not known so well that the model is linear in it."""
+        if self.solved is None or self.filter is None or not self.setting.is_late:
+            return False
+        if not self._shows_delay:
+            return True
+        best = self.solved.best
+        delay, sd = self.setting.delay(best.mean, best.covariance)
+        now, _ = self.setting.delay(self.filter.mean, self.filter.covariance)
+        return max(sd, abs(now - delay)) > LINEAR_DELAY
 
     # Samples
 
     def take(self, sample: Sample, compression_sd: float, *, is_free: bool) -> None:
         """Take a sample whose compression has a standard deviation [1]."""
-        self._now = sample.time
         if compression_sd:
             self.compression_sd = compression_sd
             self.record.noise_sd = self.record.noise_sd or compression_sd
+        if not self.setting.is_late:
+            self._take(sample, is_free=is_free)
+            return
+        self._held.append((sample, is_free))
+        until = sample.time - self._lateness()
+        while self._held and self._held[0][0].time <= until:
+            held, was_free = self._held.popleft()
+            self._take(held, is_free=was_free)
+
+    def _lateness(self) -> float:
+        """Return how late the displacement may be [s], as far as is known by now."""
+        most = self.setting.delay_reach
+        if self.solved is None:
+            return most
+        delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
+        return min(max(delay + _LATE * sd, 0.0), most)
+
+    def _take(self, sample: Sample, *, is_free: bool) -> None:
+        self._now = sample.time
         self._is_pressed |= not is_free
         is_observed = not (is_free and self._is_pressed)
         self.record.add(*sample, is_observed=is_observed)
@@ -214,6 +266,8 @@ class PressPosterior:
 
         """
         innovation = self._unpredicted(stress)
+        if self._held:
+            self.record.see_ahead([sample for sample, _ in self._held])
         blocks = self.record.blocks(self._samples) if self._samples else []
         if self.filter is not None and blocks:
             innovation = self._filtered(self.filter, blocks, compression)
@@ -299,7 +353,16 @@ class PressPosterior:
             self._now - self._start > _TIME_RATIO * elapsed
             or self.record.max_compression > _DEPTH_RATIO * depth > 0.0
             or self._has_moved()
+            or self._has_told_delay()
         )
+
+    def _has_told_delay(self) -> bool:
+        """Whether the delay has become known since a solution about which the filter is linear."""
+        if self.solved is None or self.filter is None or not self._is_delay_open:
+            return False
+        _, before = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
+        _, now = self.setting.delay(self.filter.mean, self.filter.covariance)
+        return now < _TOLD * before
 
     def _has_moved(self) -> bool:
         """Whether the filter is a standard deviation from the solution about which it is linear.
@@ -315,6 +378,7 @@ class PressPosterior:
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._is_over, self._begun = True, None
+        self.record.see_ahead([sample for sample, _ in self._held])
         if self._look is None and self._placing is None:
             self.begin_solution()
 
@@ -352,6 +416,10 @@ class PressPosterior:
         found = Advanced(search.in_parts)
         self._begun = _Begun(search, self.record.max_compression, found, [])
         self.begun_at = self._blocks
+        if self.setting.is_late:
+            # An earlier press of the site has shown it.
+            is_known = self.setting.carried is not None
+            self._begins_with_delay = is_known or self.record.has_slowed
 
     def go_on(self) -> None:
         """Go on from the solution that was begun, by the blocks since."""
@@ -366,6 +434,7 @@ class PressPosterior:
             self.is_lost = True
             return
         self._solved_at = search.elapsed, begun.compression
+        self._shows_delay = self._begins_with_delay
         self._take_over(solved, float(search.points.times[-1]), begun.since)
 
     def _take_over(self, solved: Solved, end: float, since: list[Block]) -> None:

@@ -16,9 +16,11 @@ from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.unknowns import (
+    LINEAR_DELAY,
     ORIGIN,
     Lifetime,
     Unknown,
@@ -27,6 +29,10 @@ from fden_ros.core.estimation.unknowns import (
 )
 from fden_ros.core.law.geometry import Geometry
 
+#: Standard deviations of the delay for which stress waits for its motion [1].
+_LATEST = 2.0
+#: Delays at which a solution may begin, in standard deviations [1]: as far as stress waits.
+_DELAYS = np.linspace(-2.0, 2.0, 17)
 #: Added to the variances of scaled unknowns [1], so that rounding leaves them positive.
 _ROUNDING = 1e-9
 
@@ -63,6 +69,44 @@ class PressSetting:
     carried: Carried | None = None  #: None: the first press of the site
     #: What earlier presses have left of the tissue; None: it is at rest.
     free: FreeSurface | None = None
+    touch_speed: float = 0.0  #: of the compression at the first touch of the site [1/s]
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the delay may be so long that the motion is shifted by it."""
+        return self.config.uncertainty.delay_sd > LINEAR_DELAY
+
+    def timed(self, start: Array, model: PressModel, points: Points) -> Array:
+        """Return a start with the delay at which a multiple of its stress is nearest to a record.
+
+        A step of the motion that is met a step late leads to a delay in between.
+        """
+        if not self.is_late:
+            return start
+        best, nearest = start, -math.inf
+        for place in _DELAYS:
+            tried = start.copy()
+            tried[self._delay_place] += place
+            stress = model.response(points, tried).stress
+            size = float(stress @ stress)
+            near = float(stress @ points.stresses) ** 2 / size if size > 0.0 else -math.inf
+            if near > nearest:
+                best, nearest = tried, near
+        return best
+
+    def delay(self, mean: Array, covariance: Array) -> tuple[float, float]:
+        """Return the delay [s] of a state and its standard deviation, where the motion is late."""
+        place, sd = self._delay_place, self.config.uncertainty.delay_sd
+        return sd * float(mean[place]), sd * math.sqrt(max(float(covariance[place, place]), 0.0))
+
+    @property
+    def _delay_place(self) -> int:
+        return ORIGIN + 1 + (self.config.uncertainty.compliance_sd > 0.0)
+
+    @property
+    def delay_reach(self) -> float:
+        """How late the displacement may be where it is shifted by interpolation [s]; else 0."""
+        return _LATEST * self.config.uncertainty.delay_sd if self.is_late else 0.0
 
     @property
     def is_bent(self) -> bool:
@@ -76,11 +120,28 @@ class PressSetting:
 
     def origin(self, mean: Array) -> float:
         """Return the strain origin of a state, as compression [1]."""
-        return self.origin_sd * float(mean[ORIGIN])
+        return float(self.by_origin(mean.size) @ mean)
 
     def origin_deviation(self, covariance: Array) -> float:
         """Return the standard deviation of the strain origin, as compression [1]."""
-        return self.origin_sd * math.sqrt(max(float(covariance[ORIGIN, ORIGIN]), 0.0))
+        row = self.by_origin(len(covariance))
+        return math.sqrt(max(float(row @ covariance @ row), 0.0))
+
+    def origin_covariance(self, covariance: Array) -> Array:
+        """Return the covariances of the strain origin with all of a state, (n,)."""
+        result: Array = self.by_origin(len(covariance)) @ covariance
+        return result
+
+    def by_origin(self, size: int) -> Array:
+        """Return by what a state makes the strain origin, (size,).
+
+        With a long delay the displacement was elsewhere at the touch that was seen.
+        """
+        row = np.zeros(size)
+        row[ORIGIN] = self.origin_sd
+        if self.touch_speed:
+            row[self._delay_place] = self.touch_speed * self.config.uncertainty.delay_sd
+        return row
 
     def largest_strain(self, deepest: float, origin: float) -> float:
         """Return the strain of a largest compression [1] from an origin, as compression [1]."""
@@ -107,7 +168,10 @@ class PressSetting:
             Of the model.
         """
         config = self.config
-        unknowns = unknowns_of(config, self.geometry, self.origin_sd, self.drift_sd) + events
+        unknowns = unknowns_of(
+            config, self.geometry, self.origin_sd, self.drift_sd, self.touch_speed
+        )
+        unknowns += events
         last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
         model = kind(
             unknowns, self.geometry, is_bent=self.is_bent, last_knot=last_knot, free=self.free

@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +55,8 @@ _SLOPE_DEVIATIONS = 3.0
 _LONGEST_APPROACH = 1.0
 #: The way of the probe that was seen before the touch makes at most 12 blocks [1].
 _BLOCKS_OF_WAY = 12
+#: Blocks over which a speed is told from the noise of the motion [1]: 50 ms.
+_BLOCKS_OF_SPEED = 5
 #: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
 #: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
@@ -188,6 +190,38 @@ class Points:
     counts: Array
     stresses: Array
 
+    #: The motion of which it is a part, as times [s] and compressions [1]; None: its own.
+    path: tuple[Array, Array, Array] | None = None
+    #: Change of the compressions by the delay that has moved them [1/s]; None: none has.
+    rates: Array | None = None
+
+    def earlier(self, delay: float, touch_speed: float) -> Points:
+        """Return the record with the motion of `delay` later [s], about a touch at a speed [1/s].
+
+        Beyond its ends the motion goes on as there. It is the mean over a block, so that a
+        solution can follow its derivative past the points.
+        """
+        own = self.times, self.compressions, self.speeds
+        path = self.path if self.path is not None else own
+        at, half = self.times + delay, 0.5 * BLOCK_TIME
+        before, after = _along(path, at - half), _along(path, at + half)
+        found = (after.integral - before.integral) / BLOCK_TIME - delay * touch_speed
+        # From the block before to the one behind, so that their errors follow the delay smoothly.
+        earlier, later = (_along(path, at + way * half).value for way in (-3.0, 3.0))
+        bends = np.abs(later - after.value - before.value + earlier) / BLOCK_TIME
+        # It may bend anywhere between two points.
+        steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
+        moved = replace(
+            self,
+            compressions=found,
+            speeds=np.interp(at, path[0], path[2]),
+            bends=bends,
+            steps=steps,
+            rates=(after.value - before.value) / BLOCK_TIME,
+        )
+        moved.__dict__["moments"] = self.moments  # by the times alone
+        return moved
+
     @functools.cached_property
     def met(self) -> NDArray[np.intp]:
         """The first point that each block meets, the one after those of the block before, (m,)."""
@@ -204,6 +238,26 @@ class Points:
         return result
 
 
+class _Along(NamedTuple):
+    """A motion at some times."""
+
+    value: Array  #: compressions [1]
+    integral: Array  #: of them over the time [s]
+
+
+def _along(path: tuple[Array, Array, Array], at: Array) -> _Along:
+    """Return a motion, linear between its points and beyond its ends."""
+    times, values, speeds = path
+    slopes = np.concatenate([speeds[:1], np.diff(values) / np.diff(times), speeds[-1:]])
+    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
+    until = np.concatenate([[0.0], np.cumsum(areas)])
+    segment = np.searchsorted(times, at, side="right")
+    begin = np.maximum(segment - 1, 0)
+    since, slope = at - times[begin], slopes[segment]
+    value = values[begin] + slope * since
+    return _Along(value, until[begin] + 0.5 * (values[begin] + value) * since)
+
+
 class Record:
     """Takes the samples of one press.
 
@@ -216,12 +270,22 @@ class Record:
     is_at_rest : bool
         That place is where the compression is 0; else the tissue may be met first where the
         record begins.
+    delay : float
+        How late or early the motion may be, so that the stress changes where the motion does not
+        [s]; 0: blocks may last where it rests.
     """
 
     def __init__(
-        self, noise_sd: float = 0.0, reach: float = 0.0, *, is_at_rest: bool = False
+        self,
+        noise_sd: float = 0.0,
+        reach: float = 0.0,
+        *,
+        is_at_rest: bool = False,
+        delay: float = 0.0,
     ) -> None:
         self.noise_sd, self._reach, self._is_at_rest = noise_sd, reach, is_at_rest
+        self._delay = delay
+        self._ahead: list[_Cell] = []  # the motion since the newest sample
         self._way: list[_Cell] = []
         self._cells: list[_Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest
@@ -246,6 +310,23 @@ class Record:
     def size(self) -> int:
         """Blocks so far."""
         return len(self._cells) + (self._open is not None)
+
+    @property
+    def has_slowed(self) -> bool:
+        """Whether the motion has slowed to half, longer ago than the delay may be.
+
+        A ramp alone shows no delay: of one a live state was 9 deviations off.
+        """
+        if len(self._rows) <= _BLOCKS_OF_SPEED:
+            return False
+        times = np.array([row.middle for row in self._rows])
+        compressions = np.array([row.compression for row in self._rows])
+        n = _BLOCKS_OF_SPEED
+        speeds = (compressions[n:] - compressions[:-n]) / (times[n:] - times[:-n])
+        is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
+        is_seen = times[n:] - times[0] > TOUCH_TIME
+        slow = np.flatnonzero(is_slow & is_seen)
+        return slow.size > 0 and bool(self.end - times[n:][slow[0]] >= self._delay)
 
     def add(self, time: float, compression: float, stress: float, *, is_observed: bool) -> None:
         """Take a sample; `is_observed`: its stress counts, not only its motion."""
@@ -368,7 +449,11 @@ class Record:
         if off > _MOST_OFF + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
-        if last.is_observed != cell.is_observed or last.start - self._start < TOUCH_TIME:
+        if (
+            self._delay
+            or last.is_observed != cell.is_observed
+            or last.start - self._start < TOUCH_TIME
+        ):
             return False
         change = abs(cell.compression / cell.count - last.compression / last.count)
         return (
@@ -386,7 +471,22 @@ class Record:
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
         if self._reach or self._is_at_rest:
             rows = [cell.row() for cell in self._approach(self._cells + opened)] + rows
-        return _points(rows, self.noise_sd)
+        found = _points(rows, self.noise_sd)
+        return found if not self._delay else replace(found, path=self._path_of(rows))
+
+    def see_ahead(self, samples: Sequence[Sample]) -> None:
+        """Take the motion since the newest sample, whose stress does not count yet."""
+        self._ahead = []
+        for sample in samples:
+            if not self._ahead or sample.time - self._ahead[-1].start >= BLOCK_TIME - _SAME_TIME:
+                self._ahead.append(_Cell(sample.time, False))
+            self._ahead[-1].add(*sample)
+
+    def _path_of(self, rows: Sequence[Block]) -> tuple[Array, Array, Array]:
+        """Return the motion of blocks, and of what is ahead."""
+        ahead = [cell.row() for cell in self._ahead if cell.start > rows[-1].middle]
+        found = _points([*rows, *ahead], self.noise_sd)
+        return found.times, found.compressions, found.speeds
 
     def _approach(self, cells: Sequence[_Cell]) -> list[_Cell]:
         """Return the motion before the first block where the touch may have been before that one.
@@ -451,7 +551,12 @@ class Record:
 
     def points_after(self, blocks: Sequence[Block], before: float) -> Points:
         """Return blocks as a record that goes on after the time `before` [s]."""
-        return _points(blocks, self.noise_sd, before)
+        found = _points(blocks, self.noise_sd, before)
+        if not self._delay:
+            return found
+        rows = self._rows_on_path(self._newest_path() or self._path)
+        rows += [self._open.row()] if self._open is not None else []
+        return replace(found, path=self._path_of(rows))
 
 
 def _block_of(samples: Sequence[Sample], path: _Cell | None) -> Block:

@@ -166,6 +166,7 @@ class Search:
         for place in _STARTS if sd > 0.0 else (0.0,):
             start = posterior.belief.mean.copy()
             start[LOG_GN] += place * sd
+            start = self.setting.timed(start, posterior.model, points)
             highest = float(posterior.model.response(points, start).stress.max())
             if highest > 0.0:
                 start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)

@@ -32,7 +32,6 @@ from fden_ros.core.estimation.unknowns import (
     LOG_G,
     LOG_GN,
     ORDER,
-    ORIGIN,
     splines,
 )
 from fden_ros.core.law.characteristic import MAX_EXPONENT, phi
@@ -62,8 +61,8 @@ class SmallMotion:
     model : PressModel
     modes : tuple of Member
         Of the whole state.
-    origin_sd : float
-        Compression by one standard deviation of the origin [1].
+    by_origin : ndarray, shape (n,)
+        By what a state makes the strain origin, as compression [1].
     weight : float
         Of all its modes [1].
     shift : float
@@ -74,7 +73,7 @@ class SmallMotion:
 
     model: PressModel
     modes: tuple[Member, ...]
-    origin_sd: float
+    by_origin: Array
     weight: float = 1.0
     shift: float = 0.0
     variance_factor: float = 1.0
@@ -99,9 +98,7 @@ class SmallMotion:
         """
         model, geometry = self.model, self.model.geometry
         states = np.array([mode.mean for mode in self.modes])
-        moves = np.zeros(model.size)
-        moves[ORIGIN] = -self.origin_sd
-        moves += stress * model.bending
+        moves = stress * model.bending - self.by_origin
         own = np.maximum(compression + self.shift + states @ moves, 0.0)
         gradient, by_compression, values = _of_characteristic(model, states, own)
         gradient += by_compression[:, None] * moves

@@ -34,6 +34,9 @@ from fden_ros.core.law.characteristic import phi
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
+#: Delays with a wider prior than this shift the motion by interpolation [s]: a block. The column
+#: delay * speed is wrong where the speed jumps: by 50 ms G is five deviations off.
+LINEAR_DELAY = 0.01
 #: Speed at which friction has half its full square [m/s]: slower is a hold.
 FRICTION_SPEED = 5e-4
 
@@ -62,6 +65,8 @@ class Unknown:
     stress: Callable[[Points], Array] | None = None
     #: It is a change of the stiffness at this time [s], relative to the first stiffness.
     since: float | None = None
+    #: It is a delay that shifts the motion by interpolation, about a touch at this speed [1/s].
+    touch_speed: float | None = None
 
     @property
     def unit(self) -> float:
@@ -227,8 +232,9 @@ def _shift(size: float, points: Points) -> Array:
     return np.full(points.times.size, size)
 
 
-def _late(delay: float, points: Points) -> Array:
-    result: Array = delay * points.speeds
+def _late(delay: float, touch_speed: float, points: Points) -> Array:
+    rates = points.speeds if points.rates is None else points.rates
+    result: Array = delay * (rates - touch_speed)
     return result
 
 
@@ -251,8 +257,19 @@ def _jerk(time: float, size: float, points: Points) -> Array:
     return np.where(is_there, size, 0.0)
 
 
+def _delay(sd: float, touch_speed: float) -> Unknown:
+    if sd <= LINEAR_DELAY:
+        return Unknown("delay", 0.0, sd, Lifetime.RIG, motion=partial(_late, sd, 0.0))
+    late = partial(_late, sd, touch_speed)
+    return Unknown("delay", 0.0, sd, Lifetime.RIG, motion=late, touch_speed=touch_speed)
+
+
 def unknowns_of(
-    config: EstimatorConfig, geometry: Geometry, origin_sd: float, drift_sd: float
+    config: EstimatorConfig,
+    geometry: Geometry,
+    origin_sd: float,
+    drift_sd: float,
+    touch_speed: float = 0.0,
 ) -> tuple[Unknown, ...]:
     """Return the unknowns of a press but for the law's errors.
 
@@ -264,6 +281,9 @@ def unknowns_of(
         Standard deviation of the strain origin, as compression [1]; 0: known.
     drift_sd : float
         Of the slope of the force's zero, as stress [Pa/s].
+    touch_speed : float
+        Of the compression at the touch [1/s]. Where the delay may be long it is the touch that is
+        seen, so the origin counts from where the displacement seems to be then.
     """
     prior, unsure = config.prior, config.uncertainty
     length, per_force = geometry.length, geometry.stress_per_force
@@ -276,7 +296,7 @@ def unknowns_of(
         Unknown("order", prior.fractional_order, order_sd, site),
         Unknown("origin", 0.0, origin_sd, site, motion=partial(_shift, -origin_sd)),
         Unknown("compliance", 0.0, unsure.compliance_sd, rig, BY_COMPLIANCE),
-        Unknown("delay", 0.0, unsure.delay_sd, rig, motion=partial(_late, unsure.delay_sd)),
+        _delay(unsure.delay_sd, touch_speed),
         Unknown(
             "friction",
             config.friction / unsure.friction_sd if unsure.friction_sd else 0.0,

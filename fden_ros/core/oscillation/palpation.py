@@ -29,6 +29,7 @@ from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.apparent_stiffness import ApparentStiffness
 from fden_ros.core.oscillation.local_stiffness import Stiffness
+from fden_ros.core.oscillation.out_of_step import is_out_of_step
 
 #: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
@@ -38,7 +39,8 @@ class Palpated(NamedTuple):
     """What palpation tells of a place."""
 
     stiffness: Stiffness  #: at the palpation's frequency, with what is not known of the rig
-    apparent: ApparentStiffness  #: k_tau
+    #: k_tau; None: the phase is none of a relaxation, so that it is not known.
+    apparent: ApparentStiffness | None
     estimate: Estimate  #: G and Gn in it are the prior
 
 
@@ -49,6 +51,8 @@ def palpated(
     time_scale: float,
     config: EstimatorConfig,
     samples: int,
+    *,
+    grows: bool = False,
 ) -> Palpated | None:
     """Return what a complex stiffness tells; None where it is not above 0.
 
@@ -63,6 +67,8 @@ def palpated(
     config : EstimatorConfig
     samples : int
         Behind the measurement.
+    grows : bool
+        Whether the phase was seen to grow with the frequency.
     """
     if stiffness.value.real <= NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
@@ -86,10 +92,21 @@ def palpated(
     kernel = 2.0 * config.uncertainty.kernel_sd**2 * -math.expm1(-abs(lag) / KERNEL_LENGTH)
     apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
     variance = float(slope @ covariance @ slope) + kernel
-    return Palpated(
-        stiffness=whole,
-        apparent=ApparentStiffness(apparent, apparent * math.sqrt(max(variance, 0.0)), time_scale),
-        estimate=_estimate(float(order), float(covariance[1, 1]), own_order, config, samples),
+    estimate = _estimate(float(order), float(covariance[1, 1]), own_order, config, samples)
+    if grows or is_out_of_step(own_order, math.sqrt(max(float(measured[1, 1]), 0.0))):
+        return Palpated(whole, None, _unknown(estimate))
+    if estimate.at_edge:
+        return Palpated(whole, None, estimate)
+    sd = apparent * math.sqrt(max(variance, 0.0))
+    return Palpated(whole, ApparentStiffness(apparent, sd, time_scale), estimate)
+
+
+def _unknown(estimate: Estimate) -> Estimate:
+    """Return an estimate whose alpha is at an edge, so that nothing of it is known."""
+    return estimate._replace(
+        valid=ParameterSet.NONE,
+        known=ParameterSet.NONE,
+        at_edge=ParameterSet.FRACTIONAL_ORDER,
     )
 
 

@@ -11,6 +11,11 @@ from typing import NamedTuple
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
+from fden_ros.core.oscillation.out_of_step import (
+    PhaseGrowth,
+    leads_beyond_right_angle,
+    sentence,
+)
 from fden_ros.core.oscillation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
 from fden_ros.core.oscillation.palpation import Palpated, palpated, with_nonlinearity
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
@@ -67,6 +72,17 @@ class PalpationMeter:
         self._frequency = 0.0
         self._found: Palpated | None = None
         self._found_time = 0.0
+        self._phases = PhaseGrowth()
+        self._out_of_step: str | None = None
+
+    def move_on(self) -> None:
+        """Compare phases anew: this is another place."""
+        self._phases = PhaseGrowth()
+
+    @property
+    def out_of_step(self) -> str | None:
+        """The first phase that no relaxation makes, in one line; None: there was none."""
+        return self._out_of_step
 
     @property
     def begins_window(self) -> bool:
@@ -113,15 +129,26 @@ class PalpationMeter:
         stiffness, amplitude = self._stiffness, modulus.strain_amplitude
         stiffness.add(complex(modulus.storage, modulus.loss), amplitude, modulus.sd)
         value = stiffness.value()
-        found = value and palpated(
+        if value is None:
+            return None
+        frequency = modulus.angular_frequency
+        self._phases.add(frequency, math.atan2(modulus.loss, modulus.storage))
+        found = palpated(
             value,
-            modulus.angular_frequency,
+            frequency,
             amplitude,
             self._time_scale,
             self._config,
             stiffness.windows * modulus.samples,
+            grows=self._phases.grows(self._config.uncertainty),
         )
-        return found and self._with_nonlinearity(found)
+        is_known = found is not None and found.apparent is not None
+        if found is not None and is_known:
+            return self._with_nonlinearity(found)
+        leads = value.value.imag > 0.0 and found is not None
+        if leads or leads_beyond_right_angle(value):
+            self._out_of_step = self._out_of_step or sentence(value.value, frequency)
+        return found
 
     def _with_nonlinearity(self, found: Palpated) -> Palpated:
         """Return what was found, with Gn where the harmonics show it."""
