@@ -163,3 +163,9 @@ def test_a_table_with_the_surface_in_its_fourth_column_gives_what_the_bag_gives(
         replay(table, parameters, Selection(columns=Columns.parse("time,force,depth")))
     with pytest.raises(InputError, match=r"set surface\.message"):
         replay(table, parameters.changed({"surface.message": "none"}), chosen)
+
+
+def test_a_topic_of_the_surface_that_would_not_be_used_is_refused(bag):
+    without = read_parameter_file(bag / PARAMETER_FILE).changed({"surface.message": "none"})
+    with pytest.raises(InputError, match=r"surface\.message is none: set it to"):
+        replay(bag, without, Selection(topics={"surface": "/surface"}))

@@ -48,9 +48,9 @@ _AMPLITUDE, _CYCLES = 0.05, 2
 #: time [s].
 _USUAL_STRAIN, _USUAL_SPEED, _USUAL_TIME = 0.3, 0.02, 10.0
 #: White noise of the force [N/sqrt(Hz)] from which a faster press than this [m/s] tells less: 20
-#: mN a sample at 500 Hz. An arm's simulated presses (docs/ur.md) of 8 and 20 mm/s tell alike with
-#: 10 mN. With 20 and 50 mN, in five cases of depth and hold, G was known 10 to 40 % less closely
-#: at 20 mm/s, and was twice as wrong. With 1 mN the fast ones tell more.
+#: mN a sample at 500 Hz. Of an arm's simulated presses (docs/ur.md) with 20 and 50 mN, in five
+#: cases of depth and hold, the deviation of G was 11 to 61 % larger at 20 mm/s than at 8 mm/s,
+#: and its error twice as large. With 10 mN the deviations are alike, with 1 mN fast is better.
 _LOUD, _SPEED_OF_LOUD = 0.02 / math.sqrt(500.0), 0.008
 NAMES = ("G", "Gn", "alpha")
 LIMITS = ("depth", "force", "speed", "time")

@@ -109,6 +109,11 @@ class BagSource:
     set_by_recording: tuple[str, ...] = ()
 
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
+        if "surface" in {*selection.topics, *selection.fields} and not takes_surface(parameters):
+            raise InputError(
+                "a topic of the surface is named, but surface.message is none: set it to "
+                "joint_state, pose, transform or point, or leave out --surface-topic"
+            )
         self.reader = BagReader(path)
         self.parameters = parameters
         self._selection = selection
