@@ -32,13 +32,11 @@ from fden_ros.core.estimation.unknowns import (
     LOG_G,
     LOG_GN,
     ORDER,
-    splines,
+    local_splines,
 )
 from fden_ros.core.law.characteristic import MAX_EXPONENT, phi
 from fden_ros.core.law.relaxation import relaxation_after
 
-#: Part of a compression by which it is moved for the derivative [1].
-_STEP = 1e-3
 #: Modes without a stiffness, as where the tool would yield by less than nothing, may have the rest
 #: of this share [1].
 _LEAST_SHARE = 0.95
@@ -152,31 +150,33 @@ def _of_characteristic(
     by_state, by_compression, values : ndarray, shape (modes, n), (modes,), (modes,)
     """
     exponent, knots = model.geometry.exponent, model.characteristic
-    # Before, at and after each compression, for the derivative by it.
-    places = np.outer([1.0 - _STEP, 1.0, 1.0 + _STEP], compressions)
-    strains = places**exponent
+    strains = compressions**exponent
     linear, nonlinear = np.exp(states[:, LOG_G]), np.exp(states[:, LOG_GN])
     reach = nonlinear * strains
     excess = np.maximum(reach - 1.0, 0.0)
+    is_beyond = excess > 0.0
     slope = linear * np.exp(np.minimum(excess, MAX_EXPONENT))
     value = phi(strains, linear, nonlinear)
-    found = splines(strains.ravel(), model.last_knot, knots.stop - knots.start)
-    bends, tilts = (of_knots.reshape(*strains.shape, -1) for of_knots in found)
-    bend, tilt = (np.einsum("pmk,mk->pm", each, states[:, knots]) for each in (bends, tilts))
-    own = slope + value * tilt
-    with np.errstate(invalid="ignore", divide="ignore"):
-        values = np.log(own) + bend + np.log(exponent * places ** (exponent - 1.0))
-    at = own[1]
     gradient = np.zeros_like(states)
     gradient[:, LOG_G] = 1.0
-    by_log_gn = slope[1] * reach[1] * (excess[1] > 0.0) + value[1] * excess[1] * tilt[1]
-    gradient[:, LOG_GN] = by_log_gn / at
-    gradient[:, knots] = bends[1] + (value[1] / at)[:, None] * tilts[1]
-    apart = 2.0 * _STEP * compressions
-    with np.errstate(invalid="ignore"):
-        rise = values[2] - values[0]
-    by_compression = np.divide(rise, apart, out=np.zeros_like(apart), where=apart > 0.0)
-    return gradient, by_compression, values[1]
+    bend = tilt = turn = np.zeros_like(strains)
+    own = slope
+    if model.is_bent:
+        found = local_splines(strains, model.last_knot, knots.stop - knots.start)
+        at = np.arange(strains.size)[:, None], knots.start + found.cell[:, None] + np.arange(3)
+        bend, tilt, turn = ((each * states[at]).sum(axis=1) for each in found[1:])
+        own = slope + value * tilt
+        gradient[at] = found.values + (value / own)[:, None] * found.slopes
+    by_log_gn = slope * reach * is_beyond + value * excess * tilt
+    gradient[:, LOG_GN] = by_log_gn / own
+    with np.errstate(invalid="ignore", divide="ignore"):
+        by_strain = tilt + (slope * (nonlinear * is_beyond + tilt) + value * turn) / own
+        per_compression = exponent * compressions ** (exponent - 1.0)
+        values = np.log(own * per_compression) + bend
+        by_compression = by_strain * per_compression
+        if exponent != 1.0:
+            by_compression += (exponent - 1.0) / compressions
+    return gradient, by_compression, values
 
 
 def _of_relaxation(model: PressModel, states: Array, time: float) -> tuple[Array, Array]:

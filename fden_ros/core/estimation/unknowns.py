@@ -23,8 +23,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
@@ -128,28 +130,48 @@ def characteristic_knots(last: float) -> Array:
     return result
 
 
-def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
-    """Return the values of the characteristic's splines at strains from 0 on, and their slopes.
+class LocalSplines(NamedTuple):
+    """The three splines of the characteristic that are not 0 at each of n strains."""
 
-    Of shape (strains, knots). They are quadratic, evenly spaced in ln(1 + x / x0), and straight
-    beyond the last knot, where a kink would hold a solution up: so they can follow the law's own
-    bend at 1/Gn. With hat functions ln Gn has false maxima 0.15 apart.
+    cell: NDArray[np.intp]  #: place of the first of them, (n,)
+    values: Array  #: shape (n, 3)
+    slopes: Array  #: by the strain, shape (n, 3)
+    curvatures: Array  #: second derivatives by the strain, shape (n, 3)
+
+
+def local_splines(strain: Array, last_knot: float, knots: int) -> LocalSplines:
+    """Return the characteristic's splines at strains from 0 on, of shape (n,).
+
+    They are quadratic, evenly spaced in ln(1 + x / x0), and straight beyond the last knot, where a
+    kink would hold a solution up: so they can follow the law's own bend at 1/Gn. With hat
+    functions ln Gn has false maxima 0.15 apart.
     """
-    values, slopes = np.zeros((strain.size, knots)), np.zeros((strain.size, knots))
-    if not knots:
-        return values, slopes
     near, cells = NEAR * last_knot, knots - 2
     per_place = cells / np.log1p(1.0 / NEAR)
     place = per_place * np.log1p(strain / near)
     is_inside = place < cells
     cell = np.where(is_inside, place, cells - 1).astype(np.intp)
     p = place - cell
-    at = np.arange(strain.size)[:, None], cell[:, None] + np.arange(3)
     curved = 0.5 * (1.0 - p) ** 2, 0.5 + p * (1.0 - p), 0.5 * p**2
     straight = np.zeros_like(p), 1.5 - p, p - 0.5
-    values[at] = np.where(is_inside, curved, straight).T
+    values = np.where(is_inside, curved, straight).T
     tilt, q = per_place / (near + strain), np.where(is_inside, p, 1.0)
-    slopes[at] = np.transpose([tilt * (q - 1.0), tilt * (1.0 - 2.0 * q), tilt * q])
+    by_place = np.array([q - 1.0, 1.0 - 2.0 * q, q])
+    bent = np.multiply.outer([1.0, -2.0, 1.0], is_inside * tilt**2)
+    curvatures = bent - by_place * (tilt / (near + strain))
+    return LocalSplines(cell, values, (tilt * by_place).T, curvatures.T)
+
+
+def splines(strain: Array, last_knot: float, knots: int) -> tuple[Array, Array]:
+    """Return the values of all splines of :func:`local_splines`, and their slopes.
+
+    Each of shape (strains, knots).
+    """
+    values, slopes = np.zeros((strain.size, knots)), np.zeros((strain.size, knots))
+    if knots:
+        found = local_splines(strain, last_knot, knots)
+        at = np.arange(strain.size)[:, None], found.cell[:, None] + np.arange(3)
+        values[at], slopes[at] = found.values, found.slopes
     return values, slopes
 
 

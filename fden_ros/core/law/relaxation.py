@@ -42,6 +42,9 @@ RATES: Array = SLOWEST * np.exp(SPACING * np.arange(COUNT))
 RATES.flags.writeable = False
 #: Logarithms of the rates, then of those by which the slower and the faster ones count.
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
+#: The rates, and then how what is slower counts: as the slowest, and as it never ends.
+_SLOW_LOG_RATES = np.log(np.concatenate([RATES, RATES[:1]]))
+_SLOW_RATES = np.append(RATES, 0.0)
 #: Orders alpha that the weights are made for: the lowest is a spring, to 1e-4 over eleven days.
 LOWEST_ORDER, HIGHEST_ORDER = 1e-5, 0.9
 _STEP = 1e-6
@@ -84,11 +87,15 @@ def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
     -------
     parts, slopes : ndarray, shape (n, COUNT + 1)
     """
-    clipped = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)
-    left = np.append(np.exp(-RATES * time), 1.0)
-    weights = np.array([relaxation_weights(order)[:-1] for order in clipped.tolist()])
-    slopes = np.array([relaxation_slopes(order)[:-1] for order in clipped.tolist()])
-    return weights * left, slopes * left
+    order = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)[:, None]
+    turn = math.pi * order
+    parts = SPACING / math.pi * np.sin(turn) * np.exp(order * _SLOW_LOG_RATES)
+    by_order = _SLOW_LOG_RATES + math.pi / np.tan(turn)
+    # The slower rates are a geometric sum.
+    parts[:, -1:] /= np.expm1(SPACING * order)
+    by_order[:, -1:] += SPACING / np.expm1(-SPACING * order)
+    parts *= np.exp(-_SLOW_RATES * time)
+    return parts, by_order * parts
 
 
 def _slopes(weights: Callable[[float], Array], order: float) -> Array:
