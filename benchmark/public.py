@@ -10,8 +10,9 @@ where it was deepest. Without a stiffness a test is cut at each of the strains, 
 the slope of its own curve there, over half a millimetre.
 
 *Known*: a number was given. *Ratio*: to the truth, median and 5th to 95th percentile. *In 2
-sd*: truths within two stated deviations. *Rank*: with the modulus, over all tests. *Repeats*:
-scatter of the logarithm within a phantom, over the stated deviation.
+sd*: truths within two stated deviations. *Rank*: with the modulus, over all tests, and in each
+family, which is the first word of a phantom's name up to _. *Repeats*: scatter of the logarithm
+within a phantom, over the stated deviation.
 """
 
 from __future__ import annotations
@@ -178,10 +179,19 @@ def _row(pairs: Sequence[tuple[Press, Known]]) -> dict[str, Any]:
     row["half width"] = float(np.median(2.0 * sds / values))
     inside = np.abs(values - truths) <= 2.0 * sds
     row["in 2 sd"] = share(inside) if np.isfinite(sds).all() else math.nan
-    ranked = np.isfinite(moduli).all() and moduli.size > 2
-    row["rank"] = float(spearmanr(values, moduli).statistic) if ranked else math.nan
+    row["rank"] = _rank(values, moduli)
+    families = np.array([press.phantom.partition("_")[0] for press, _ in known])
+    own = (families == family for family in sorted(set(families)))
+    row["in each family"] = [_rank(values[of], moduli[of]) for of in own]
     row["repeats"] = _repeats([press.phantom for press, _ in known], values, sds)
     return row
+
+
+def _rank(values: np.ndarray, moduli: np.ndarray) -> float:
+    """Return the rank correlation of stiffnesses with moduli; NaN: these are not known."""
+    if moduli.size < 3 or not np.isfinite(moduli).all():
+        return math.nan
+    return float(spearmanr(values, moduli).statistic)
 
 
 def _repeats(phantoms: Sequence[str], values: np.ndarray, sds: np.ndarray) -> float:

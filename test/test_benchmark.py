@@ -232,6 +232,31 @@ def test_a_second_press_of_a_hidden_touch_states_no_stiffness_that_is_off():
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
+# Recordings of others
+
+
+def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path):
+    """Three springs between plates: what they are is their modulus, and their slope."""
+    folder, generator = tmp_path / "others", np.random.default_rng(3)
+    folder.mkdir()
+    times = np.arange(0.0, 21.0, 0.1)
+    rows, truths = ["test,time_s,force_N,displacement_mm"], []
+    for name, spring in (("f_a", 1000.0), ("f_b", 2000.0), ("f_c", 3000.0)):
+        depths = 0.2 * times
+        forces = 1e-3 * spring * depths + generator.normal(0.0, 0.005, times.size)
+        rows += [f"{name},{t},{f},{d}" for t, f, d in zip(times, forces, depths, strict=True)]
+        truths.append(f"{name},{name},1e-3,0.02,{spring * 0.02 / 1e-3}")
+    (folder / "springs.csv").write_text("\n".join(rows))
+    heading = "test,phantom,area_m2,thickness_m,modulus_Pa"
+    (folder / "springs_truth.csv").write_text("\n".join([heading, *truths]))
+    own = ("public", str(folder), "--strains", "0.15")
+    (table,) = benchmark(capsys, tmp_path, *own).values()
+    row = table["FDEN"]
+    assert row["known"] == [3, 3] and row["rank"] == 1.0 and row["in each family"] == [1.0]
+    assert abs(row["ratio, median"] - 1.0) < 0.1
+    assert {"Kelvin-Voigt", "Hunt-Crossley", "force over depth"} < set(table)
+
+
 # Other laws
 
 
