@@ -110,3 +110,12 @@ def test_a_tool_that_yields_makes_it_less():
     rigid, both = (math.exp(value_of(model, state, 0.0)) for state in (stiff, soft))
     # Half a standard deviation of 0.2 mm/N.
     assert 1.0 / both == pytest.approx(1.0 / rigid + 1e-4, rel=1e-6)
+
+
+@pytest.mark.parametrize(("geometry", "is_known"), [(FLAT, True), (SPHERE, False)])
+def test_at_the_surface_a_sphere_has_none_and_nothing_warns(geometry, is_known):
+    model = bent_model(geometry)
+    member = Member(1.0, state_of(model, 6), np.eye(model.size))
+    motion = SmallMotion(model, (member,), by_origin(model))
+    found = log_stiffness([motion], -0.25, 0.0, TIME_SCALE)
+    assert (found is not None) is is_known

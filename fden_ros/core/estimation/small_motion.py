@@ -103,12 +103,11 @@ class SmallMotion:
         relaxed, by_state = _of_relaxation(model, states, time_scale)
         gradient += by_state
         values = values + relaxed
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            # Of the tissue's compression in that of both.
-            modulus = np.exp(values)
-            yields = 1.0 - modulus * (states @ model.bending)
-            values = values - np.log(yields)
-            gradient = (gradient + modulus[:, None] * model.bending) / yields[:, None]
+        # Of the tissue's compression in that of both.
+        modulus = np.exp(values)
+        yields = 1.0 - modulus * (states @ model.bending)
+        values = values - np.log(yields)
+        gradient = (gradient + modulus[:, None] * model.bending) / yields[:, None]
         values -= math.log(geometry.stress_per_force * geometry.length)
         covariances = np.array([mode.covariance for mode in self.modes])
         variances = np.einsum("mi,mij,mj->m", gradient, covariances, gradient)
@@ -123,7 +122,9 @@ def log_stiffness(
 
     The parameters are those of :meth:`SmallMotion.log_stiffnesses`.
     """
-    found = [motion.log_stiffnesses(compression, stress, time_scale) for motion in motions]
+    # A mode has none at the surface of a sphere, or where the tool would push.
+    with np.errstate(all="ignore"):
+        found = [motion.log_stiffnesses(compression, stress, time_scale) for motion in motions]
     weights, values, variances = (np.concatenate(parts) for parts in zip(*found, strict=True))
     has_one = np.isfinite(values) & np.isfinite(variances)
     weights, values, variances = weights[has_one], values[has_one], variances[has_one]
@@ -169,13 +170,12 @@ def _of_characteristic(
         gradient[at] = found.values + (value / own)[:, None] * found.slopes
     by_log_gn = slope * reach * is_beyond + value * excess * tilt
     gradient[:, LOG_GN] = by_log_gn / own
-    with np.errstate(invalid="ignore", divide="ignore"):
-        by_strain = tilt + (slope * (nonlinear * is_beyond + tilt) + value * turn) / own
-        per_compression = exponent * compressions ** (exponent - 1.0)
-        values = np.log(own * per_compression) + bend
-        by_compression = by_strain * per_compression
-        if exponent != 1.0:
-            by_compression += (exponent - 1.0) / compressions
+    by_strain = tilt + (slope * (nonlinear * is_beyond + tilt) + value * turn) / own
+    per_compression = exponent * compressions ** (exponent - 1.0)
+    values = np.log(own * per_compression) + bend
+    by_compression = by_strain * per_compression
+    if exponent != 1.0:
+        by_compression += (exponent - 1.0) / compressions
     return gradient, by_compression, values
 
 
