@@ -120,7 +120,7 @@ def averaged(
     found = _mixture(density, maximum, groups, best)
     if held is not None:
         found.covariance[held], found.covariance[:, held] = 0.0, 0.0
-    return _from_bound(density, found, groups) if maximum.is_at_bound else found
+    return _from_bound(density, found, groups, held) if maximum.is_at_bound else found
 
 
 def _weighed(
@@ -154,7 +154,7 @@ def _weighed(
         evidence -= 0.5 * (about.square + about.log_determinant + tails)
         groups.append(_Group(about, equations, places, scales, evidence))
     if maximum.is_at_bound:
-        share = _beside_bound(density, maximum, groups[0].about, maximum.scales).log_share
+        share = _beside_bound(density, maximum, groups[0].about, maximum.scales, held).log_share
         for group in groups:
             np.add(group.evidence, share, out=group.evidence)
     best = max(float(np.fmax.reduce(group.evidence)) for group in groups)
@@ -205,17 +205,20 @@ class _BesideBound(NamedTuple):
 
 
 def _beside_bound(
-    density: Density, maximum: Maximum, about: Linear, scales: Scales
+    density: Density, maximum: Maximum, about: Linear, scales: Scales, held: int | None
 ) -> _BesideBound:
-    """Return the posterior of an order that is at a bound and wants beyond."""
+    """Return the posterior of an order that is at a bound and wants beyond.
+
+    `held`: place of another unknown that stays.
+    """
     precision = density.precision(maximum.state, scales)
     normal = about.normal + precision
     towards = about.towards + precision @ (density.belief.mean - maximum.state)
     by_order = normal[:, ORDER].copy()
-    curvature = by_order[ORDER]
-    normal[ORDER], normal[:, ORDER], normal[ORDER, ORDER] = 0.0, 0.0, 1.0
-    side, by_order[ORDER] = towards[ORDER], 0.0
-    towards[ORDER] = 0.0
+    curvature, side = by_order[ORDER], towards[ORDER]
+    for stays in (ORDER,) if held is None else (ORDER, held):
+        normal[stays], normal[:, stays], normal[stays, stays] = 0.0, 0.0, 1.0
+        by_order[stays] = towards[stays] = 0.0
     shift = -loops.solve(normal, by_order)
     curvature += float(shift @ by_order)
     pull = float(side + shift @ towards)
@@ -234,11 +237,13 @@ def _beside_bound(
     return _BesideBound(math.copysign(mean, -pull), variance, shift, log_share, z)
 
 
-def _from_bound(density: Density, found: Solution, groups: Sequence[_Group]) -> Solution:
+def _from_bound(
+    density: Density, found: Solution, groups: Sequence[_Group], held: int | None
+) -> Solution:
     """Return a solution with what is known of an order at a bound."""
     scales = found.best_scales
     about = next(group.about for group in groups if scales in group.places)
-    order = _beside_bound(density, found.maximum, about, scales)
+    order = _beside_bound(density, found.maximum, about, scales, held)
     moved = found.mean + order.mean * order.shift
     spread = order.variance * np.outer(order.shift, order.shift)
     covariance = found.covariance.copy()
