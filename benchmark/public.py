@@ -211,6 +211,8 @@ def _goals(at: str, row: dict[str, Any]) -> list[Goal]:
     goals = [at_least(f"{at}: known", row["known"].value, 0.95)]
     if math.isfinite(row.get("rank", math.nan)):
         goals.append(at_least(f"{at}: rank with the modulus", row["rank"], 0.97))
+        families = row["in each family"]
+        goals.append(at_least(f"{at}: the same in the worst family", min(families), 0.97))
     return goals
 
 
