@@ -34,7 +34,7 @@ from benchmark.harness import DATA_VARIABLE, Benchmark, Goal, Report, Table, at_
 from benchmark.peers import PEERS, Peer, Samples
 from benchmark.score import rms, share
 from benchmark.trial import fed
-from fden_ros.core.outputs import ApparentStiffness, ContactSummary, Output, TissueState
+from fden_ros.core.outputs import ContactSummary, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
@@ -105,14 +105,10 @@ def fden(press: Press) -> Known:
     for _ in fed(pipeline, samples.times, samples.forces, samples.depths - samples.depths[0]):
         pass
     pipeline.finish()
-    found: ApparentStiffness | None = None
-    for output in outputs:
-        if isinstance(output, ContactSummary) or (
-            isinstance(output, TissueState) and output.contact_id and not press.is_over
-        ):
-            found = output.apparent_stiffness
-        if press.is_over and isinstance(output, ContactSummary):
-            break
+    # Of a press that is over what its summary says, else what is known last.
+    kinds = ContactSummary if press.is_over else (TissueState, ContactSummary)
+    known = [o.apparent_stiffness for o in outputs if isinstance(o, kinds) and o.contact_id]
+    found = known[0 if press.is_over else -1] if known else None
     return Known(found.value, found.sd) if found is not None else _NOTHING
 
 

@@ -15,19 +15,11 @@ from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
+from simulation.simulate import KNOWN_RIG
 
 ROOT = Path(__file__).parent.parent
 #: The first press of the example, 97 mN on 3.14 cm^2: time [s], force [N], depth [mm].
 PRESS = np.loadtxt(ROOT / "examples" / "press.csv", delimiter=",", skiprows=1)[:1300]
-RIGID = {
-    "surface.motion_sd": 0.0,
-    "force.drift_sd": 0.0,
-    "force.friction_sd": 0.0,
-    "displacement.compliance_sd": 0.0,
-    "displacement.delay_sd": 0.0,
-    "geometry.thickness_sd": 0.0,
-    "converged.log_sd": 0.05,
-}
 
 
 def scaled(
@@ -39,7 +31,7 @@ def scaled(
         "geometry.thickness": 0.02 * size,
         "prior.linear_stiffness": check({}).prior.linear_stiffness * stress,
         "plausible.force": 1e4,
-        **RIGID,
+        **KNOWN_RIG,
         **{name.replace("__", "."): value for name, value in more.items()},
     }
     outputs: list[Output] = []

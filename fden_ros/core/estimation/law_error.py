@@ -17,7 +17,7 @@ from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, splines
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
-    RATES,
+    left_after,
     relaxation_weights,
 )
 
@@ -75,13 +75,7 @@ def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
 def _relaxation_errors(order: float, times: Array) -> Array:
     """Return the relative error of the relaxation at times by the kernel's knots."""
     weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
-    after = np.hstack(
-        [
-            weights[:-2] * np.exp(-np.outer(times, RATES)),
-            np.full((times.size, 1), weights[-2]),
-            np.zeros((times.size, 1)),
-        ]
-    )
+    after = weights * left_after(times)
     result: Array = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
     return result
 

@@ -83,7 +83,10 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         at_edge=claims.at_edge,
         is_order_contradicted=is_contradicted,
         with_origin=tuple(setting.origin_covariance(full)[:3].tolist()),
-        modes=tuple(Member(m.weight, m.mean[:3], m.covariance[:3, :3]) for m in modes),
+        # Copies: a view would keep the whole matrix with every state that is kept.
+        modes=tuple(
+            Member(m.weight, m.mean[:3].copy(), m.covariance[:3, :3].copy()) for m in modes
+        ),
         small_motions=(SmallMotion(solved.model, tuple(modes), setting.by_origin(mean.size)),),
         delay=setting.delay(mean, full) if setting.is_late else None,
     )

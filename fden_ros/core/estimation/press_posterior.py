@@ -37,7 +37,7 @@ from fden_ros.core.estimation.modes import Modes
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.record import Block, Record, Sample
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import (
@@ -65,8 +65,6 @@ _MOST_WORK = 3e4
 _LOOK_HASTE = 12.0
 #: A long delay is told anew where its standard deviation has fallen to this part [1].
 _TOLD = 0.5
-#: Standard deviations of a long delay for which stress waits for its motion [1].
-_LATE = 2.0
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 _FIRST_SOLUTION = 4
@@ -239,7 +237,7 @@ class PressPosterior:
         if self.solved is None:
             return most
         delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
-        return min(max(delay + _LATE * sd, 0.0), most)
+        return min(max(delay + MOST_LATE * sd, 0.0), most)
 
     def _take(self, sample: Sample, *, is_free: bool) -> None:
         self._now = sample.time

@@ -30,9 +30,9 @@ from fden_ros.core.estimation.unknowns import (
 from fden_ros.core.law.geometry import Geometry
 
 #: Standard deviations of the delay for which stress waits for its motion [1].
-_LATEST = 2.0
+MOST_LATE = 2.0
 #: Delays at which a solution may begin, in standard deviations [1]: as far as stress waits.
-_DELAYS = np.linspace(-2.0, 2.0, 17)
+_DELAYS = np.linspace(-MOST_LATE, MOST_LATE, 17)
 #: Added to the variances of scaled unknowns [1], so that rounding leaves them positive.
 _ROUNDING = 1e-9
 
@@ -106,7 +106,7 @@ class PressSetting:
     @property
     def delay_reach(self) -> float:
         """How late the displacement may be where it is shifted by interpolation [s]; else 0."""
-        return _LATEST * self.config.uncertainty.delay_sd if self.is_late else 0.0
+        return MOST_LATE * self.config.uncertainty.delay_sd if self.is_late else 0.0
 
     @property
     def is_bent(self) -> bool:

@@ -94,9 +94,9 @@ class SmallMotion:
         time_scale : float
             tau [s].
         """
-        model, geometry = self.model, self.model.geometry
+        model, geometry, bending = self.model, self.model.geometry, self.model.bending
         states = np.array([mode.mean for mode in self.modes])
-        moves = stress * model.bending - self.by_origin
+        moves = stress * bending - self.by_origin
         own = np.maximum(compression + self.shift + states @ moves, 0.0)
         gradient, by_compression, values = _of_characteristic(model, states, own)
         gradient += by_compression[:, None] * moves
@@ -105,9 +105,9 @@ class SmallMotion:
         values = values + relaxed
         # Of the tissue's compression in that of both.
         modulus = np.exp(values)
-        yields = 1.0 - modulus * (states @ model.bending)
+        yields = 1.0 - modulus * (states @ bending)
         values = values - np.log(yields)
-        gradient = (gradient + modulus[:, None] * model.bending) / yields[:, None]
+        gradient = (gradient + modulus[:, None] * bending) / yields[:, None]
         values -= math.log(geometry.stress_per_force * geometry.length)
         covariances = np.array([mode.covariance for mode in self.modes])
         variances = np.einsum("mi,mij,mj->m", gradient, covariances, gradient)

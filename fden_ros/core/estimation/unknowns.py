@@ -34,7 +34,7 @@ from fden_ros.core.estimation.loops import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, N
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.law.characteristic import phi
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import RATES, relaxation_weights
+from fden_ros.core.law.relaxation import RATES, left_after, relaxation_weights
 
 #: Delays with a wider prior than this shift the motion by interpolation [s]: a block. The column
 #: delay * speed is wrong where the speed jumps: by 50 ms G is five deviations off.
@@ -216,8 +216,7 @@ def kernel_prior(order: float) -> FieldPrior:
     order its level was left open, and G of an elastic body to a quarter.
     """
     weights = relaxation_weights(min(order, MOST_REFERENCE_ORDER))
-    after = np.concatenate([weights[:-2] * np.exp(-RATES * REFERENCE_TIME), [weights[-2], 0.0]])
-    zero = after @ KERNEL_HATS
+    zero = (weights * left_after(REFERENCE_TIME)) @ KERNEL_HATS
     return _constrained(KERNEL_KNOTS, KERNEL_LENGTH, zero / zero.sum())
 
 

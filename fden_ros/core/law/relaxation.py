@@ -42,9 +42,6 @@ RATES: Array = SLOWEST * np.exp(SPACING * np.arange(COUNT))
 RATES.flags.writeable = False
 #: Logarithms of the rates, then of those by which the slower and the faster ones count.
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
-#: The rates, and then how what is slower counts: as the slowest, and as it never ends.
-_SLOW_LOG_RATES = np.log(np.concatenate([RATES, RATES[:1]]))
-_SLOW_RATES = np.append(RATES, 0.0)
 #: Orders alpha that the weights are made for: the lowest is a spring, to 1e-4 over eleven days.
 LOWEST_ORDER, HIGHEST_ORDER = 1e-5, 0.9
 _STEP = 1e-6
@@ -73,6 +70,18 @@ def relaxation_slopes(order: float) -> Array:
     return slopes
 
 
+def left_after(times: float | Array) -> Array:
+    """Return the part of each weight of the relaxation that is left after times [s].
+
+    Of those that :func:`relaxation_weights` returns, shape (..., COUNT + 2): of the slower rates
+    all, of the faster ones nothing.
+    """
+    left = np.zeros((*np.shape(times), COUNT + 2))
+    left[..., :COUNT] = np.exp(-np.multiply.outer(times, RATES))
+    left[..., COUNT] = 1.0
+    return left
+
+
 def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
     """Return what is left of each rate, slower ones last, and its derivatives by alpha.
 
@@ -89,12 +98,13 @@ def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
     """
     order = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)[:, None]
     turn = math.pi * order
-    parts = SPACING / math.pi * np.sin(turn) * np.exp(order * _SLOW_LOG_RATES)
-    by_order = _SLOW_LOG_RATES + math.pi / np.tan(turn)
+    logs = _LOG_RATES[:-1]
+    parts = SPACING / math.pi * np.sin(turn) * np.exp(order * logs)
+    by_order = logs + math.pi / np.tan(turn)
     # The slower rates are a geometric sum.
     parts[:, -1:] /= np.expm1(SPACING * order)
     by_order[:, -1:] += SPACING / np.expm1(-SPACING * order)
-    parts *= np.exp(-_SLOW_RATES * time)
+    parts *= left_after(time)[: COUNT + 1]
     return parts, by_order * parts
 
 
