@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
 import json
 import math
 import os
@@ -41,6 +40,7 @@ from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_most
 from benchmark.score import Share
+from fden_ros.commands import live
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.progress import progress
@@ -73,7 +73,6 @@ _PRESS_FROM = 0.5
 _BLOCK = 10
 _STAMP = struct.Struct("<iI")
 _BODY = 4
-_PR_SET_PDEATHSIG = 1
 _CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 _QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 #: The period of the controller, and the age from which an estimate is late to it [s].
@@ -336,7 +335,7 @@ def _burner() -> Iterator[None]:
 
 def end_with_parent() -> None:
     """Let Linux kill the calling process when its parent ends, however that does."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    live.end_with_parent(signal.SIGKILL)
 
 
 def _ended(process: Any) -> str:

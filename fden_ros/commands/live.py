@@ -197,7 +197,7 @@ def _running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> I
                 command,
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
-                preexec_fn=_end_with_parent,
+                preexec_fn=end_with_parent,
             )
         yield processes
     finally:
@@ -208,10 +208,10 @@ def _running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> I
             signal.signal(number, handler)
 
 
-def _end_with_parent() -> None:
-    """Have Linux end the calling process as Ctrl-C does when its parent is gone, even killed."""
+def end_with_parent(number: int = signal.SIGINT) -> None:
+    """Have Linux send the calling process a signal when its parent is gone, even killed."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

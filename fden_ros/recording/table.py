@@ -13,7 +13,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import NamedTuple
 
-from fden_ros.core.streams.rotation import Quaternion, Vector, by_rotation_vector
+from fden_ros.core.streams.rotation import NumberOrVector, Quaternion, Vector, by_rotation_vector
 from fden_ros.errors import InputError
 from fden_ros.recording.headings import (
     RECORDERS,
@@ -28,9 +28,6 @@ from fden_ros.recording.text import Layout, clock_ns, layout_of, numeral, stamp_
 _NS = Decimal(1_000_000_000)
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
 _QUANTITIES = ("time", "force", "displacement")
-
-#: What a row has of a quantity: a number, or a vector in a frame.
-NumberOrVector = float | Vector
 
 
 class Row(NamedTuple):

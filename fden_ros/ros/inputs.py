@@ -16,7 +16,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, Wrenc
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
-from fden_ros.core.streams.rotation import Quaternion, normalised
+from fden_ros.core.streams.rotation import NumberOrVector, Quaternion, normalised
 from fden_ros.core.streams.samples import Position, Reason, Sink
 from fden_ros.parameters import (
     Parameters,
@@ -68,10 +68,6 @@ def measured_inputs(parameters: Parameters) -> list[str]:
 def stream_of(name: str) -> str:
     """Return the stream that rejected messages of an input are counted under."""
     return "transform" if name in TRANSFORM_TOPICS else name
-
-
-#: A number, or a vector that is projected on the configured axis.
-NumberOrVector = float | Position
 
 
 class Places:

@@ -9,6 +9,8 @@ import math
 from typing import NamedTuple
 
 Vector = tuple[float, float, float]
+#: Of a force or a place: a number, or a vector that is projected on the configured axis.
+NumberOrVector = float | Vector
 Quaternion = tuple[float, float, float, float]
 
 #: A quaternion whose length differs from 1 by more than this was never set, or is damaged.
