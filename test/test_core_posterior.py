@@ -16,7 +16,6 @@ from scipy.optimize import least_squares, minimize
 
 from benchmark.score import rms
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change import ChangeLook
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Errors, Loading, Noise
@@ -26,6 +25,7 @@ from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.proposals.change import ChangeLook
 from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Solution

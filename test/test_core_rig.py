@@ -19,8 +19,6 @@ from property_helpers import counts
 from benchmark import presses
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from benchmark.trial import truth_of
-from fden_ros.core.estimation.either_place import Tissue as Belief
-from fden_ros.core.estimation.either_place import log_ratio
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.learned_scales import (
     LEAST_SHARE,
@@ -29,6 +27,8 @@ from fden_ros.core.estimation.learned_scales import (
     motion_share,
     pooled,
 )
+from fden_ros.core.estimation.proposals.place import Tissue as Belief
+from fden_ros.core.estimation.proposals.place import log_ratio
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState

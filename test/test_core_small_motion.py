@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Member
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.small_motion import SmallMotion, log_stiffness
@@ -41,7 +41,7 @@ def state_of(model: PressModel, seed: int) -> Array:
 
 
 def value_of(model: PressModel, state: Array, stress: float) -> float:
-    member = Member(1.0, state, np.zeros((model.size, model.size)))
+    member = Component(1.0, state, np.zeros((model.size, model.size)))
     found = log_stiffness(
         [SmallMotion(model, (member,), by_origin(model))], 0.25, stress, TIME_SCALE
     )
@@ -83,7 +83,7 @@ def test_its_variance_is_that_of_its_derivatives(geometry):
     assert abs(gradient[ORIGIN]) > 1e-3
     root = np.random.default_rng(3).normal(0.0, 0.01, (model.size, model.size))
     covariance = root @ root.T
-    member = Member(1.0, state, covariance)
+    member = Component(1.0, state, covariance)
     found = log_stiffness(
         [SmallMotion(model, (member,), by_origin(model))], 0.25, stress, TIME_SCALE
     )
@@ -97,7 +97,7 @@ def test_modes_that_disagree_widen_it():
     second = first.copy()
     second[LOG_G] += math.log(2.0)
     nothing = np.zeros((model.size, model.size))
-    modes = (Member(0.5, first, nothing), Member(0.5, second, nothing))
+    modes = (Component(0.5, first, nothing), Component(0.5, second, nothing))
     found = log_stiffness([SmallMotion(model, modes, by_origin(model))], 0.25, 0.0, TIME_SCALE)
     assert found is not None
     assert math.sqrt(found[1]) == pytest.approx(0.5 * math.log(2.0), rel=1e-6)
@@ -115,7 +115,7 @@ def test_a_tool_that_yields_makes_it_less():
 @pytest.mark.parametrize(("geometry", "is_known"), [(FLAT, True), (SPHERE, False)])
 def test_at_the_surface_a_sphere_has_none_and_nothing_warns(geometry, is_known):
     model = bent_model(geometry)
-    member = Member(1.0, state_of(model, 6), np.eye(model.size))
+    member = Component(1.0, state_of(model, 6), np.eye(model.size))
     motion = SmallMotion(model, (member,), by_origin(model))
     found = log_stiffness([motion], -0.25, 0.0, TIME_SCALE)
     assert (found is not None) is is_known

@@ -31,7 +31,7 @@ from benchmark.plan import PARAMETERS, RADIUS_M, THICKNESS_M
 from fden_ros.cli import main
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactDetector, Onset
-from fden_ros.core.estimation.estimate import Member
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.site import origin_of
 from fden_ros.core.streams.samples import Pair
@@ -206,7 +206,7 @@ def test_a_record_of_few_samples_has_the_counts_of_all():
 
 
 def test_an_order_that_is_given_is_planned_with():
-    known = Member(1.0, LIVER.mean, np.diag([0.09, 0.04, 0.0]))
+    known = Component(1.0, LIVER.mean, np.diag([0.09, 0.04, 0.0]))
     given = config_of(alpha__learn=False)
     found = plan(given, SENSORS, TARGET, tissue=TissueBelief((known,)))
     assert found.deviations[2] == pytest.approx(0.03)
@@ -220,8 +220,8 @@ def test_sensors_of_any_rate_are_simulated_at_one_that_tells_as_much():
 
 
 def test_draws_have_the_moments_of_all_modes():
-    shallow = Member(0.4, np.array([6.0, 1.0, 0.1]), np.diag([0.01, 0.2, 1e-4]))
-    deep = Member(0.6, np.array([6.3, 2.5, 0.2]), np.diag([0.02, 0.01, 1e-4]))
+    shallow = Component(0.4, np.array([6.0, 1.0, 0.1]), np.diag([0.01, 0.2, 1e-4]))
+    deep = Component(0.6, np.array([6.3, 2.5, 0.2]), np.diag([0.02, 0.01, 1e-4]))
     known = TissueBelief((shallow, deep))
     draws = known.draws(4000)
     np.testing.assert_allclose(draws.mean(axis=0), known.mean, atol=0.01)
@@ -229,7 +229,7 @@ def test_draws_have_the_moments_of_all_modes():
 
 
 def test_what_a_press_has_told_narrows_the_next_plan():
-    narrow = Member(1.0, LIVER.mean, 0.05 * LIVER.covariance)
+    narrow = Component(1.0, LIVER.mean, 0.05 * LIVER.covariance)
     first = plan(CONFIG, SENSORS, TARGET)
     second = plan(CONFIG, SENSORS, TARGET, tissue=TissueBelief((narrow,)))
     assert np.all(second.deviations < first.deviations)

@@ -18,7 +18,6 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactConfig, Onset
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
-from fden_ros.core.estimation.either_place import EitherPlace, Placed, Tissue
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
@@ -295,7 +294,9 @@ class Site:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
             new = _new_estimator(config, noise_sd, origin_sd, noise, self.known_rig)
             maybe, self._maybe = self._maybe, None
-            self._estimator = maybe.or_else(new, onset, self) if maybe is not None else new
+            if maybe is not None and isinstance(new, PosteriorEstimator):
+                maybe.may_go_on_as(new, onset, self)
+            self._estimator = new
         self._rest_until(first.stamp_ns)
         self._memory.begin_block()
         if self._estimator is not None:
@@ -305,33 +306,24 @@ class Site:
                 onset.bias_sd * scale, onset.drift_sd * scale, np.array(seen)
             )
 
-    def or_else(self, new: Estimator, onset: Onset, other: Site) -> Estimator:
-        """Return an estimator of either this tissue, pressed again from a touch on, or another.
+    def may_go_on_as(self, new: PosteriorEstimator, onset: Onset, other: Site) -> None:
+        """Let an estimator of tissue at rest know this tissue, which may be what is touched.
 
         Parameters
         ----------
-        new : Estimator
-            Of tissue at rest.
+        new : PosteriorEstimator
         onset : Onset
         other : Site
             From whose origin compressions count from now on.
         """
         own = self._estimator
-        if isinstance(own, PosteriorEstimator):
-            own = EitherPlace(self._config.estimator, Placed(own))
-        if not (
-            self.is_usable and isinstance(own, EitherPlace) and isinstance(new, PosteriorEstimator)
-        ):
-            return new
-        placed, before = own.best, own.estimate()
-        last = Tissue(before.mean, before.covariance)
-        placed.estimator.go_on_beside(new)
+        if not (self.is_usable and isinstance(own, PosteriorEstimator)):
+            return
         self._rest_until(onset.samples[0].stamp_ns)
-        shift = placed.shift + (other.origin - self.origin) / self._config.geometry.length
-        same = Placed(placed.estimator, shift, placed.estimator.change_count)
+        shift = (other.origin - self.origin) / self._config.geometry.length
         found = _found_sd(onset, self._config)
         wider = math.log(other.origin_sd / found) if other.origin_sd and found else 0.0
-        return EitherPlace(self._config.estimator, same, Placed(new, last=last, wider=wider))
+        new.may_be_of(own, shift, wider)
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""

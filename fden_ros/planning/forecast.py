@@ -23,11 +23,10 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.density import Belief
-from fden_ros.core.estimation.modes import find_modes
+from fden_ros.core.estimation.maxima import completed, find_maxima
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
-from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
@@ -197,17 +196,17 @@ class Forecast:
                 own = self._measured(motion, points, response, seed)
                 state = self._state(posterior, tissue)
                 scales = posterior.grid[len(posterior.grid) // 2].scales
-                modes = yield from find_modes(
+                maxima = yield from find_maxima(
                     posterior, own, [state], scales, (), strain, NEARLY_FOUND
                 )
+                solutions = yield from completed(posterior, own, maxima, strain)
             except UNSOLVABLE:
                 continue
-            _, covariance = modes.mixed(modes.best.mean, modes.best.covariance)
+            _, covariance = solutions.moments
             budget = None
             if not found:
-                press = PressPosterior(setting, 0.0, 0.0, self.sensors.displacement_sd / length)
-                press.solved = Solved(posterior, modes, None, False)
-                budget = budget_of(press)
+                solved = Solved(posterior, solutions, None, False)
+                budget = budget_of(setting, solved, self.sensors.displacement_sd / length)
             variances = covariance.diagonal()[_LAW]
             deviations = np.sqrt(variances + self._added(touch))
             found.append(Stated(deviations, variances, touch, budget))

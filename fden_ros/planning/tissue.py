@@ -13,8 +13,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, Member, mixture
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
 
 #: Root of x^5 = x + 1: its powers fill four dimensions evenly (Roberts 2018, the R sequence).
@@ -27,42 +28,40 @@ class TissueBelief:
 
     Attributes
     ----------
-    members : tuple of Member
+    members : tuple of Component
         Weights [1], means (3,) and covariances (3, 3).
     """
 
-    members: tuple[Member, ...]
+    members: tuple[Component, ...]
 
     @classmethod
     def stated(cls, prior: Prior) -> TissueBelief:
         """Return what is known before any press."""
-        return cls((Member(1.0, prior.mean, np.diag(prior.deviations**2)),))
+        return cls((Component(1.0, prior.mean, np.diag(prior.deviations**2)),))
 
     @classmethod
     def found(cls, estimate: Estimate) -> TissueBelief:
-        """Return what an estimate says: its modes, as much wider as its covariance is."""
-        own = cls(estimate.modes)
-        if not own.members:
-            return cls((Member(1.0, estimate.mean, estimate.covariance),))
-        wider = estimate.covariance - own.covariance
-        return cls(tuple(m._replace(covariance=m.covariance + wider) for m in own.members))
+        """Return what an estimate says: its modes."""
+        return cls(estimate.modes or (Component(1.0, estimate.mean, estimate.covariance),))
 
     @classmethod
     def of(cls, modes: Sequence[Mapping[str, Any]]) -> TissueBelief:
         """Return what results state: weight, mean and covariance of each mode."""
         return cls(
-            tuple(Member(m["weight"], *map(np.array, (m["mean"], m["covariance"]))) for m in modes)
+            tuple(
+                Component(m["weight"], *map(np.array, (m["mean"], m["covariance"]))) for m in modes
+            )
         )
 
     @property
     def mean(self) -> Array:
         """Of all members, (3,)."""
-        return mixture(self.members)[0]
+        return moments(self.members)[0]
 
     @property
     def covariance(self) -> Array:
         """Of all members, (3, 3)."""
-        return mixture(self.members)[1]
+        return moments(self.members)[1]
 
     def draws(self, count: int) -> Array:
         """Return tissues that stand evenly for what is known, (count, 3); the first is typical."""

@@ -18,10 +18,10 @@ from fden_ros.core.estimation.estimate import (
     PUBLISHED,
     Estimate,
     LawError,
-    Member,
     ParameterSet,
 )
 from fden_ros.core.estimation.estimator import Innovation
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
@@ -286,10 +286,10 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
     )
 
 
-def _modes_of(message: PalpationSummary) -> tuple[Member, ...]:
+def _modes_of(message: PalpationSummary) -> tuple[Component, ...]:
     means = np.array(message.mode_means).reshape(-1, 3)
     covariances = np.array(message.mode_covariances).reshape(-1, 3, 3)
-    return tuple(map(Member, message.mode_weights, means, covariances))
+    return tuple(map(Component, message.mode_weights, means, covariances))
 
 
 def _apparent_stiffness_of(

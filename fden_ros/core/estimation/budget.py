@@ -17,7 +17,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
-from fden_ros.core.estimation.press_posterior import PressPosterior
+from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN
 
@@ -67,22 +67,28 @@ class Budget:
         return self.parts[source][index] / self.variances[index] if self.variances[index] else 0.0
 
 
-def budget_of(press: PressPosterior) -> Budget | None:
-    """Return the budget of a press by its newest solution; None: there is none."""
-    if press.solved is None or press.is_lost:
-        return None
-    setting, whole = press.setting, _Press(press, press.solved)
+def budget_of(setting: PressSetting, solved: Solved, compression_sd: float) -> Budget:
+    """Return the budget of a solution of a press.
+
+    Parameters
+    ----------
+    setting : PressSetting
+    solved : Solved
+    compression_sd : float
+        Standard deviation of a sample's compression [1].
+    """
+    whole = _Press(setting, solved, compression_sd)
     variances = whole.without("")
     thickness = setting.config.uncertainty.thickness_sd**2
     parts = {name: _part(variances, whole.without(name)) for name in SOURCES}
-    considered = press.solved.best.considered
+    considered = solved.best.considered
     if considered is not None:
         order = considered.diagonal()[[LOG_G, LOG_GN]]
         variances = variances + order
         parts["prior"] = tuple(order.tolist())
     parts["thickness"] = (thickness, thickness)
     log_g, log_gn = (variances + thickness).tolist()
-    surface_sd = setting.origin_deviation(press.solved.best.covariance)
+    surface_sd = setting.origin_deviation(solved.best.covariance)
     return Budget((log_g, log_gn), parts, setting.stress_sd, surface_sd)
 
 
@@ -94,13 +100,13 @@ def _part(whole: Array, without: Array) -> tuple[float, float]:
 class _Press:
     """The posterior about the best maximum, of which single sources can be made known."""
 
-    def __init__(self, press: PressPosterior, solved: Solved) -> None:
-        maximum, setting = solved.best.maximum, press.setting
+    def __init__(self, setting: PressSetting, solved: Solved, compression_sd: float) -> None:
+        maximum = solved.best.maximum
         self._model, self._known = solved.model, solved.posterior.known
         self._rows, self._errors = maximum.evaluation.jacobian, maximum.errors
         self._scales = maximum.scales
         self._precision = solved.posterior.precision(maximum.state, maximum.scales)
-        self._noise = Noise(setting.stress_sd, press.compression_sd, setting.zero_sd)
+        self._noise = Noise(setting.stress_sd, compression_sd, setting.zero_sd)
         self._uncertainty = setting.config.uncertainty
 
     def without(self, source: str) -> Array:

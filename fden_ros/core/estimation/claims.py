@@ -17,6 +17,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.mixture import widened
 
 
 class Evidence(NamedTuple):
@@ -85,6 +86,7 @@ def _widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Esti
         covariance=factor * estimate.covariance,
         with_origin=(factor * log_g, factor * log_gn, factor * order),
         strain_origin_sd=math.sqrt(factor) * estimate.strain_origin_sd,
+        modes=widened(estimate.modes, factor) if estimate.modes else (),
         small_motions=tuple(motion.widened(factor) for motion in estimate.small_motions),
     )
     return wide._replace(known=wide.known & converged(config, wide.deviations, wide.valid))

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.law.characteristic import elastic_response, exponential_scale
 
 if TYPE_CHECKING:
@@ -74,36 +74,6 @@ class LawError(NamedTuple):
         return tuple(name + part for name in errors for part in ("", "_sd"))
 
 
-class Member(NamedTuple):
-    """One mode as a Gaussian."""
-
-    weight: float
-    mean: Array
-    covariance: Array
-
-
-def mixture(members: Sequence[Member]) -> tuple[Array, Array]:
-    """Return mean and covariance of a mixture whose weights add up to 1."""
-    if len(members) == 1:
-        return members[0].mean, members[0].covariance
-    middle = np.sum([m.weight * m.mean for m in members], axis=0)
-    spread = np.zeros_like(members[0].covariance)
-    for member in members:
-        off = member.mean - middle
-        spread += member.weight * (member.covariance + np.outer(off, off))
-    return middle, spread
-
-
-def positive(covariance: Array) -> Array:
-    """Return the nearest symmetric positive semidefinite matrix, where rounding has left none."""
-    nearest: Array = 0.5 * (covariance + covariance.T)
-    values, vectors = np.linalg.eigh(nearest)
-    if values[0] < 0.0:
-        nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        nearest = 0.5 * (nearest + nearest.T)
-    return nearest
-
-
 class Estimate(NamedTuple):
     """The parameters and how well they are known."""
 
@@ -136,9 +106,9 @@ class Estimate(NamedTuple):
     #: Covariances of (ln G, ln Gn, alpha) with the origin [1]: a hidden one leaves open where the
     #: tissue begins, and not the slope of the force.
     with_origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    #: Modes of (ln G, ln Gn, alpha), of which `covariance` is that of all, with the thickness and
-    #: what else stands against it; one: the posterior is a Gaussian. Empty: not known.
-    modes: tuple[Member, ...] = ()
+    #: Components of (ln G, ln Gn, alpha), whose moments the mean and `covariance` are; one: the
+    #: posterior is a Gaussian. Empty: not known.
+    modes: tuple[Component, ...] = ()
     #: Delay of the displacement [s] and its standard deviation [s]; None: it is not learned, or
     #: stated within 10 ms.
     delay: tuple[float, float] | None = None

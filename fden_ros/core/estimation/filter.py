@@ -19,6 +19,7 @@ Li and Kirubarajan 2001, section 5.2):
 from __future__ import annotations
 
 import copy
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ class Update(NamedTuple):
     prediction: float  #: [Pa]
     innovation: float  #: observed less predicted [Pa]
     variance: float  #: S, of the innovation [Pa^2]
+    log_likelihood: float  #: of all blocks of the step [1]
 
 
 class PressFilter:
@@ -104,7 +106,7 @@ class PressFilter:
         by_walks = np.column_stack([np.ones_like(errors.gain), errors.gain])
         gradients = np.hstack([found.jacobian, by_walks])
         gradients[:, self._known] = 0.0
-        about = np.append(self._about, [0.0, 0.0])
+        about, log_likelihood = np.append(self._about, [0.0, 0.0]), 0.0
         for k, H in enumerate(gradients):
             self.P[-2, -2] += walks[0][k]
             self.P[-1, -1] += walks[1][k]
@@ -117,4 +119,5 @@ class PressFilter:
             K = PHt / S
             self.x = self.x + K * y
             self.P = self.P - np.outer(K, PHt)
-        return Update(float(h), float(y), float(S))
+            log_likelihood -= 0.5 * (y**2 / S + math.log(S))
+        return Update(float(h), float(y), float(S), float(log_likelihood))

@@ -38,9 +38,10 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import converged, determined, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate, Member, mixture, positive
+from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.law.characteristic import MAX_EXPONENT, elastic_response
 from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.law.relaxation import memory_slopes, memory_weights
@@ -191,10 +192,10 @@ class FractionalStressEstimator(Estimator):
         """Return the mixture's mean and covariance, alpha's own uncertainty included."""
         config, prior, weights = self._config, self._config.prior, self._weights()
         modes = [
-            Member(weight, member.filter.x, member.filter.P)
+            Component(weight, member.filter.x, member.filter.P)
             for weight, member in zip(weights.tolist(), self._members, strict=True)
         ]
-        mean, covariance = mixture(modes)
+        mean, covariance = moments(modes)
         sensitivity = self._sensitivity(weights, np.array([m.mean for m in modes]) - mean)
         order_variance = prior.fractional_order_sd**2
         covariance = covariance + np.outer(sensitivity, sensitivity) * order_variance
@@ -224,7 +225,7 @@ class FractionalStressEstimator(Estimator):
         result: Array = weights @ own + (weights * (by_weight - weights @ by_weight)) @ centred
         return result
 
-    def _probability_beyond_boundary(self, modes: list[Member]) -> float:
+    def _probability_beyond_boundary(self, modes: list[Component]) -> float:
         total = 0.0
         for weight, mean, covariance in modes:
             strain = self._geometry.strain(self._max_compression - mean[_ORIGIN])

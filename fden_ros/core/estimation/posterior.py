@@ -24,12 +24,12 @@ from fden_ros.core.estimation.maximum import (
     Maximum,
     MaximumSearch,
 )
+from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
 from fden_ros.core.estimation.solution import (
-    NEGLIGIBLE,
     Solution,
     averaged,
     cost_of,
@@ -270,6 +270,11 @@ class Posterior(Density):
             if maxima[0] is best:
                 return maxima[: np.count_nonzero(evidence > evidence.max() - NEGLIGIBLE)]
         return maxima
+
+    def evidence_beside(self, points: Points, given: Solution, best: Solution) -> float:
+        """Return the log evidence of what holds an unknown, under the errors of the best."""
+        maximum = replace(given.maximum, errors=best.maximum.errors)
+        return evidence_at(self, points, maximum, given.held)
 
     def evidence(self, points: Points, maximum: Maximum) -> float:
         """Return the log evidence at the scales of a maximum, from the linearisation there."""

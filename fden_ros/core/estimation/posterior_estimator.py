@@ -4,32 +4,38 @@
 """The estimator of one site: its presses, each with a posterior, and what is said of them.
 
 After a press its posterior is the next one's prior, and the stress of the press goes on to act as
-the free surface of the tissue.
+the free surface of the tissue. Where nothing says that a touch is of the same place, there are
+several pasts, and a hypothesis for each.
 """
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.budget import Budget, budget_of
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.hypothesis import Hypothesis, Past
 from fden_ros.core.estimation.learned_scales import MOTION_SCALES
+from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, rig_places
+from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import Lifetime
 from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import StressMoments
 
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
 #: standard deviations off.
@@ -38,6 +44,8 @@ _UNKNOWN_ZERO = 0.01
 _MISMATCH = 0.95
 #: The speed at the touch is that of so long before it [s].
 _TOUCH_TIME = 0.1
+#: Pasts of earlier touches that a touch may go on from [1].
+_MOST_PASTS = 2
 #: Part of the variance of what is stated of a rig that a press tells at least [1].
 _LEAST_TOLD = 0.01
 
@@ -62,8 +70,6 @@ class PosteriorEstimator(Estimator):
     ----------
     press : PressPosterior or None
         The newest press; None: there was none.
-    work_share : float
-        Part of the work of a block that is its own [1].
     """
 
     def __init__(
@@ -76,7 +82,7 @@ class PosteriorEstimator(Estimator):
         rig: RigKnowledge | None = None,
     ) -> None:
         known = rig or RigKnowledge.stated(config)
-        self._setting = PressSetting(
+        setting = PressSetting(
             replace(config, uncertainty=known.learned(config.uncertainty)),
             config.uncertainty,
             geometry,
@@ -86,14 +92,47 @@ class PosteriorEstimator(Estimator):
             drift_sd=0.0,
             rig=known,
         )
+        self._pasts = [Past(setting)]
         self._path_variance = path_variance
-        self._time = self._deepest = self._compression_sd = 0.0
+        self._time = self._compression_sd = 0.0
         self.press: PressPosterior | None = None
-        self.work_share = 1.0
-        self._moments, self._moments_at = StressMoments(), 0.0
-        self._stress_before = 0.0
-        self._sample_count = self._earlier_changes = 0
-        self._mismatch_probability = math.nan
+        self._moments_at = self._stress_before = 0.0
+
+    def may_be_of(self, other: PosteriorEstimator, shift: float, log_wider: float) -> None:
+        """Take the tissue of another estimator for what may be touched next.
+
+        Parameters
+        ----------
+        other : PosteriorEstimator
+            Of the touch before; it is not used any more.
+        shift : float
+            By which its compressions are larger [1].
+        log_wider : float
+            Logarithm of how much wider the origin's prior is than where the touch showed the
+            surface: that noise may hide it there makes this no less likely.
+        """
+        (own,) = self._pasts
+        before = other.estimate()
+        last = Tissue(before.mean, before.covariance)
+        other._carry()
+        other._wait()
+        config = own.setting.config
+        own.other = log_odds_of_another(config, last, log_wider)
+        same = other._pasts[:_MOST_PASTS]
+        total = float(logsumexp([past.log_odds for past in same]))
+        for past in same:
+            past.setting = replace(
+                past.setting,
+                config=config,
+                rig=own.setting.rig,
+                stress_sd=own.setting.stress_sd,
+            )
+            past.shift += shift
+            past.log_odds -= total
+            past.changes = 0
+            past.other = None
+        self._compression_sd = other._compression_sd
+        self._pasts = [*same, own]
 
     # What others ask
 
@@ -103,9 +142,32 @@ class PosteriorEstimator(Estimator):
 
         A law that is said to be exact: the residuals; else a relaxation that ends is likelier.
         """
-        if not self._setting.is_bent:
+        if not self._best.setting.is_bent:
             return self._solved is not None and self._solved.is_contradicted
         return self._mismatch_probability > _MISMATCH
+
+    @property
+    def _mismatch_probability(self) -> float:
+        """Of a relaxation that ends, by the pasts that know it [1]; NaN: none does."""
+        known = [
+            (weight, past.mismatch_probability)
+            for weight, past in self._weighed_pasts()
+            if not math.isnan(past.mismatch_probability)
+        ]
+        total = sum(weight for weight, _ in known)
+        return sum(weight * odds for weight, odds in known) / total if total else math.nan
+
+    def _weighed_pasts(self) -> list[tuple[float, Past]]:
+        """Return the pasts with their probabilities by now."""
+        if self.press is not None and self.press.weighed:
+            return [(weight, one.past) for weight, one in self.press.weighed]
+        total = float(logsumexp([past.log_odds for past in self._pasts]))
+        return [(math.exp(past.log_odds - total), past) for past in self._pasts]
+
+    @property
+    def _best(self) -> Past:
+        """The likeliest past."""
+        return max(self._weighed_pasts(), key=lambda pair: pair[0])[1]
 
     @property
     def is_doubtful(self) -> bool:
@@ -115,7 +177,8 @@ class PosteriorEstimator(Estimator):
     @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
-        return self._earlier_changes + (self.press.change_count if self.press else 0)
+        found = self._best.changes
+        return found + (self.press.change_count if self.press is not None else 0)
 
     @property
     def likeliest(self) -> PosteriorEstimator:
@@ -140,28 +203,41 @@ class PosteriorEstimator(Estimator):
 
         The law counts as exact, so that all it leaves out counts as motion.
         """
-        stated, press = self._setting.stated.surface_motion_sd, self.press
-        if press is None or press.solved is None or press.is_lost or not stated:
+        press = self.press
+        if press is None or not press.weighed or any(one.misses for one in press.likely):
             return None
-        now = self._setting.config.uncertainty.surface_motion_sd
-        solved = press.solved
-        exact = min(weighed.scales for weighed in solved.posterior.grid)
-        grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
-        points, maximum = press.record.points(), solved.best.maximum
-        return [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
+        found = []
+        for weight, one in press.weighed:
+            stated, solved = one.setting.stated.surface_motion_sd, one.solved
+            if not stated or solved is None:
+                return None
+            now = one.setting.config.uncertainty.surface_motion_sd
+            exact = min(weighed.scales for weighed in solved.posterior.grid)
+            grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
+            points, maximum = one.points(press.record.points()), solved.best.maximum
+            own = [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
+            found.append(math.log(weight) + np.array(own) - max(own))
+        result: list[float] = np.logaddexp.reduce(found, axis=0).tolist()
+        return result
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after the press; None where it tells nothing."""
-        if self._solved is None:
+        press = self.press
+        if press is None or not press.weighed:
             return None
-        own, found = rig_places(self._solved.model)
-        if not own:
-            return None
-        mean, covariance = self._setting.rig.scaled(self._setting.stated)
-        best = self._solved.best
-        mean[own] = best.mean[found]
-        covariance[np.ix_(own, own)] = best.covariance[np.ix_(found, found)]
-        return self._setting.rig.taught(mean, covariance, self._setting.config)
+        setting = press.setting
+        found = []
+        for weight, one in press.weighed:
+            assert one.solved is not None
+            own, places = rig_places(one.solved.model)
+            if not own:
+                return None
+            mean, covariance = setting.rig.scaled(setting.stated)
+            best = one.solved.best
+            mean[own] = best.mean[places]
+            covariance[np.ix_(own, own)] = best.covariance[np.ix_(places, places)]
+            found.append(Component(weight, mean, covariance))
+        return setting.rig.taught(*moments(found), setting.config)
 
     @property
     def _solved(self) -> Solved | None:
@@ -169,32 +245,25 @@ class PosteriorEstimator(Estimator):
 
     # Samples
 
-    def go_on_beside(self, new: PosteriorEstimator) -> None:
-        """Take over what a new one knows of noise and rig: one record is to weigh both."""
-        self._carry()
-        own, other = self._setting, new._setting
-        self._setting = replace(own, config=other.config, rig=other.rig, stress_sd=other.stress_sd)
-        self._path_variance = new._path_variance
-        new._compression_sd = self._compression_sd
-
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         self._carry()
-        if self._setting.is_late and self._setting.carried is None and self._setting.origin_sd:
-            self._setting = replace(self._setting, touch_speed=_touch_speed(way))
-        setting = replace(
-            self._setting,
-            zero_sd=bias_sd or _UNKNOWN_ZERO * self._setting.geometry.stress_per_force,
-            drift_sd=drift_sd,
-        )
-        if setting.carried is not None:
-            self._moments.wait(self._time - self._moments_at)
-            self._moments_at = self._time
-            frozen = StressMoments()
-            frozen.values = self._moments.values.copy()
-            setting = replace(setting, free=FreeSurface(frozen, self._time))
-        self._setting = setting
-        self.press = PressPosterior(setting, self._time, self._deepest, self._compression_sd, way)
+        self._wait()
+        hypotheses = []
+        for past in self._pasts:
+            own = past.setting
+            if own.is_late and own.carried is None and own.origin_sd:
+                past.setting = own = replace(own, touch_speed=_touch_speed(way))
+            setting = replace(
+                own,
+                zero_sd=bias_sd or _UNKNOWN_ZERO * own.geometry.stress_per_force,
+                drift_sd=drift_sd,
+            )
+            if setting.carried is not None:
+                frozen = copy.deepcopy(past.memory)
+                setting = replace(setting, free=FreeSurface(frozen, self._time))
+            hypotheses.append(Hypothesis(past, setting))
+        self.press = PressPosterior(hypotheses, self._time, self._compression_sd, way)
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.
@@ -204,7 +273,6 @@ class PosteriorEstimator(Estimator):
         assert self.press is not None
         self._time += step
         sd = math.sqrt(self._path_variance / step) if step > 0.0 else 0.0
-        self.press.work_share = self.work_share
         self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
 
     def rest(self, duration: float) -> None:
@@ -221,14 +289,18 @@ class PosteriorEstimator(Estimator):
         """Take one block; return how it compared with the prediction."""
         assert self.press is not None
         self._remember(block.stress)
-        self._sample_count += block.size
+        for past in self._pasts:
+            past.sample_count += block.size
         innovation = self.press.update(block.stress, block.compression, is_past=block.is_past)
         self._see_mismatch()
         return innovation
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate of the newest press uncertain; None: not known."""
-        return budget_of(self.press) if self.press is not None else None
+        press = self.press
+        if press is None or press.solved is None or press.best.misses:
+            return None
+        return budget_of(press.setting, press.solved, press.compression_sd)
 
     def begin_finish(self) -> None:
         """Begin to solve anew at the end of a contact, from all starts."""
@@ -252,28 +324,32 @@ class PosteriorEstimator(Estimator):
             self._see_mismatch()
 
     def _see_mismatch(self) -> None:
-        if self._solved is not None and self._solved.mismatch_probability is not None:
-            self._mismatch_probability = self._solved.mismatch_probability
+        for one in self.press.hypotheses if self.press is not None else ():
+            if one.solved is not None and one.solved.mismatch_probability is not None:
+                one.past.mismatch_probability = one.solved.mismatch_probability
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""
         step = self._time - self._moments_at
         if step > 0.0:
-            self._moments.add(step, self._stress_before, stress)
+            for past in self._pasts:
+                past.memory.add(step, self._stress_before, stress)
             self._moments_at, self._stress_before = self._time, stress
 
+    def _wait(self) -> None:
+        """Let the tissue's memory fade until now."""
+        for past in self._pasts:
+            past.memory.wait(self._time - self._moments_at)
+        self._moments_at = self._time
+
     def _carry(self) -> None:
-        """Make the posterior of the press the prior of the next."""
+        """Make the posterior of the press the prior of the next, for each past that it leaves."""
         press, self.press = self.press, None
         if press is None:
             return
-        self._earlier_changes += press.change_count
-        self._deepest, self._compression_sd = press.deepest, press.compression_sd
-        if press.solved is not None:
-            best = press.solved.best
-            mean, covariance = press.solved.modes.mixed(best.mean, best.covariance)
-            carried = Carried(press.solved.model, mean, covariance)
-            self._setting = replace(self._setting, carried=carried)
+        self._compression_sd = press.compression_sd
+        weighed = press.weighed or [(1.0, one) for one in press.hypotheses]
+        self._pasts = [_carried(past, press, weighed) for past in _different(weighed)]
 
     # Result
 
@@ -283,8 +359,34 @@ class PosteriorEstimator(Estimator):
         if self.press is not None:
             estimate = estimate_of(self.press, self._mismatch_probability)
         if estimate is None:
-            estimate = prior_estimate(self._setting)
-        return estimate._replace(sample_count=self._sample_count)
+            estimate = prior_estimate(self._best.setting, self._best.shift)
+        return estimate._replace(sample_count=self._best.sample_count)
+
+
+def _different(weighed: Sequence[tuple[float, Hypothesis]]) -> list[Past]:
+    """Return the pasts of hypotheses, the likeliest first."""
+    found: list[Past] = []
+    for _, one in sorted(weighed, key=lambda pair: -pair[0]):
+        if all(one.past is not past for past in found):
+            found.append(one.past)
+    return found
+
+
+def _carried(
+    past: Past, press: PressPosterior, weighed: Sequence[tuple[float, Hypothesis]]
+) -> Past:
+    """Return a past after a press: all of its hypotheses in one Gaussian."""
+    own = [(weight, one) for weight, one in weighed if one.past is past]
+    _, likeliest = max(own, key=lambda pair: pair[0])
+    past.log_odds = math.log(sum(weight for weight, _ in own))
+    past.deepest = likeliest.deepest(press.deepest)
+    past.changes += likeliest.change_count
+    past.other = None
+    if likeliest.solved is not None:
+        mean, covariance = moments(likeliest.tissue_now)
+        carried = Carried(likeliest.solved.model, mean, covariance)
+        past.setting = replace(past.setting, carried=carried)
+    return past
 
 
 def _touch_speed(way: Array | None) -> float:

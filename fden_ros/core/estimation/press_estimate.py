@@ -9,26 +9,26 @@ import math
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.claims import Evidence, claims_of, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate, LawError, Member, mixture, positive
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.press_posterior import PressPosterior
+from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
+from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
+from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
+from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.mixture import Component, moments, positive
+from fden_ros.core.estimation.press_posterior import LEAST_WEIGHT, PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.small_motion import SmallMotion
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
+#: Place of the strain origin behind the law's parameters.
+_ORIGIN = len(LAW)
 #: The relaxation contradicts a stated alpha beyond this many standard deviations of both [1]; that
 #: of the relaxation's order counts as this at least [1].
 _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
-#: Least factor by which the stiffness changes [1].
-_LEAST_FACTOR = 0.05
 
 
 def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
-    """Return the estimate of a press; None: it has told nothing yet.
+    """Return the estimate of a press: the moments of its mixture; None: it has told nothing yet.
 
     Parameters
     ----------
@@ -36,73 +36,126 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     mismatch_probability : float
         Of a relaxation that ends [1]; NaN: not known.
     """
-    if press.solved is None or press.filter is None:
+    weighed = press.weighed
+    if not weighed:
         return None
-    solved, setting = press.solved, press.setting
-    config = setting.config
-    modes = _after_changes(
-        solved.model, solved.modes.members(press.filter.mean, press.filter.covariance)
-    )
-    mean, full = mixture(modes)
+    tissues = [one.tissue_now for _, one in weighed]
+    parts = [
+        (weight, one, [_of_law(component, one) for component in tissue])
+        for (weight, one), tissue in zip(weighed, tissues, strict=True)
+    ]
+    whole = [c._replace(weight=weight * c.weight) for weight, _, own in parts for c in own]
+    mean, covariance = moments(whole)
     if not np.all(np.abs(mean) < MAX_EXPONENT):
         # The filter is where no number is; the next solution is due.
         return None
-    covariance = _published(setting, full)
-    if solved.is_contradicted and not setting.is_bent:
+    best, config = press.best, press.setting.config
+    solved, likeliest = best.solved, best.filter
+    assert solved is not None and likeliest is not None
+    # The filter may have been far from where it is linear.
+    covariance = positive(covariance)
+    is_contradicted = solved.is_contradicted and not press.setting.is_bent
+    if is_contradicted:
         # Parameters of a law that the data contradict are known no better than before.
         widest = config.prior.deviations**2
-        covariance = np.diag(np.maximum(covariance.diagonal(), widest))
+        least = np.maximum(covariance.diagonal()[:_ORIGIN], widest)
+        covariance[:_ORIGIN] = covariance[:, :_ORIGIN] = 0.0
+        covariance[:_ORIGIN, :_ORIGIN] = np.diag(least)
+    beyond = sum(c.weight * _beyond(press, one, c) for _, one, own in parts for c in own)
+    likely = [(one, own) for weight, one, own in parts if weight >= LEAST_WEIGHT]
+    claims = [_claims(press, one, own) for one, own in likely]
+    valid, known, at_edge = (_common(part) for part in zip(*claims, strict=True))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-    origin_sd = setting.origin_deviation(full)
-    beyond = _probability_beyond(press, mean, origin_sd, float(deviations[LOG_GN]))
-    is_contradicted = _is_order_contradicted(config, solved.law_error)
-    evidence = Evidence(
-        mean[:3],
-        deviations,
-        beyond,
-        solved.best.is_solved and not press.is_lost,
-        is_contradicted,
-        solved.best.beyond_bound,
+    motions = tuple(
+        SmallMotion(
+            one.solved.model,
+            tissue,
+            one.setting.by_origin(one.solved.model.size),
+            weight,
+            one.past.shift,
+        )
+        for (weight, one), tissue in zip(weighed, tissues, strict=True)
+        if one.solved is not None
     )
-    claims = claims_of(config, evidence)
+    whole_state = moments(best.components)
     return Estimate(
         log_linear_stiffness=float(mean[LOG_G]),
         log_nonlinear_stiffness=float(mean[LOG_GN]),
         # The filter knows no bound.
         fractional_order=max(float(mean[ORDER]), 0.0),
-        covariance=covariance,
-        strain_origin=setting.origin(mean),
-        strain_origin_sd=origin_sd,
+        covariance=covariance[:_ORIGIN, :_ORIGIN],
+        strain_origin=float(mean[_ORIGIN]),
+        strain_origin_sd=float(deviations[_ORIGIN]),
         probability_beyond_boundary=beyond,
-        valid=claims.valid,
-        known=claims.known,
+        valid=valid,
+        known=known & converged(config, deviations[:_ORIGIN], valid),
         model_error=sum(s.characteristic * p for s, p in solved.best.scales.items()),
-        loading_age=press.filter.loading_age,
+        loading_age=likeliest.loading_age,
         law_error=solved.law_error,
         mismatch_probability=mismatch_probability,
-        at_edge=claims.at_edge,
-        is_order_contradicted=is_contradicted,
-        with_origin=tuple(setting.origin_covariance(full)[:3].tolist()),
-        # Copies: a view would keep the whole matrix with every state that is kept.
+        at_edge=at_edge,
+        is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
+        with_origin=tuple(covariance[_ORIGIN, :_ORIGIN].tolist()),
         modes=tuple(
-            Member(m.weight, m.mean[:3].copy(), m.covariance[:3, :3].copy()) for m in modes
+            # Copies: a view would keep the whole matrix with every state that is kept.
+            Component(c.weight, c.mean[:_ORIGIN].copy(), c.covariance[:_ORIGIN, :_ORIGIN].copy())
+            for c in (whole if not is_contradicted else ())
         ),
-        small_motions=(SmallMotion(solved.model, tuple(modes), setting.by_origin(mean.size)),),
-        delay=setting.delay(mean, full) if setting.is_late else None,
+        small_motions=motions,
+        delay=press.setting.delay(*whole_state) if press.setting.is_late else None,
     )
 
 
-def prior_estimate(setting: PressSetting) -> Estimate:
-    """Return what is known before a press."""
+def _of_law(component: Component, one: Hypothesis) -> Component:
+    """Return a component of (ln G, ln Gn, alpha, origin), with what the thickness adds.
+
+    The origin is in the compressions that are given [1].
+    """
+    setting = one.setting
+    rows = np.zeros((_ORIGIN + 1, component.mean.size))
+    rows[:_ORIGIN, :_ORIGIN] = np.eye(_ORIGIN)
+    rows[_ORIGIN] = setting.by_origin(component.mean.size)
+    mean, covariance = rows @ component.mean, rows @ component.covariance @ rows.T
+    mean[_ORIGIN] -= one.past.shift
+    covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
+    return Component(component.weight, mean, covariance)
+
+
+def _claims(press: PressPosterior, one: Hypothesis, own: list[Component]) -> Claims:
+    """Return what may be said by one hypothesis alone."""
+    assert one.solved is not None
+    mean, covariance = moments(own)
+    evidence = Evidence(
+        mean[:_ORIGIN],
+        np.sqrt(np.maximum(covariance.diagonal()[:_ORIGIN], 0.0)),
+        sum(c.weight * _beyond(press, one, c) for c in own),
+        one.solved.best.is_solved and not one.misses,
+        _contradicts_order(one),
+        one.solved.best.beyond_bound,
+    )
+    return claims_of(one.setting.config, evidence)
+
+
+def _common(sets: tuple[ParameterSet, ...]) -> ParameterSet:
+    found = ParameterSet.ALL
+    for one in sets:
+        found &= one
+    return found
+
+
+def prior_estimate(setting: PressSetting, shift: float = 0.0) -> Estimate:
+    """Return what is known before a press; `shift`: of its compressions, from those given [1]."""
     config, carried = setting.config, setting.carried
-    mean, full, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
+    mean, covariance, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
     motions: tuple[SmallMotion, ...] = ()
     if carried is not None and carried.is_sound:
-        mean, full = carried.mean[:3], carried.covariance
-        whole = Member(1.0, carried.mean, carried.covariance)
-        motions = (SmallMotion(carried.model, (whole,), setting.by_origin(whole.mean.size)),)
-        origin = setting.origin(carried.mean)
-    covariance = _published(setting, full)
+        mean, covariance = carried.mean[:_ORIGIN], carried.covariance[:_ORIGIN, :_ORIGIN].copy()
+        whole = Component(1.0, carried.mean, carried.covariance)
+        by_origin = setting.by_origin(whole.mean.size)
+        motions = (SmallMotion(carried.model, (whole,), by_origin, shift=shift),)
+        origin = setting.origin(carried.mean) - shift
+    covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
+    covariance = positive(covariance)
     deviations = np.sqrt(covariance.diagonal())
     claims = claims_of(config, Evidence(mean, deviations, 0.0, False))
     return Estimate(
@@ -118,45 +171,22 @@ def prior_estimate(setting: PressSetting) -> Estimate:
     )
 
 
-def _published(setting: PressSetting, full: Array) -> Array:
-    """Return the covariance of (ln G, ln Gn, alpha), with that of the thickness."""
-    covariance = full[:3, :3].copy()
-    covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
-    # The filter may have been far from where it is linear.
-    return positive(covariance)
-
-
-def _probability_beyond(
-    press: PressPosterior, mean: Array, origin_sd: float, log_gn_sd: float
-) -> float:
-    """Return P(largest strain > 1/Gn) [1]."""
-    geometry = press.setting.geometry
-    compression = max(press.deepest - press.setting.origin(mean), 0.0)
-    strain_sd = geometry.strain_slope(compression) * origin_sd
+def _beyond(press: PressPosterior, one: Hypothesis, component: Component) -> float:
+    """Return P(largest strain > 1/Gn) of a component of (ln G, ln Gn, alpha, origin) [1]."""
+    geometry = one.setting.geometry
+    mean, deviations = component.mean, np.sqrt(np.maximum(component.covariance.diagonal(), 0.0))
+    deepest = one.deepest(press.deepest) - one.past.shift
+    compression = max(deepest - float(mean[_ORIGIN]), 0.0)
     strain = geometry.strain(compression)
-    return probability_beyond(strain, strain_sd, float(mean[LOG_GN]), log_gn_sd)
+    strain_sd = geometry.strain_slope(compression) * float(deviations[_ORIGIN])
+    return beyond_boundary(strain, strain_sd, float(mean[LOG_GN]), float(deviations[LOG_GN]))
 
 
-def _is_order_contradicted(config: EstimatorConfig, error: LawError | None) -> bool:
+def _contradicts_order(one: Hypothesis) -> bool:
     """Whether the relaxation is that of another alpha than is stated."""
+    error: LawError | None = one.solved.law_error if one.solved is not None else None
     if error is None:
         return False
-    prior = config.prior
+    prior = one.setting.config.prior
     both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
     return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
-
-
-def _after_changes(model: PressModel, modes: list[Member]) -> list[Member]:
-    """Return the modes with ln G of the tissue that is under the probe now."""
-    places = [k for k, unknown in enumerate(model.unknowns) if unknown.since is not None]
-    if not places:
-        return modes
-    found = []
-    for mode in modes:
-        factor = max(1.0 + float(mode.mean[places].sum()), _LEAST_FACTOR)
-        jacobian = np.eye(mode.mean.size)
-        jacobian[LOG_G, places] = 1.0 / factor
-        after = mode.mean.copy()
-        after[LOG_G] += math.log(factor)
-        found.append(Member(mode.weight, after, jacobian @ mode.covariance @ jacobian.T))
-    return found

@@ -1,53 +1,49 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The posterior of one press as it grows: record, solutions, and the filter between them.
+"""The posterior of one press as it grows: one record, and the hypotheses that explain it.
 
-The order of events, for each block: the filter takes it; the look for a change or the solution
-that is under way goes on by the work of a block, and where a solution has ended the filter goes on
-from there, by the blocks since. Where the record has grown enough a solution begins; where a block
-is not explained, a look for a change.
+The order of events, for each block: the filters of all hypotheses take it; the look for a change
+or the solutions that are under way go on by the work of a block, and where these have ended the
+filters go on from there, by the blocks since. Where the record has grown enough all hypotheses are
+solved anew, of the same record, and weighed under the same errors; where a block is not explained,
+a change is looked for.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change import (
+from fden_ros.core.estimation.estimator import Innovation
+from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.maxima import Solutions
+from fden_ros.core.estimation.mixture import NEGLIGIBLE, moments, weights_of
+from fden_ros.core.estimation.parts import Advanced, Parts
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
+from fden_ros.core.estimation.proposals.change import (
     LOOK_PERIOD,
     PROMISING,
     SUSPECTED,
     SUSPICIOUS,
-    THRESHOLD,
     ChangeLook,
     Look,
     Placing,
 )
-from fden_ros.core.estimation.estimator import Innovation
-from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.modes import Modes
-from fden_ros.core.estimation.parts import Advanced
-from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
-from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
-from fden_ros.core.estimation.record import Block, Record, Sample
+from fden_ros.core.estimation.record import Block, Points, Record, Sample
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import (
-    LAW,
-    LINEAR_DELAY,
-    LOG_G,
-    LOG_GN,
-    ORDER,
-    Unknown,
-)
+from fden_ros.core.estimation.solution import cost_of, evidence_under
+from fden_ros.core.estimation.unknowns import LAW, LINEAR_DELAY, LOG_G, LOG_GN, ORDER, Unknown
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.characteristic import elastic_response
 
@@ -74,21 +70,85 @@ _REACH = 6.0
 _PLACED_AFTER = 0.1
 
 
-class _Begun(NamedTuple):
-    """A solution that has been begun."""
+#: Hypotheses of one press [1], so that a solution of all has a longest time.
+_MOST_HYPOTHESES = 6
+#: Solutions in a row that are not found before a hypothesis is dropped [1].
+_MOST_MISSES = 2
+#: A hypothesis that is less likely than this does not decide what is claimed [1].
+LEAST_WEIGHT = 0.01
 
-    search: Search
-    compression: float  #: largest of its record [1]
-    found: Advanced[Solved]
-    since: list[Block]  #: the blocks after its record
+
+@dataclass(frozen=True)
+class Epoch:
+    """Solutions of all hypotheses, of one record."""
+
+    searches: tuple[Search, ...]
+
+    def in_parts(self) -> Parts[list[tuple[Solved, float] | None]]:
+        """Return each solution with its log evidence, under the same errors; None: there is none.
+
+        Raises
+        ------
+        FloatingPointError
+            If there is none of any.
+        """
+        found: list[Solved | None] = []
+        for search in self.searches:
+            try:
+                found.append((yield from search.in_parts()))
+            except UNSOLVABLE:
+                found.append(None)
+        solved = [one for one in found if one is not None]
+        if not solved:
+            raise FloatingPointError("no hypothesis has a solution")
+        best = max(solved, key=lambda one: one.log_evidence)
+        result: list[tuple[Solved, float] | None] = []
+        for search, one in zip(self.searches, found, strict=True):
+            if one is None:
+                result.append(None)
+                continue
+            evidence = one.log_evidence
+            if one is not best:
+                yield cost_of(search.points, one.posterior.grid)
+                evidence += _under(search.points, one, best) - one.best.log_evidence
+            result.append((one, evidence))
+        return result
+
+
+def _under(points: Points, one: Solved, best: Solved) -> float:
+    """Return the log evidence of the best maximum under the errors of another solution."""
+    try:
+        grid = one.posterior.grid
+        return evidence_under(one.posterior, points, one.best, best.best.maximum.errors, grid)
+    except UNSOLVABLE:
+        return -math.inf
+
+
+class _Begun(NamedTuple):
+    """Solutions that have been begun."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    end: float  #: of their record [s]
+    elapsed: float  #: from the touch to there [s]
+    compression: float  #: largest of it [1]
+    found: Advanced[list[tuple[Solved, float] | None]]
+    since: list[Block]  #: the blocks after their record
 
 
 class _Looking(NamedTuple):
     """A look for a change that has been begun."""
 
+    hypothesis: Hypothesis
     found: Advanced[Look]
     end: float  #: of its record [s]
     since: list[Block]  #: the blocks after its record
+
+
+class _Placing(NamedTuple):
+    """A change that is being placed."""
+
+    change: Unknown
+    found: Advanced[Unknown]
 
 
 class PressPosterior:
@@ -96,11 +156,9 @@ class PressPosterior:
 
     Parameters
     ----------
-    setting : PressSetting
+    hypotheses : sequence of Hypothesis
     start : float
         Time of the touch [s].
-    deepest : float
-        Largest compression of the site so far [1].
     compression_sd : float
         Standard deviation of a sample's compression [1]; 0: not known yet.
     way : ndarray, shape (3, n), optional
@@ -108,66 +166,84 @@ class PressPosterior:
 
     Attributes
     ----------
-    solved : Solved or None
-        The newest solution; None: there is none yet.
-    filter : PressFilter or None
-        Has gone on from it.
-    events : tuple of Unknown
-        Changes of the tissue under the probe, and jerks.
-    is_lost : bool
-        The newest solution was not found.
+    hypotheses : list of Hypothesis
+        Those that are not ruled out.
+    deepest : float
+        Largest compression of the press [1].
     begun_at, solved_at : int
-        Blocks in the records of the newest solution that was begun, and of the newest that has
+        Blocks in the records of the newest solutions that were begun, and of the newest that have
         ended.
-    work_share : float
-        Part of the work of a block that is its own [1].
     """
 
     def __init__(
         self,
-        setting: PressSetting,
+        hypotheses: Sequence[Hypothesis],
         start: float,
-        deepest: float = 0.0,
         compression_sd: float = 0.0,
         way: Array | None = None,
     ) -> None:
-        self.setting, self._start = setting, start
-        is_one_sided = setting.geometry.is_one_sided
-        reach = _REACH * setting.origin_sd if is_one_sided else 0.0
-        is_at_rest = is_one_sided and setting.carried is None
-        late = setting.delay_reach
+        self.hypotheses, self._start = list(hypotheses), start
+        settings = [one.setting for one in hypotheses]
+        is_one_sided = settings[0].geometry.is_one_sided
+        reach = _REACH * max(one.origin_sd for one in settings) if is_one_sided else 0.0
+        is_at_rest = is_one_sided and any(one.carried is None for one in settings)
+        late = settings[0].delay_reach
         self.record = Record(compression_sd, reach, is_at_rest=is_at_rest, delay=late)
         # Samples whose motion may not have come yet.
         self._held: deque[tuple[Sample, bool]] = deque()
         if way is not None and (reach or is_at_rest):
             self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
-        self.deepest, self.compression_sd = deepest, compression_sd
-        self.solved: Solved | None = None
-        self.filter: PressFilter | None = None
-        self.events: tuple[Unknown, ...] = ()
-        self.is_lost = self._is_surprised = False
+        self.deepest, self.compression_sd = -math.inf, compression_sd
+        self._is_surprised = False
         self.begun_at = self.solved_at = 0
         self._samples: list[Sample] = []
         self._now = self._last = self._worked_at = start
-        self.work_share = 1.0
         self._is_pressed = False
         self._blocks = self._blocks_at_starts = 0
         self._solved_at = (0.0, 0.0)
         self._begun: _Begun | None = None
         self._look: _Looking | None = None
-        self._placing: Advanced[Unknown] | None = None
-        self._is_placed = True
+        self._placing: _Placing | None = None
+        self._to_place: Unknown | None = None  # a change
         self._looked_at, self._asked_at = -math.inf, 0.0
-        self._size_at_look = 0
         self._suspected_at: float | None = None
         self._is_over = False
         # Whether the records of the solution under way, and of the newest, show a long delay.
         self._begins_with_delay = self._shows_delay = False
 
     @property
+    def best(self) -> Hypothesis:
+        """The likeliest hypothesis."""
+        return max(self.hypotheses, key=lambda one: one.log_weight)
+
+    @property
+    def setting(self) -> PressSetting:
+        """What the likeliest hypothesis knew before the first sample."""
+        return self.best.setting
+
+    @property
+    def solved(self) -> Solved | None:
+        """The newest solution of the likeliest hypothesis; None: there is none yet."""
+        return self.best.solved
+
+    @property
+    def weighed(self) -> list[tuple[float, Hypothesis]]:
+        """The hypotheses that have a solution, with weights that add up to 1."""
+        solved = [one for one in self.hypotheses if one.solved is not None]
+        if not solved:
+            return []
+        weights = weights_of([one.log_weight for one in solved]).tolist()
+        return [(w, one) for w, one in zip(weights, solved, strict=True) if w]
+
+    @property
+    def likely(self) -> list[Hypothesis]:
+        """Those that decide what is claimed."""
+        return [one for weight, one in self.weighed if weight >= LEAST_WEIGHT]
+
+    @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
-        return sum(event.since is not None for event in self.events)
+        return self.best.change_count
 
     @property
     def is_working(self) -> bool:
@@ -180,40 +256,37 @@ class PressPosterior:
         return self._begun is not None
 
     @property
-    def log_evidence(self) -> float:
-        """Log evidence of the record for what was known before it, at the newest solution.
-
-        A change counts as what makes one in a thousand contacts.
-        """
-        if self.solved is None or self.is_lost:
-            return -math.inf
-        modes = self.solved.modes
-        found = modes.best.log_evidence + modes.log_gain
-        return found + self.solved.posterior.log_prior_density - THRESHOLD * self.change_count
+    def is_solved(self) -> bool:
+        """Whether the newest solution of each likely hypothesis was found."""
+        likely = self.likely
+        return bool(likely) and all(
+            one.solved is not None and one.solved.best.is_solved and not one.misses
+            for one in likely
+        )
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the newest solution was not found, or the newest block is not explained."""
+        """Whether a newest solution was not found, or the newest block is not explained."""
         if self.solved is None:
             return False
-        return (
-            self._is_surprised
-            or self.is_lost
-            or not self.solved.best.is_solved
-            or self._is_delay_open
-        )
+        return self._is_surprised or not self.is_solved or self._is_delay_open
 
     @property
     def _is_delay_open(self) -> bool:
         """Whether a long delay is not known so well that the model is linear in it."""
-        if self.solved is None or self.filter is None or not self.setting.is_late:
+        if self.solved is None or self._filter is None or not self.setting.is_late:
             return False
         if not self._shows_delay:
             return True
         best = self.solved.best
         delay, sd = self.setting.delay(best.mean, best.covariance)
-        now, _ = self.setting.delay(self.filter.mean, self.filter.covariance)
+        now, _ = self.setting.delay(self._filter.mean, self._filter.covariance)
         return max(sd, abs(now - delay)) > LINEAR_DELAY
+
+    @property
+    def _filter(self) -> PressFilter | None:
+        """The likeliest filter; None: there is no solution yet."""
+        return self.best.filter
 
     # Samples
 
@@ -267,8 +340,8 @@ class PressPosterior:
         if self._held:
             self.record.see_ahead([sample for sample, _ in self._held])
         blocks = self.record.blocks(self._samples) if self._samples else []
-        if self.filter is not None and blocks:
-            innovation = self._filtered(self.filter, blocks, compression)
+        if self._filter is not None and blocks:
+            innovation = self._filtered(blocks, compression)
         for under_way in (self._begun, self._look):
             if under_way is not None:
                 under_way.since.extend(blocks)
@@ -290,12 +363,12 @@ class PressPosterior:
 
     def work(self, seconds: float) -> None:
         """Go on with what is under way, by the work of a time [s]."""
-        work = self.work_share * min(_WORK_RATE * seconds, _MOST_WORK)
+        work = min(_WORK_RATE * seconds, _MOST_WORK)
         if self._look is not None:
             if self._look.found.advance(_LOOK_HASTE * work):
                 self._end_look()
         elif self._placing is not None:
-            if self._placing.advance(work):
+            if self._placing.found.advance(work):
                 self._end_placing()
         elif self._begun is not None and self._begun.found.advance(work):
             self.go_on()
@@ -306,7 +379,7 @@ class PressPosterior:
             return
         if self._now - since < SUSPECTED and self._now - self._looked_at < LOOK_PERIOD:
             return
-        if self.solved is not None and self._is_placed:
+        if self.solved is not None and self._to_place is None:
             self._begin_look()
             return
         self._suspected_at = None
@@ -316,16 +389,20 @@ class PressPosterior:
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, self.setting.stress_sd**2)
 
-    def _filtered(
-        self, own_filter: PressFilter, blocks: list[Block], compression: float
-    ) -> Innovation:
-        """Let the filter take the newest blocks."""
+    def _filtered(self, blocks: list[Block], compression: float) -> Innovation:
+        """Let the filters take the newest blocks; return how the likeliest predicted them."""
+        best = self.best
         points = self.record.points_after(blocks, self._last)
         self._last = float(points.times[-1])
+        found = {id(one): one.step(points) for one in self.hypotheses}[id(best)]
+        own_filter = best.filter
+        assert own_filter is not None
         try:
-            found = own_filter.step(points)
+            if found is None:
+                raise FloatingPointError("the likeliest filter predicts nothing")
             mean = own_filter.mean
-            strain = self.setting.geometry.strain(compression - self.setting.origin(mean))
+            own = compression + best.past.shift - best.setting.origin(mean)
+            strain = best.setting.geometry.strain(own)
             elastic = elastic_response(strain, math.exp(mean[LOG_G]), math.exp(mean[LOG_GN]))
         except (FloatingPointError, OverflowError):
             self._ask_for_solution()
@@ -333,14 +410,6 @@ class PressPosterior:
         return Innovation(elastic.value, found.prediction, found.innovation, found.variance)
 
     # Solutions
-
-    def _made(self, events: tuple[Unknown, ...]) -> Callable[[type[PressModel]], Posterior]:
-        return partial(self.setting.posterior, events, self.compression_sd, self.deepest)
-
-    def _made_with(self, events: tuple[Unknown, ...]) -> Callable[..., Posterior]:
-        """Return what makes the posterior with more events."""
-        sizes = self.compression_sd, self.deepest
-        return partial(self.setting.posterior_with, events, *sizes)
 
     def _is_due(self) -> bool:
         is_begun = self._begun is not None
@@ -356,10 +425,10 @@ class PressPosterior:
 
     def _has_told_delay(self) -> bool:
         """Whether the delay has become known since a solution about which the filter is linear."""
-        if self.solved is None or self.filter is None or not self._is_delay_open:
+        if self.solved is None or self._filter is None or not self._is_delay_open:
             return False
         _, before = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
-        _, now = self.setting.delay(self.filter.mean, self.filter.covariance)
+        _, now = self.setting.delay(self._filter.mean, self._filter.covariance)
         return now < _TOLD * before
 
     def _has_moved(self) -> bool:
@@ -367,10 +436,10 @@ class PressPosterior:
 
         It went on by four of them in a hold of a minute.
         """
-        if self.solved is None or self.filter is None:
+        if self.solved is None or self._filter is None:
             return False
         law, best = slice(0, len(LAW)), self.solved.best
-        moved = np.square(self.filter.mean - best.mean)[law]
+        moved = np.square(self._filter.mean - best.mean)[law]
         return bool(np.any(moved > best.covariance.diagonal()[law]))
 
     def begin_last(self) -> None:
@@ -391,13 +460,14 @@ class PressPosterior:
     @property
     def _is_order_known(self) -> bool:
         """Whether alpha is as well known as one that has converged, so that it may be claimed."""
-        if self.solved is None or not self.setting.can_tell_mismatch:
+        best = self.best
+        if best.solved is None or not best.setting.can_tell_mismatch:
             return False
-        variance = float(self.solved.best.covariance[ORDER, ORDER])
-        return variance <= self.setting.config.converged_order_sd**2
+        variance = float(best.solved.best.covariance[ORDER, ORDER])
+        return variance <= best.setting.config.converged_order_sd**2
 
     def begin_solution(self, care: Care = Care.TRACKED) -> None:
-        """Begin to solve the posterior of the record so far."""
+        """Begin to solve the posterior of the record so far, for all hypotheses."""
         points = self.record.points()
         if points.stresses.size < _FIRST_SOLUTION or self._blocks < _FIRST_SOLUTION:
             return
@@ -409,10 +479,21 @@ class PressPosterior:
             care, self._asked_at = max(care, Care.ASKED), self._now - self._start
         if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self._blocks
-        made, elapsed = self._made(self.events), self._now - self._start
-        search = Search(self.setting, made, points, self.solved, elapsed, self.deepest, care)
-        found = Advanced(search.in_parts)
-        self._begun = _Begun(search, self.record.max_compression, found, [])
+        elapsed = self._now - self._start
+        epoch = Epoch(
+            tuple(
+                one.search(points, elapsed, self.deepest, self.compression_sd, care)
+                for one in self.hypotheses
+            )
+        )
+        self._begun = _Begun(
+            tuple(self.hypotheses),
+            float(points.times[-1]),
+            elapsed,
+            self.record.max_compression,
+            Advanced(epoch.in_parts),
+            [],
+        )
         self.begun_at = self._blocks
         if self.setting.is_late:
             # An earlier press of the site has shown it.
@@ -420,57 +501,78 @@ class PressPosterior:
             self._begins_with_delay = is_known or self.record.has_slowed
 
     def go_on(self) -> None:
-        """Go on from the solution that was begun, by the blocks since."""
+        """Go on from the solutions that were begun, by the blocks since."""
         begun, self._begun = self._begun, None
         if begun is None:
             return
-        search = begun.search
         self.solved_at = self.begun_at
         try:
-            solved = begun.found.result()
+            found = begun.found.result()
         except UNSOLVABLE:
-            self.is_lost = True
+            for one in self.hypotheses:
+                one.misses += 1
             return
-        self._solved_at = search.elapsed, begun.compression
+        self._solved_at = begun.elapsed, begun.compression
         self._shows_delay = self._begins_with_delay
-        self._take_over(solved, float(search.points.times[-1]), begun.since)
+        pairs = list(zip(begun.hypotheses, found, strict=True))
+        missed = [(weight, one) for weight, one in self.weighed if (one, None) in pairs]
+        solved = []
+        for one, result in pairs:
+            if result is None:
+                one.misses += 1
+                continue
+            own, evidence = result
+            one.take_over(own, evidence + self._log_prior(one, own))
+            solved.append(one)
+        _keep_shares(missed, solved)
+        self.hypotheses = _kept(self.hypotheses)
+        self._catch_up(solved, begun.end, begun.since)
 
-    def _take_over(self, solved: Solved, end: float, since: list[Block]) -> None:
-        """Go on from a solution whose record ends at a time [s], by the blocks since."""
-        self.is_lost, self.solved, self._last = False, solved, end
-        self.filter = PressFilter(solved.best, solved.model, solved.posterior.error_model)
+    def _log_prior(self, one: Hypothesis, solved: Solved) -> float:
+        """Return the logarithm of what a hypothesis is before the record [1]."""
+        if one.past.other is None:
+            return one.log_prior
+        mean, covariance = moments(solved.solutions.components)
+        return one.log_prior + one.past.other(mean[: len(LAW)], covariance[: len(LAW), : len(LAW)])
+
+    def _catch_up(self, solved: Sequence[Hypothesis], end: float, since: list[Block]) -> None:
+        """Go on from solutions whose record ends at a time [s], by the blocks since."""
         if not since:
+            self._last = end
             return
-        points = self.record.points_after(since, self._last)
+        points = self.record.points_after(since, end)
         self._last = float(points.times[-1])
-        try:
-            self.filter.step(points)
-        except (FloatingPointError, OverflowError):
-            self._ask_for_solution()
+        for one in solved:
+            if one in self.hypotheses and one.step(points) is None:
+                self._ask_for_solution()
 
     def _ask_for_solution(self) -> None:
         """Be due for a solution: the filter is too far from the last one."""
         self._solved_at = 0.0, 1e-9
 
-    # Changes of the tissue, and another law
+    # Changes of the tissue
+
+    def _posterior_with(
+        self, one: Hypothesis, events: tuple[Unknown, ...]
+    ) -> Callable[..., Posterior]:
+        """Return what makes the posterior of a hypothesis with these events and more."""
+        sizes = self.compression_sd, one.deepest(self.deepest)
+        return partial(one.setting.posterior_with, events, *sizes)
 
     def _begin_look(self) -> None:
         """Begin to look whether the tissue has changed under the probe."""
-        assert self.solved is not None
+        best = self.best
+        assert best.solved is not None
         self._looked_at = self._now
-        origin = self.setting.origin(self.solved.best.mean)
-        points = self.record.points()
-        look = ChangeLook(
-            points,
-            self.solved.modes.solutions,
-            self._made(self.events)(PressModel),
-            self._made_with(self.events),
-            self.setting.largest_strain(self.deepest, origin),
-        )
-        self._look = _Looking(Advanced(look.in_parts), float(points.times[-1]), [])
+        origin = best.setting.origin(best.solved.best.mean)
+        points = best.points(self.record.points())
+        made = self._posterior_with(best, best.events)
+        strain = best.setting.largest_strain(best.deepest(self.deepest), origin)
+        look = ChangeLook(points, best.solved.solutions.maxima, made(), made, strain)
+        self._look = _Looking(best, Advanced(look.in_parts), float(points.times[-1]), [])
 
     def _end_look(self) -> None:
-        """Take what a look has found: a change is an unknown more."""
+        """Take what a look has found: hypotheses with a change, or a jerk."""
         assert self._look is not None and self._suspected_at is not None
         looking, self._look = self._look, None
         try:
@@ -483,41 +585,78 @@ class PressPosterior:
             return
         self._suspected_at = None
         if look.event is not None:
-            self.events = (*self.events, look.event)
-            self._is_placed = look.event.since is None
             self._begun = None  # of tissue without the event
-            if look.posterior is not None and look.solution is not None:
-                assert self.solved is not None
-                modes = Modes((look.solution,))
-                solved = replace(self.solved, posterior=look.posterior, modes=modes)
-                self._take_over(solved, looking.end, looking.since)
+            self._adopt(looking, look)
             self.begin_solution(Care.EXACT)
         elif self._begun is None:
             self.begin_solution()
 
+    def _adopt(self, looking: _Looking, look: Look) -> None:
+        """Put an event in place of its absence, where it was looked for; beside it elsewhere."""
+        event, without = look.event, looking.hypothesis
+        assert event is not None and without.solved is not None
+        self._to_place = event if event.since is not None else None
+        others = [one for one in self.hypotheses if one is not without]
+        changed = without.with_event(event)
+        # What one explains by a change another may explain without it.
+        beside = [one.with_event(event) for one in others]
+        self.hypotheses = ([changed, *others, *beside])[:_MOST_HYPOTHESES]
+        if look.posterior is not None and look.solution is not None:
+            solution = look.solution
+            found = Solutions((solution,), (solution.log_evidence,))
+            solved = replace(without.solved, posterior=look.posterior, solutions=found)
+            changed.take_over(solved, without.log_weight)
+            self._catch_up([changed], looking.end, looking.since)
+
     @property
     def _is_to_be_placed(self) -> bool:
         """Whether the newest change is to be placed anew: it has been seen for long enough."""
-        if self._is_placed or self.solved is None:
+        change = self._to_place
+        if change is None or self.solved is None:
             return False
-        since = self.events[-1].since
-        return since is not None and self._now - since >= _PLACED_AFTER
+        assert change.since is not None
+        return self._now - change.since >= _PLACED_AFTER
 
     def _begin_placing(self) -> None:
-        assert self.solved is not None
-        self._is_placed = True
+        change, self._to_place, best = self._to_place, None, self.best
+        if change is None or change not in best.events or best.solved is None:
+            return
+        rest = tuple(event for event in best.events if event is not change)
+        made = self._posterior_with(best, best.events)()
         placing = Placing(
-            self.record.points(),
-            self.solved.grown(self.solved.best, self._made(self.events)(PressModel)),
-            self.solved.best,
-            self._made_with(self.events[:-1]),
-            self.events[-1],
+            best.points(self.record.points()),
+            best.solved.grown(best.solved.best, made),
+            best.solved.best,
+            self._posterior_with(best, rest),
+            change,
         )
-        self._placing = Advanced(placing.in_parts)
+        self._placing = _Placing(change, Advanced(placing.in_parts))
 
     def _end_placing(self) -> None:
         """Take the newest change where it was placed."""
         assert self._placing is not None
         placing, self._placing = self._placing, None
-        self.events = (*self.events[:-1], placing.result())
+        placed = placing.found.result()
+        for one in self.hypotheses:
+            one.events = tuple(placed if e is placing.change else e for e in one.events)
         self.begin_solution()
+
+
+def _keep_shares(missed: Sequence[tuple[float, Hypothesis]], solved: Sequence[Hypothesis]) -> None:
+    """Let hypotheses whose solution was not found keep their weights beside those found."""
+    rest = 1.0 - sum(weight for weight, _ in missed)
+    total = float(logsumexp([one.log_weight for one in solved]))
+    for weight, one in missed:
+        one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
+
+
+def _kept(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the hypotheses that are not ruled out, one at least."""
+    best = max(hypotheses, key=lambda one: one.log_weight)
+    found = [
+        one
+        for one in hypotheses
+        if one is best
+        or (one.misses < _MOST_MISSES and one.log_weight > best.log_weight - NEGLIGIBLE)
+    ]
+    return found

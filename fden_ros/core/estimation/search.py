@@ -8,7 +8,6 @@ from __future__ import annotations
 import enum
 import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,16 +15,21 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
+from fden_ros.core.estimation.maxima import (
+    Solutions,
+    completed,
+    find_maxima,
+    follow_maxima,
+)
 from fden_ros.core.estimation.maximum import CONVERGED, EVALUATION_COST, NEARLY_FOUND
-from fden_ros.core.estimation.modes import Modes, find_modes, follow_modes
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.proposals.plateau import mismatch_log_odds
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.rival import mismatch_log_odds
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Starts of ln Gn, about the prior's mean in its standard deviations [1].
@@ -41,7 +45,7 @@ class Solved:
     """A posterior with its solution."""
 
     posterior: Posterior
-    modes: Modes
+    solutions: Solutions
     law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
     is_contradicted: bool  #: by its whitened residuals
     #: Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
@@ -53,9 +57,14 @@ class Solved:
         return self.posterior.model
 
     @property
+    def log_evidence(self) -> float:
+        """Log evidence of the record, for what was known before it."""
+        return self.solutions.total + self.posterior.log_prior_density
+
+    @property
     def best(self) -> Solution:
         """The solution about the best maximum."""
-        return self.modes.best
+        return self.solutions.best
 
     def grown(self, solution: Solution, posterior: Posterior) -> Array:
         """Return the state of a solution for a posterior that may have more unknowns."""
@@ -83,8 +92,8 @@ class Search:
     """What a solution is a function of."""
 
     setting: PressSetting
-    #: Returns the posterior with a model of some class.
-    made: Callable[[type[PressModel]], Posterior]
+    events: tuple[Unknown, ...]  #: changes of the tissue under the probe, and jerks
+    compression_sd: float  #: of a sample [1]
     points: Points  #: the record
     before: Solved | None  #: the solution of a shorter record
     elapsed: float  #: from the touch to the end of the record [s]
@@ -95,6 +104,10 @@ class Search:
     def posterior(self) -> Posterior:
         """The posterior, given the record."""
         return self.made(PressModel)
+
+    def made(self, kind: type[PressModel]) -> Posterior:
+        """Return the posterior with a model of some class."""
+        return self.setting.posterior(self.events, self.compression_sd, self.deepest, kind)
 
     def in_parts(self) -> Parts[Solved]:
         """Return the solution in parts; beyond a cost no maximum is sought on.
@@ -110,13 +123,14 @@ class Search:
         return (yield from self.posterior.limit.counted(self._solved()))
 
     def _solved(self) -> Parts[Solved]:
-        modes = yield from self._modes()
-        mismatch = yield from self._mismatch_probability(modes.best)
+        maxima, strain = yield from self._maxima()
+        found = yield from completed(self.posterior, self.points, maxima, strain)
+        mismatch = yield from self._mismatch_probability(found.best)
         return Solved(
             self.posterior,
-            modes,
-            self._law_error(modes.best),
-            contradicts(modes.best.residuals),
+            found,
+            self._law_error(found.best),
+            contradicts(found.best.residuals),
             mismatch,
         )
 
@@ -139,23 +153,26 @@ class Search:
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)
 
-    def _modes(self) -> Parts[Modes]:
+    def _maxima(self) -> Parts[tuple[Solutions, float]]:
+        """Return the maxima, and the largest strain of the record [1]."""
         posterior, points, before = self.posterior, self.points, self.before
         tracked: list[tuple[Array, Solution]] = []
         strain = self._strain(0.0)
         if before is not None:
             strain = self._strain(self.setting.origin(before.best.mean))
-            tracked = [(before.grown(s, posterior), s) for s in before.modes.solutions]
+            tracked = [(before.grown(s, posterior), s) for s in before.solutions.maxima]
         converged = CONVERGED if self.care >= Care.EXACT else NEARLY_FOUND
         if tracked and self.care < Care.FROM_STARTS:
             try:
-                return (yield from follow_modes(posterior, points, tracked, strain))
+                found = yield from follow_maxima(posterior, points, tracked, strain)
+                return found, strain
             except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         first, starts = posterior.moderate_scales, self._starts()
-        return (
-            yield from find_modes(posterior, points, starts, first, tracked, strain, converged)
+        found = yield from find_maxima(
+            posterior, points, starts, first, tracked, strain, converged
         )
+        return found, strain
 
     def _starts(self) -> list[Array]:
         posterior, points = self.posterior, self.points

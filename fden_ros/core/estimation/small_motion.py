@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Member
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.unknowns import (
     KERNEL_HATS,
@@ -57,7 +57,7 @@ class SmallMotion:
     Attributes
     ----------
     model : PressModel
-    modes : tuple of Member
+    modes : tuple of Component
         Of the whole state.
     by_origin : ndarray, shape (n,)
         By what a state makes the strain origin, as compression [1].
@@ -70,7 +70,7 @@ class SmallMotion:
     """
 
     model: PressModel
-    modes: tuple[Member, ...]
+    modes: tuple[Component, ...]
     by_origin: Array
     weight: float = 1.0
     shift: float = 0.0

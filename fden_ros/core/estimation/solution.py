@@ -25,12 +25,10 @@ from fden_ros.core.estimation.density import Density, Linear
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.loops import ResponseState, WalkState
 from fden_ros.core.estimation.maximum import EVALUATION_COST, Maximum
+from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 from fden_ros.core.estimation.unknowns import ORDER
-
-#: What is less likely than the best by this logarithm does not count [1]: one in ten thousand.
-NEGLIGIBLE = 9.0
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,8 @@ class Solution:
     considered: Array | None = None
     #: Standard deviations by which alpha wants beyond an end of what there is [1].
     beyond_bound: float = 0.0
+    #: Place of an unknown that is held; None: it is about a maximum.
+    held: int | None = None
 
     @property
     def is_solved(self) -> bool:
@@ -120,6 +120,7 @@ def averaged(
     found = _mixture(density, maximum, groups, best)
     if held is not None:
         found.covariance[held], found.covariance[:, held] = 0.0, 0.0
+        found = replace(found, held=held)
     return _from_bound(density, found, groups, held) if maximum.is_at_bound else found
 
 

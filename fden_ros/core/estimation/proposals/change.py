@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.maxima import follow_maxima
 from fden_ros.core.estimation.maximum import EVALUATION_COST
-from fden_ros.core.estimation.modes import follow_maxima
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.record import Points
@@ -230,10 +230,10 @@ class ChangeLook:
         most = _MOST_ALONE * (EVALUATION_COST + self.points.times.size)
         limit = self.without.limit = Limit(most)
         with contextlib.suppress(*UNSOLVABLE):
-            modes = yield from limit.counted(
+            found = yield from limit.counted(
                 follow_maxima(self.without, self.points, states, self.strain)
             )
-            return modes.best
+            return found.best
         return None
 
 

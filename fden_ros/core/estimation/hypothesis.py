@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A hypothesis about one press: what it assumes, its solutions, and their filters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.filter import PressFilter, Update
+from fden_ros.core.estimation.mixture import Component, MaybeZero, weights_of, with_held
+from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.proposals.change import THRESHOLD
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.search import Care, Search, Solved
+from fden_ros.core.estimation.unknowns import LOG_G, Unknown
+from fden_ros.core.law.relaxation import StressMoments
+
+#: Least factor by which the stiffness changes [1].
+_LEAST_FACTOR = 0.05
+
+
+@dataclass
+class Past:
+    """One past that the tissue under the probe may have had."""
+
+    setting: PressSetting  #: what is known before a press, without what is its own
+    shift: float = 0.0  #: by which its compressions are larger than those that are given [1]
+    log_odds: float = 0.0  #: logarithm of its probability before the present press [1]
+    deepest: float = 0.0  #: largest compression of earlier presses [1]
+    changes: int = 0  #: of the tissue, in earlier presses
+    sample_count: int = 0
+    mismatch_probability: float = math.nan  #: of a relaxation that ends; NaN: not known
+    memory: StressMoments = field(default_factory=StressMoments)
+    #: Logarithm of the odds that the tissue is another, by mean and covariance of what the press
+    #: tells of (ln G, ln Gn, alpha); None: it is the one that was touched before.
+    other: Callable[[Array, Array], float] | None = None
+
+
+class Hypothesis:
+    """One explanation of a press.
+
+    Parameters
+    ----------
+    past : Past
+    setting : PressSetting
+        What is known before the first sample.
+    events : tuple of Unknown
+        Changes of the tissue under the probe, and jerks.
+
+    Attributes
+    ----------
+    solved : Solved or None
+        The newest solution; None: there is none yet.
+    misses : int
+        Newest solutions that were not found.
+    """
+
+    def __init__(
+        self, past: Past, setting: PressSetting, events: tuple[Unknown, ...] = ()
+    ) -> None:
+        self.past, self.setting, self.events = past, setting, events
+        self.solved: Solved | None = None
+        self.misses = 0
+        self._filters: list[PressFilter] = []
+        #: Log evidence of each solution, with the likelihood of what came since.
+        self._logs: Array = np.empty(0)
+
+    @property
+    def change_count(self) -> int:
+        """Changes of the tissue under the probe."""
+        return sum(event.since is not None for event in self.events)
+
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of its probability before the press [1]."""
+        return self.past.log_odds - THRESHOLD * self.change_count
+
+    @property
+    def log_weight(self) -> float:
+        """Logarithm of its weight, beside those of the same epoch [1]."""
+        return float(logsumexp(self._logs)) if self._logs.size else -math.inf
+
+    def deepest(self, compression: float) -> float:
+        """Return the largest compression of the site, after one as it is given [1]."""
+        return max(self.past.deepest, compression + self.past.shift)
+
+    def points(self, points: Points) -> Points:
+        """Return a record in its own compressions."""
+        shift = self.past.shift
+        if not shift:
+            return points
+        moved = replace(points, compressions=points.compressions + shift)
+        if points.path is not None:
+            times, compressions, speeds = points.path
+            moved = replace(moved, path=(times, compressions + shift, speeds))
+        moved.__dict__["moments"] = points.moments  # by the times alone
+        return moved
+
+    def with_event(self, event: Unknown) -> Hypothesis:
+        """Return it with an event more."""
+        return Hypothesis(self.past, self.setting, (*self.events, event))
+
+    def search(
+        self,
+        points: Points,
+        elapsed: float,
+        compression: float,
+        compression_sd: float,
+        care: Care,
+    ) -> Search:
+        """Return the search for its solution, given a record as it is given."""
+        deepest = self.deepest(compression)
+        return Search(
+            self.setting,
+            self.events,
+            compression_sd,
+            self.points(points),
+            self.solved,
+            elapsed,
+            deepest,
+            care,
+        )
+
+    # Between two solutions
+
+    def take_over(self, solved: Solved, log_evidence: float) -> None:
+        """Go on from a solution; `log_evidence`: of all of it, with what was known before."""
+        self.solved, self.misses = solved, 0
+        found = solved.solutions
+        logs = np.array(found.log_evidence + found.held_log_evidence)
+        is_likely = weights_of(logs) > 0.0
+        model, errors = solved.model, solved.posterior.error_model
+        pairs = zip(found.all, is_likely.tolist(), strict=True)
+        self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
+        self._logs = logs[is_likely] + (log_evidence - found.total)
+
+    def shift_weight(self, logarithm: float) -> None:
+        """Multiply its weight."""
+        self._logs = self._logs + logarithm
+
+    def step(self, points: Points) -> Update | None:
+        """Let all filters take blocks; return how the likeliest predicted them; None: none can.
+
+        Each weight is multiplied by the likelihood.
+        """
+        if not self._filters:
+            return None
+        likeliest, found = int(np.argmax(self._logs)), None
+        own = self.points(points)
+        for k, one in enumerate(self._filters):
+            try:
+                update = one.step(own)
+            except (FloatingPointError, OverflowError):
+                self._logs[k] = -math.inf
+                continue
+            self._logs[k] += update.log_likelihood
+            if k == likeliest:
+                found = update
+        if not np.isfinite(self._logs).any():
+            self._logs[:] = 0.0
+        return found
+
+    @property
+    def filter(self) -> PressFilter | None:
+        """The likeliest filter; None: there is no solution yet."""
+        return self._filters[int(np.argmax(self._logs))] if self._filters else None
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """The Gaussians of its state by now, of weights that add up to 1."""
+        if self.solved is None:
+            return ()
+        considered = self.solved.best.considered
+        found = []
+        for weight, one in zip(
+            weights_of(self._logs.tolist()).tolist(), self._filters, strict=True
+        ):
+            if not weight:
+                continue
+            covariance = one.covariance if considered is None else one.covariance + considered
+            found.append(Component(weight, one.mean, covariance))
+        return self._with_maybe_zero(found)
+
+    def _with_maybe_zero(self, components: Sequence[Component]) -> tuple[Component, ...]:
+        """Return components, each where unknowns that may be 0 are, and where they are not."""
+        assert self.solved is not None
+        found = list(components)
+        for k, unknown in enumerate(self.solved.model.unknowns):
+            if unknown.log_odds_of_zero is not None:
+                before = MaybeZero(k, 1.0, unknown.log_odds_of_zero)
+                found = [part for one in found for part in with_held(one, before)]
+        return tuple(found)
+
+    @property
+    def tissue_now(self) -> tuple[Component, ...]:
+        """The components with ln G of the tissue that is under the probe now."""
+        if self.solved is None:
+            return ()
+        unknowns = self.solved.model.unknowns
+        places = [k for k, unknown in enumerate(unknowns) if unknown.since is not None]
+        return tuple(_after_changes(one, places) for one in self.components)
+
+
+def _after_changes(one: Component, places: list[int]) -> Component:
+    if not places:
+        return one
+    factor = max(1.0 + float(one.mean[places].sum()), _LEAST_FACTOR)
+    jacobian = np.eye(one.mean.size)
+    jacobian[LOG_G, places] = 1.0 / factor
+    after = one.mean.copy()
+    after[LOG_G] += math.log(factor)
+    return Component(one.weight, after, jacobian @ one.covariance @ jacobian.T)

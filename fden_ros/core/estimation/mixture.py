@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""Mixtures of Gaussians: what is published of several hypotheses about one record.
+
+The posterior over the unknowns and a discrete index k of the hypothesis is
+
+.. math::
+    p(\theta, k \mid y) \approx \sum_k w_k\, N(\theta; m_k, P_k), \qquad
+    w_k \propto p(k)\; p(y \mid k) .
+
+The evidence p(y | k) is that of a Laplace approximation about a maximum, averaged over the scales
+of the errors: a nested Laplace approximation (Rue, Martino and Chopin 2009) with a model index.
+Between two solutions each has a filter, and the weights follow the likelihoods of what comes: a
+static multiple-model estimator (Bar-Shalom, Li and Kirubarajan 2001, section 11.6).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+
+#: What is less likely than the best by this logarithm is dropped [1]: one in ten thousand.
+NEGLIGIBLE = 9.0
+
+
+class Component(NamedTuple):
+    """One Gaussian of a mixture."""
+
+    weight: float
+    mean: Array
+    covariance: Array
+
+
+def moments(components: Sequence[Component]) -> tuple[Array, Array]:
+    """Return mean and covariance of a mixture whose weights add up to 1."""
+    if len(components) == 1:
+        return components[0].mean, components[0].covariance
+    middle = np.sum([c.weight * c.mean for c in components], axis=0)
+    spread = np.zeros_like(components[0].covariance)
+    for component in components:
+        off = component.mean - middle
+        spread += component.weight * (component.covariance + np.outer(off, off))
+    return middle, spread
+
+
+def weights_of(log_weights: Sequence[float] | Array) -> Array:
+    """Return weights that add up to 1, (n,): 0 where one is negligible beside the largest."""
+    logs = np.array(log_weights)
+    weights = np.where(logs > logs.max() - NEGLIGIBLE, np.exp(logs - logs.max()), 0.0)
+    result: Array = weights / weights.sum()
+    return result
+
+
+def widened(components: Sequence[Component], factor: float) -> tuple[Component, ...]:
+    """Return a mixture with the same mean, and a covariance that is `factor` times as large."""
+    middle, root = moments(components)[0], math.sqrt(factor)
+    return tuple(
+        Component(c.weight, middle + root * (c.mean - middle), factor * c.covariance)
+        for c in components
+    )
+
+
+class MaybeZero(NamedTuple):
+    """An unknown that may be exactly 0: what is known of it before the data."""
+
+    place: int
+    variance: float  #: where it is not 0 [1]
+    log_odds: float  #: of its being 0 [1]
+
+
+def with_held(component: Component, unknown: MaybeZero) -> tuple[Component, Component]:
+    r"""Return a component where an unknown is held at 0, and where it is free.
+
+    Their odds follow from the density of the unknown at 0, after and before the data, the ratio of
+    Savage and Dickey (Verdinelli and Wasserman 1995):
+
+    .. math::
+        \frac{p(y \mid x = 0)}{p(y \mid x)} = \frac{p(x = 0 \mid y)}{p(x = 0)} .
+    """
+    weight, mean, covariance = component
+    place, before, log_odds = unknown
+    variance = max(float(covariance[place, place]), 1e-12 * before)
+    gain = covariance[place] / variance
+    held = mean - gain * mean[place]
+    left = covariance - np.outer(gain, covariance[place])
+    held[place], left[place], left[:, place] = 0.0, 0.0, 0.0
+    log_odds += 0.5 * (math.log(before / variance) - mean[place] ** 2 / variance)
+    is_zero = weights_of((log_odds, 0.0))[0]
+    return (
+        Component(weight * is_zero, held, left),
+        Component(weight * (1.0 - is_zero), mean, covariance),
+    )
+
+
+def positive(covariance: Array) -> Array:
+    """Return the nearest symmetric positive semidefinite matrix, where rounding has left none."""
+    nearest: Array = 0.5 * (covariance + covariance.T)
+    values, vectors = np.linalg.eigh(nearest)
+    if values[0] < 0.0:
+        nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        nearest = 0.5 * (nearest + nearest.T)
+    return nearest

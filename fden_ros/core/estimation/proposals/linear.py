@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""A law that is linear over the record: ln Gn is below that of the boundary strain, held there.
+
+Below the boundary strain 1/Gn the law is linear, and the likelihood says nothing of Gn. A
+posterior near there is what lies beyond the boundary, and the prior of ln Gn cut off at
+:math:`b = -\ln x_{max}`. With the likelihood L(b) of a linear law its evidence is
+
+.. math:: L(b) \int_{-\infty}^{b} p(l)\, dl .
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from scipy.special import log_ndtr
+
+from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
+from fden_ros.core.estimation.parts import Parts
+from fden_ros.core.estimation.posterior import Posterior
+from fden_ros.core.estimation.press_model import Evaluation
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.solution import Solution
+from fden_ros.core.estimation.unknowns import LOG_GN
+
+#: A linear law that is less likely than the bend by this logarithm after as many steps is not
+#: sought on [1].
+_HOPELESS, _FIRST_STEPS = 40.0, 2
+
+
+def propose(
+    posterior: Posterior, points: Points, found: Solutions, strain: float
+) -> Parts[Proposed]:
+    """Return the solution of a linear law, and what its boundary leaves of the maxima."""
+    best = found.best
+    if strain <= 0.0 or best.covariance[LOG_GN, LOG_GN] <= 0.0:
+        return Proposed()
+    boundary = boundary_of(strain)
+    state = best.maximum.state
+    known: Evaluation | None = best.maximum.evaluation
+    if state[LOG_GN] > boundary:
+        state, known = state.copy(), None
+        state[LOG_GN] = boundary
+    scales = best.best_scales
+    linear = yield from posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS, known)
+    if not linear.is_solved:
+        if posterior.evidence_beside(points, linear, best) < best.log_evidence - _HOPELESS:
+            return Proposed()
+        begun = linear.maximum
+        known = begun.evaluation
+        linear = yield from posterior.given(LOG_GN, points, begun.state, scales, known=known)
+    if best.maximum.state[LOG_GN] < boundary and linear.is_solved:
+        # A linear law does not meet ln Gn: that it wants to go on in it holds nothing up.
+        best = replace(best, maximum=replace(best.maximum, is_solved=True))
+    mean = float(posterior.belief.mean[LOG_GN])
+    # Whatever the others are: after an earlier press they are known together.
+    width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
+    place = (boundary - mean) / width
+    there = posterior.evidence(points, replace(best.maximum, scales=scales))
+    here = posterior.evidence_beside(points, linear, best)
+    gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
+    gain += math.log(width) + float(log_ndtr(place))
+    return Proposed(
+        ((found.log_evidence[0] + gain, _cut_off(linear, mean, width, place)),),
+        tuple(_log_share_beyond(one, boundary) for one in found.maxima),
+        best,
+    )
+
+
+def _log_share_beyond(solution: Solution, boundary: float) -> float:
+    """Return ln P(ln Gn > boundary) of a maximum; of one below, the linear law stands for it."""
+    sd = math.sqrt(max(float(solution.covariance[LOG_GN, LOG_GN]), 1e-300))
+    beyond = (float(solution.mean[LOG_GN]) - boundary) / sd
+    if beyond < 0.0 and solution.maximum.state[LOG_GN] < boundary:
+        return -math.inf
+    return float(log_ndtr(beyond))
+
+
+def _cut_off(linear: Solution, mean: float, width: float, place: float) -> Solution:
+    """Return a linear law with the prior of ln Gn, cut off `place` standard deviations above."""
+    ratio = math.exp(-0.5 * place**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(place)))
+    middle, covariance = linear.mean.copy(), linear.covariance.copy()
+    middle[LOG_GN] = mean - width * ratio
+    covariance[LOG_GN], covariance[:, LOG_GN] = 0.0, 0.0
+    covariance[LOG_GN, LOG_GN] = width**2 * max(1.0 - ratio * (place + ratio), 1e-6)
+    return replace(linear, mean=middle, covariance=covariance)
