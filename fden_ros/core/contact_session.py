@@ -27,12 +27,14 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 from fden_ros.core.strokes import Strokes
 
 #: A summary is given this long after the release [ns], where the last solution has been found by
 #: then, and at the latest after this [ns]: what is left of it is done at once.
 _SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 8 * NANOSECONDS // 10
+#: Sites whose tissue is remembered, so that a place that is pressed again is known [1].
+_MOST_VISITED = 16
 
 
 @dataclass
@@ -108,6 +110,7 @@ class ContactSession:
         until there is air again.
         """
         self._site: Site | None = None
+        self._visited: list[Site] = []
         self._press: Press | None = None
         self._left: _Left | None = None
         self._air.forget()
@@ -121,8 +124,8 @@ class ContactSession:
         """Let the next site begin with what is stated of the rig."""
         self.rig = RigKnowledge.stated(self._config.estimator)
         # These began with what is forgotten now.
-        if self._site is not None:
-            self._site.teach_nothing()
+        for site in self._visited:
+            site.teach_nothing()
         if self._left is not None:
             self._left.press.site.teach_nothing()
         self._air.teach_nothing()
@@ -228,14 +231,22 @@ class ContactSession:
         is_elsewhere = before.is_elsewhere(onset) if before is not None else True
         if before is not None and is_elsewhere is False:
             return before
-        self.site_count += 1
-        maybe = before if is_elsewhere is None else None
-        site = Site(self.site_count, onset, self._config, self.rig, self._flags, maybe)
+        site = self._visited_before(first.position)
+        if site is None:
+            self.site_count += 1
+            maybe = before if is_elsewhere is None else None
+            site = Site(self.site_count, onset, self._config, self.rig, self._flags, maybe)
+            self._visited = [*self._visited[1 - _MOST_VISITED :], site]
         left_ns = self._detector.left_unseen_ns
         is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
         if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):
             site.withdraw()
         return site
+
+    def _visited_before(self, position: Position | None) -> Site | None:
+        """Return the site of an earlier touch at a position; None: there is none to go on from."""
+        found = (site for site in reversed(self._visited) if site.is_at(position))
+        return next((site for site in found if site.is_usable), None)
 
     def _hover(self, pair: Pair) -> Iterator[Output]:
         """Give a state in the air, one per duration of a block."""
@@ -289,6 +300,7 @@ class ContactSession:
         self._common.sums.clear()
         if press.is_faint and not press.has_failed:
             # What comes next must not inherit its origin.
+            self._visited = [site for site in self._visited if site is not self._site]
             self._site = None
 
     def _report(self, stamp_ns: int) -> Iterator[Output]:
@@ -298,7 +310,9 @@ class ContactSession:
         press, end_ns = self._left.press, self._left.end_ns
         summary = press.end(end_ns, stamp_ns, complete=True)
         self._left = None
-        if summary.converged and not press.flags:
+        # A site that is visited again began with less than is known of the rig by now.
+        is_newest = press.site.site_id == self.site_count
+        if summary.converged and not press.flags and is_newest:
             self.rig = replace(press.site.rig() or self.rig, drift=self.rig.drift)
         summary = replace(summary, rig=self.rig)
         self._air.see(summary)

@@ -261,6 +261,10 @@ class Site:
         is_late = self._seconds_to(first.stamp_ns) > self._config.contact.site_timeout
         return None if is_late else False
 
+    def is_at(self, position: Position | None) -> bool:
+        """Whether a position is known to be of this site."""
+        return self._whereabouts.is_apart(position) is False
+
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
 

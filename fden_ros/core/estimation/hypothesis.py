@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.filter import PressFilter, Update
-from fden_ros.core.estimation.mixture import Component, MaybeZero, weights_of, with_held
+from fden_ros.core.estimation.mixture import Component, weights_of, with_held
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.record import Points
@@ -192,11 +192,9 @@ class Hypothesis:
         """Return components, each where unknowns that may be 0 are, and where they are not."""
         assert self.solved is not None
         found = list(components)
-        for k, unknown in enumerate(self.solved.model.unknowns):
-            if unknown.log_odds_of_zero is not None:
-                before = MaybeZero(k, 1.0, unknown.log_odds_of_zero)
-                found = [part for one in found for part in with_held(one, before)]
-        return tuple(found)
+        for unknown in self.solved.maybe_zero:
+            found = [part for one in found for part in with_held(one, unknown)]
+        return tuple(one for one in found if one.weight)
 
     @property
     def tissue_now(self) -> tuple[Component, ...]:

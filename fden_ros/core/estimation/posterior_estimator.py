@@ -349,7 +349,9 @@ class PosteriorEstimator(Estimator):
             return
         self._compression_sd = press.compression_sd
         weighed = press.weighed or [(1.0, one) for one in press.hypotheses]
-        self._pasts = [_carried(past, press, weighed) for past in _different(weighed)]
+        self._pasts = [
+            _carried(past, press, weighed, self._moments_at) for past in _different(weighed)
+        ]
 
     # Result
 
@@ -373,9 +375,12 @@ def _different(weighed: Sequence[tuple[float, Hypothesis]]) -> list[Past]:
 
 
 def _carried(
-    past: Past, press: PressPosterior, weighed: Sequence[tuple[float, Hypothesis]]
+    past: Past, press: PressPosterior, weighed: Sequence[tuple[float, Hypothesis]], time: float
 ) -> Past:
-    """Return a past after a press: all of its hypotheses in one Gaussian."""
+    """Return a past after a press: all of its hypotheses in one Gaussian.
+
+    `time`: at which its memory is what it is [s].
+    """
     own = [(weight, one) for weight, one in weighed if one.past is past]
     _, likeliest = max(own, key=lambda pair: pair[0])
     past.log_odds = math.log(sum(weight for weight, _ in own))
@@ -384,6 +389,11 @@ def _carried(
     past.other = None
     if likeliest.solved is not None:
         mean, covariance = moments(likeliest.tissue_now)
+        free = likeliest.setting.free
+        if free is not None:
+            # What earlier presses have left counts in the stress of the tissue as it is now.
+            softer = likeliest.solved.model.softening(mean) - 1.0
+            past.memory.values += softer * free.at(np.array([time]))[0]
         carried = Carried(likeliest.solved.model, mean, covariance)
         past.setting = replace(past.setting, carried=carried)
     return past

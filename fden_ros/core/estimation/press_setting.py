@@ -16,10 +16,12 @@ from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.proposals import functions
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.unknowns import (
+    LAW,
     LINEAR_DELAY,
     ORIGIN,
     Lifetime,
@@ -171,6 +173,8 @@ class PressSetting:
         unknowns = unknowns_of(
             config, self.geometry, self.origin_sd, self.drift_sd, self.touch_speed
         )
+        if self.carried is not None and self.carried.is_sound:
+            unknowns += tuple(one for of_press in functions("unknowns") for one in of_press())
         unknowns += events
         last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
         model = kind(
@@ -211,6 +215,22 @@ class PressSetting:
         return Belief(mean, precision)
 
 
+def _count_changes(precision: Array, model: PressModel) -> None:
+    """Let what an earlier press has told be told of the law before its changes since.
+
+    With the law's parameters x now and a change of them by c times an unknown s, it is told of
+    x - c s.
+    """
+    law = slice(0, len(LAW))
+    for k, unknown in enumerate(model.unknowns):
+        if unknown.of_law is None:
+            continue
+        by_change = precision[:, law] @ np.array(unknown.of_law)
+        precision[k, k] += by_change[law] @ np.array(unknown.of_law)
+        precision[k] -= by_change
+        precision[:, k] -= by_change
+
+
 def rig_places(model: PressModel) -> tuple[list[int], list[int]]:
     """Return the places of what is learned of a rig, in its knowledge and in a state."""
     names = [unknown.name for unknown in model.unknowns]
@@ -235,4 +255,5 @@ def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Bel
     scale[scale == 0.0] = 1.0
     scaled = covariance / np.outer(scale, scale) + _ROUNDING * np.eye(scale.size)
     precision[np.ix_(places, places)] = np.linalg.inv(scaled) / np.outer(scale, scale)
+    _count_changes(precision, model)
     return Belief(mean, precision), model.is_bent and not has_fields

@@ -22,6 +22,7 @@ from fden_ros.core.estimation.maxima import (
     follow_maxima,
 )
 from fden_ros.core.estimation.maximum import CONVERGED, EVALUATION_COST, NEARLY_FOUND
+from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
@@ -59,7 +60,20 @@ class Solved:
     @property
     def log_evidence(self) -> float:
         """Log evidence of the record, for what was known before it."""
-        return self.solutions.total + self.posterior.log_prior_density
+        found = self.solutions.total + self.posterior.log_prior_density
+        for unknown in self.maybe_zero:
+            gains = [(c.weight, unknown.log_gain(c)) for c in self.solutions.components]
+            found += math.log(sum(weight * math.exp(gain) for weight, gain in gains))
+        return found
+
+    @property
+    def maybe_zero(self) -> tuple[MaybeZero, ...]:
+        """Unknowns that may be exactly 0."""
+        return tuple(
+            MaybeZero(k, unknown.sd**2, unknown.log_odds_of_zero)
+            for k, unknown in enumerate(self.model.unknowns)
+            if unknown.log_odds_of_zero is not None
+        )
 
     @property
     def best(self) -> Solution:

@@ -7,7 +7,7 @@ A file has one of these functions, or both:
 
 - `propose(posterior, points, maxima, strain)` gives, in parts, what it adds to the maxima of a
   posterior (:class:`~fden_ros.core.estimation.maxima.Proposed`).
-- `unknowns(config)` gives unknowns of a press into tissue that was pressed before, each of which
+- `unknowns()` gives unknowns of a press into tissue that was pressed before, each of which
   may be exactly 0 (:attr:`~fden_ros.core.estimation.unknowns.Unknown.log_odds_of_zero`).
 """
 
