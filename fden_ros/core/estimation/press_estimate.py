@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
@@ -93,6 +94,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         loading_age=likeliest.loading_age,
         law_error=solved.law_error,
         mismatch_probability=mismatch_probability,
+        softening=_softening(best, *whole_state),
         at_edge=at_edge,
         is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
         with_origin=tuple(covariance[_ORIGIN, :_ORIGIN].tolist()),
@@ -119,6 +121,18 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
     mean[_ORIGIN] -= one.past.shift
     covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
     return Component(component.weight, mean, covariance)
+
+
+def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:
+    """Return G over what it was at the last press, and its standard deviation; None: was none.
+
+    `mean`, `covariance`: of its whole state.
+    """
+    if one.solved is None or one.setting.carried is None:
+        return None
+    by_state = one.solved.model.by_softening
+    ratio = one.solved.model.softening(mean)
+    return ratio, ratio * math.sqrt(max(float(by_state @ covariance @ by_state), 0.0))
 
 
 def _claims(press: PressPosterior, one: Hypothesis, own: list[Component]) -> Claims:

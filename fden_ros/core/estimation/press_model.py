@@ -121,9 +121,11 @@ class PressModel:
         self._weight_of = np.full(self.size, -1, dtype=np.int64)
         self._weight_of[ORDER] = 0
         self._weight_of[self.kernel] = 1 + np.arange(kernel.size)
-        #: By what unknowns change ln G since the last press, which has left less or more by that.
-        self._softening = np.zeros(self.size)
-        self._softening[: len(unknowns)] = [u.of_law[LOG_G] if u.of_law else 0.0 for u in unknowns]
+        # By what unknowns change ln G since the last press, which has left less or more by that.
+        self.by_softening = np.zeros(self.size)
+        self.by_softening[: len(unknowns)] = [
+            u.of_law[LOG_G] if u.of_law else 0.0 for u in unknowns
+        ]
         self._designed: tuple[Points, _Design] | None = None
         self._law_at: tuple[Array, tuple[LawState, Array]] | None = None
 
@@ -327,12 +329,12 @@ class PressModel:
         lifted[ORDER] = factor * moments @ (creep_slopes(order) * bend)
         lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
         surface = moments @ weights
-        lifted += np.outer(self._softening, surface)
+        lifted += np.outer(self.by_softening, surface)
         return surface, lifted
 
     def softening(self, state: Array) -> float:
         """Return the factor of the stiffness since the last press [1]."""
-        return math.exp(float(self._softening @ state))
+        return math.exp(float(self.by_softening @ state))
 
     def changes(self, state: Array) -> tuple[Array, Array]:
         """Return the sizes of the changes [1] and their times [s]."""
