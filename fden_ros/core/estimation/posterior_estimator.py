@@ -150,9 +150,9 @@ class PosteriorEstimator(Estimator):
     def _mismatch_probability(self) -> float:
         """Of a relaxation that ends, by the pasts that know it [1]; NaN: none does."""
         known = [
-            (weight, past.mismatch_probability)
+            (weight, past.plateau.probability)
             for weight, past in self._weighed_pasts()
-            if not math.isnan(past.mismatch_probability)
+            if past.plateau is not None
         ]
         total = sum(weight for weight, _ in known)
         return sum(weight * odds for weight, odds in known) / total if total else math.nan
@@ -325,8 +325,8 @@ class PosteriorEstimator(Estimator):
 
     def _see_mismatch(self) -> None:
         for one in self.press.hypotheses if self.press is not None else ():
-            if one.solved is not None and one.solved.mismatch_probability is not None:
-                one.past.mismatch_probability = one.solved.mismatch_probability
+            if one.solved is not None and one.solved.plateau is not None:
+                one.past.plateau = one.solved.plateau
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""

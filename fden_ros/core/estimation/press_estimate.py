@@ -14,7 +14,7 @@ from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converg
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.hypothesis import Hypothesis
-from fden_ros.core.estimation.mixture import Component, moments, positive
+from fden_ros.core.estimation.mixture import NEGLIGIBLE, Component, moments, positive
 from fden_ros.core.estimation.press_posterior import LEAST_WEIGHT, PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.small_motion import SmallMotion
@@ -68,15 +68,9 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     valid, known, at_edge = (_common(part) for part in zip(*claims, strict=True))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     motions = tuple(
-        SmallMotion(
-            one.solved.model,
-            tissue,
-            one.setting.by_origin(one.solved.model.size),
-            weight,
-            one.past.shift,
-        )
+        motion
         for (weight, one), tissue in zip(weighed, tissues, strict=True)
-        if one.solved is not None
+        for motion in _small_motions(weight, one, tissue)
     )
     whole_state = moments(best.components)
     return Estimate(
@@ -121,6 +115,29 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
     mean[_ORIGIN] -= one.past.shift
     covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
     return Component(component.weight, mean, covariance)
+
+
+def _small_motions(
+    weight: float, one: Hypothesis, tissue: tuple[Component, ...]
+) -> list[SmallMotion]:
+    """Return what a hypothesis predicts of small motions, by the law and by others.
+
+    `weight`: its own; `tissue`: its components by the law.
+    """
+    assert one.solved is not None
+    by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
+    is_its_own = one.setting.carried is None and not one.events
+    ends = one.past.plateau if is_its_own else None
+    if ends is not None and ends.log_odds < -NEGLIGIBLE:
+        ends = None
+    share = weight * ends.probability if ends is not None else 0.0
+    found = [SmallMotion(one.solved.model, tissue, by_origin, weight - share, shift)]
+    if ends is not None:
+        found += [
+            SmallMotion(model, (law._replace(weight=1.0),), by_origin, share * law.weight, shift)
+            for model, law in ends.laws
+        ]
+    return found
 
 
 def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:
