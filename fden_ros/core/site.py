@@ -133,14 +133,14 @@ class _Lessons:
         self._newest: list[float] | None = None
         self._first: list[float] | None = None
 
-    def motion_factor(self, estimator: PosteriorEstimator) -> float:
+    def motion_factor(self, estimator: Estimator) -> float:
         """Return the factor of the variances where a contact tells of more motion than known."""
         teaches = self._config.learns_motion and self.are_used
         is_asked = teaches or self._known.motion_share < 1.0
         self._newest = estimator.motion_evidence() if is_asked else None
         return self._known.motion_factor(self._newest) if self._newest is not None else 1.0
 
-    def rig(self, estimator: PosteriorEstimator) -> RigKnowledge | None:
+    def rig(self, estimator: Estimator) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         if not self.are_used:
             return None
@@ -438,11 +438,8 @@ class Site:
             return
         estimator.finish()
         self._finding.update(_checked(estimator.estimate()))
-        likeliest = estimator.likeliest
-        if likeliest is None:
-            return
-        self.doubt(Flag.NONE, self._lessons.motion_factor(likeliest))
-        off = likeliest.rig_misfit / _CONTRADICTION
+        self.doubt(Flag.NONE, self._lessons.motion_factor(estimator))
+        off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
 
@@ -451,14 +448,14 @@ class Site:
         estimate, estimator = self.usable_estimate, self._estimator
         if estimator is None or estimate is None or estimate.converged:
             return None
-        return estimator.likeliest.budget() if estimator.likeliest else None
+        return estimator.budget()
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         estimator = self._estimator
         if estimator is None or not self.is_usable or estimator.is_doubtful:
             return None
-        return self._lessons.rig(estimator.likeliest) if estimator.likeliest else None
+        return self._lessons.rig(estimator)
 
     def teach_nothing(self) -> None:
         """Let no other site use what is learned here."""

@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.estimate import Estimate
-
-if TYPE_CHECKING:
-    from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
 class Block(NamedTuple):
@@ -62,8 +61,20 @@ class Estimator:
         return 0
 
     @property
-    def likeliest(self) -> PosteriorEstimator | None:
-        """Who knows the rig, the surface's motion and the budget; None: nobody."""
+    def rig_misfit(self) -> float:
+        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
+        return 0.0
+
+    def motion_evidence(self) -> list[float] | None:
+        """Return the log evidence for scales of the surface's stated motion; None: not known."""
+        return None
+
+    def rig(self) -> RigKnowledge | None:
+        """Return what is known of the rig after a press; None where it tells nothing."""
+        return None
+
+    def budget(self) -> Budget | None:
+        """Return what makes the estimate uncertain; None: not known."""
         return None
 
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:

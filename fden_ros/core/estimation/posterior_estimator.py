@@ -181,11 +181,6 @@ class PosteriorEstimator(Estimator):
         return found + (self.press.change_count if self.press is not None else 0)
 
     @property
-    def likeliest(self) -> PosteriorEstimator:
-        """Itself."""
-        return self
-
-    @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
         if self._solved is None:
