@@ -147,6 +147,7 @@ def test_a_hypothesis_that_is_dropped_leaves_no_trace() -> None:
     assert own.best.solved is not None
     ruled_out.take_over(own.best.solved, own.best.log_weight - 9.1)
     own.hypotheses = [*own.hypotheses, ruled_out]
+    own.weigh()
     again = estimate_of(own, math.nan)
     assert whole is not None and again is not None
     assert repr(whole._replace(small_motions=())) == repr(again._replace(small_motions=()))

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.filter import PressFilter, Update
@@ -61,6 +60,8 @@ class Hypothesis:
         The newest solution; None: there is none yet.
     misses : int
         Newest solutions that were not found.
+    log_weight : float
+        Logarithm of its weight, beside those of the same epoch [1].
     """
 
     def __init__(
@@ -68,9 +69,9 @@ class Hypothesis:
     ) -> None:
         self.past, self.setting, self.events = past, setting, events
         self.solved: Solved | None = None
-        self.misses = 0
+        self.misses, self.log_weight = 0, -math.inf
         self._filters: list[PressFilter] = []
-        #: Log evidence of each solution, with the likelihood of what came since.
+        # Log evidence of each solution, with the likelihood of what came since.
         self._logs: Array = np.empty(0)
 
     @property
@@ -82,11 +83,6 @@ class Hypothesis:
     def log_prior(self) -> float:
         """Logarithm of its probability before the press [1]."""
         return self.past.log_odds - THRESHOLD * self.change_count
-
-    @property
-    def log_weight(self) -> float:
-        """Logarithm of its weight, beside those of the same epoch [1]."""
-        return float(logsumexp(self._logs)) if self._logs.size else -math.inf
 
     def deepest(self, compression: float) -> float:
         """Return the largest compression of the site, after one as it is given [1]."""
@@ -140,11 +136,15 @@ class Hypothesis:
         model, errors = solved.model, solved.posterior.error_model
         pairs = zip(found.all, is_likely.tolist(), strict=True)
         self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
-        self._logs = logs[is_likely] + (log_evidence - found.total)
+        self._set_logs(logs[is_likely] + (log_evidence - found.total))
 
     def shift_weight(self, logarithm: float) -> None:
         """Multiply its weight."""
-        self._logs = self._logs + logarithm
+        self._set_logs(self._logs + logarithm)
+
+    def _set_logs(self, logs: Array) -> None:
+        self._logs, largest = logs, float(logs.max())
+        self.log_weight = largest + math.log(float(np.exp(logs - largest).sum()))
 
     def step(self, points: Points) -> Update | None:
         """Let all filters take blocks; return how the likeliest predicted them; None: none can.
@@ -154,18 +154,18 @@ class Hypothesis:
         if not self._filters:
             return None
         likeliest, found = int(np.argmax(self._logs)), None
-        own = self.points(points)
+        own, logs = self.points(points), self._logs.copy()
         for k, one in enumerate(self._filters):
             try:
                 update = one.step(own)
             except (FloatingPointError, OverflowError):
-                self._logs[k] = -math.inf
+                logs[k] = -math.inf
                 continue
-            self._logs[k] += update.log_likelihood
+            logs[k] += update.log_likelihood
             if k == likeliest:
                 found = update
-        if not np.isfinite(self._logs).any():
-            self._logs[:] = 0.0
+        if np.isfinite(logs).any():
+            self._set_logs(logs)
         return found
 
     @property

@@ -167,6 +167,8 @@ class PosteriorEstimator(Estimator):
     @property
     def _best(self) -> Past:
         """The likeliest past."""
+        if self.press is not None and self.press.weighed:
+            return self.press.best.past
         return max(self._weighed_pasts(), key=lambda pair: pair[0])[1]
 
     @property

@@ -168,6 +168,10 @@ class PressPosterior:
     ----------
     hypotheses : list of Hypothesis
         Those that are not ruled out.
+    best : Hypothesis
+        The likeliest.
+    weighed : list of (float, Hypothesis)
+        Those that have a solution, with weights that add up to 1.
     deepest : float
         Largest compression of the press [1].
     begun_at, solved_at : int
@@ -183,6 +187,7 @@ class PressPosterior:
         way: Array | None = None,
     ) -> None:
         self.hypotheses, self._start = list(hypotheses), start
+        self.weigh()
         settings = [one.setting for one in hypotheses]
         is_one_sided = settings[0].geometry.is_one_sided
         reach = _REACH * max(one.origin_sd for one in settings) if is_one_sided else 0.0
@@ -212,11 +217,6 @@ class PressPosterior:
         self._begins_with_delay = self._shows_delay = False
 
     @property
-    def best(self) -> Hypothesis:
-        """The likeliest hypothesis."""
-        return max(self.hypotheses, key=lambda one: one.log_weight)
-
-    @property
     def setting(self) -> PressSetting:
         """What the likeliest hypothesis knew before the first sample."""
         return self.best.setting
@@ -226,14 +226,12 @@ class PressPosterior:
         """The newest solution of the likeliest hypothesis; None: there is none yet."""
         return self.best.solved
 
-    @property
-    def weighed(self) -> list[tuple[float, Hypothesis]]:
-        """The hypotheses that have a solution, with weights that add up to 1."""
+    def weigh(self) -> None:
+        """Weigh the hypotheses that have a solution."""
+        self.best = max(self.hypotheses, key=lambda one: one.log_weight)
         solved = [one for one in self.hypotheses if one.solved is not None]
-        if not solved:
-            return []
-        weights = weights_of([one.log_weight for one in solved]).tolist()
-        return [(w, one) for w, one in zip(weights, solved, strict=True) if w]
+        weights = weights_of([one.log_weight for one in solved]).tolist() if solved else []
+        self.weighed = [(w, one) for w, one in zip(weights, solved, strict=True) if w]
 
     @property
     def likely(self) -> list[Hypothesis]:
@@ -395,6 +393,7 @@ class PressPosterior:
         points = self.record.points_after(blocks, self._last)
         self._last = float(points.times[-1])
         found = {id(one): one.step(points) for one in self.hypotheses}[id(best)]
+        self.weigh()
         own_filter = best.filter
         assert own_filter is not None
         try:
@@ -527,6 +526,7 @@ class PressPosterior:
         _keep_shares(missed, solved)
         self.hypotheses = _kept(self.hypotheses)
         self._catch_up(solved, begun.end, begun.since)
+        self.weigh()
 
     def _log_prior(self, one: Hypothesis, solved: Solved) -> float:
         """Return the logarithm of what a hypothesis is before the record [1]."""
@@ -607,6 +607,7 @@ class PressPosterior:
             solved = replace(without.solved, posterior=look.posterior, solutions=found)
             changed.take_over(solved, without.log_weight)
             self._catch_up([changed], looking.end, looking.since)
+        self.weigh()
 
     @property
     def _is_to_be_placed(self) -> bool:
