@@ -145,7 +145,8 @@ def test_a_hypothesis_that_is_dropped_leaves_no_trace() -> None:
     whole = estimate_of(own, math.nan)
     ruled_out = Hypothesis(own.best.past, own.best.setting)
     assert own.best.solved is not None
-    ruled_out.take_over(own.best.solved, own.best.log_weight - 9.1)
+    ruled_out.take_over(own.best.solved, 0.0)
+    ruled_out.shift_weight(own.best.log_weight - 9.1 - ruled_out.log_weight)
     own.hypotheses = [*own.hypotheses, ruled_out]
     own.weigh()
     again = estimate_of(own, math.nan)

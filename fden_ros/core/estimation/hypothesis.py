@@ -19,7 +19,7 @@ from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.proposals.plateau import Plateau
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LOG_G, Unknown
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, Unknown
 from fden_ros.core.law.relaxation import StressMoments
 
 #: Least factor by which the stiffness changes [1].
@@ -79,10 +79,14 @@ class Hypothesis:
         """Changes of the tissue under the probe."""
         return sum(event.since is not None for event in self.events)
 
-    @property
-    def log_prior(self) -> float:
-        """Logarithm of its probability before the press [1]."""
-        return self.past.log_odds - THRESHOLD * self.change_count
+    def _log_prior(self, solved: Solved) -> float:
+        """Return the logarithm of its probability before the record [1]."""
+        log_prior = self.past.log_odds - THRESHOLD * self.change_count
+        if self.past.other is None:
+            return log_prior
+        mean, covariance = solved.solutions.moments
+        law = slice(0, len(LAW))
+        return log_prior + self.past.other(mean[law], covariance[law, law])
 
     def deepest(self, compression: float) -> float:
         """Return the largest compression of the site, after one as it is given [1]."""
@@ -128,8 +132,16 @@ class Hypothesis:
     # Between two solutions
 
     def take_over(self, solved: Solved, log_evidence: float) -> None:
-        """Go on from a solution; `log_evidence`: of all of it, with what was known before."""
+        """Go on from a solution.
+
+        Parameters
+        ----------
+        solved : Solved
+        log_evidence : float
+            Of all of it, for what was known before the record.
+        """
         self.solved, self.misses = solved, 0
+        log_evidence += self._log_prior(solved)
         found = solved.solutions
         logs = np.array(found.log_evidence + found.held_log_evidence)
         is_likely = weights_of(logs) > 0.0

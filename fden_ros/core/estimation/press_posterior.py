@@ -15,20 +15,20 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.epoch import Epoch, Weighed, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions
-from fden_ros.core.estimation.mixture import NEGLIGIBLE, moments, weights_of
-from fden_ros.core.estimation.parts import Advanced, Parts
+from fden_ros.core.estimation.mixture import weights_of
+from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import (
@@ -40,9 +40,8 @@ from fden_ros.core.estimation.proposals.change import (
     Look,
     Placing,
 )
-from fden_ros.core.estimation.record import Block, Points, Record, Sample
-from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.solution import cost_of, evidence_under
+from fden_ros.core.estimation.record import Block, Record, Sample
+from fden_ros.core.estimation.search import Care, Solved
 from fden_ros.core.estimation.unknowns import LAW, LINEAR_DELAY, LOG_G, LOG_GN, ORDER, Unknown
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 from fden_ros.core.law.characteristic import elastic_response
@@ -72,56 +71,8 @@ _PLACED_AFTER = 0.1
 
 #: Hypotheses of one press [1], so that a solution of all has a longest time.
 _MOST_HYPOTHESES = 6
-#: Solutions in a row that are not found before a hypothesis is dropped [1].
-_MOST_MISSES = 2
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
 LEAST_WEIGHT = 0.01
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """Solutions of all hypotheses, of one record."""
-
-    searches: tuple[Search, ...]
-
-    def in_parts(self) -> Parts[list[tuple[Solved, float] | None]]:
-        """Return each solution with its log evidence, under the same errors; None: there is none.
-
-        Raises
-        ------
-        FloatingPointError
-            If there is none of any.
-        """
-        found: list[Solved | None] = []
-        for search in self.searches:
-            try:
-                found.append((yield from search.in_parts()))
-            except UNSOLVABLE:
-                found.append(None)
-        solved = [one for one in found if one is not None]
-        if not solved:
-            raise FloatingPointError("no hypothesis has a solution")
-        best = max(solved, key=lambda one: one.log_evidence)
-        result: list[tuple[Solved, float] | None] = []
-        for search, one in zip(self.searches, found, strict=True):
-            if one is None:
-                result.append(None)
-                continue
-            evidence = one.log_evidence
-            if one is not best:
-                yield cost_of(search.points, one.posterior.grid)
-                evidence += _under(search.points, one, best) - one.best.log_evidence
-            result.append((one, evidence))
-        return result
-
-
-def _under(points: Points, one: Solved, best: Solved) -> float:
-    """Return the log evidence of the best maximum under the errors of another solution."""
-    try:
-        grid = one.posterior.grid
-        return evidence_under(one.posterior, points, one.best, best.best.maximum.errors, grid)
-    except UNSOLVABLE:
-        return -math.inf
 
 
 class _Begun(NamedTuple):
@@ -131,7 +82,7 @@ class _Begun(NamedTuple):
     end: float  #: of their record [s]
     elapsed: float  #: from the touch to there [s]
     compression: float  #: largest of it [1]
-    found: Advanced[list[tuple[Solved, float] | None]]
+    found: Advanced[list[Weighed]]
     since: list[Block]  #: the blocks after their record
 
 
@@ -513,27 +464,10 @@ class PressPosterior:
             return
         self._solved_at = begun.elapsed, begun.compression
         self._shows_delay = self._begins_with_delay
-        pairs = list(zip(begun.hypotheses, found, strict=True))
-        missed = [(weight, one) for weight, one in self.weighed if (one, None) in pairs]
-        solved = []
-        for one, result in pairs:
-            if result is None:
-                one.misses += 1
-                continue
-            own, evidence = result
-            one.take_over(own, evidence + self._log_prior(one, own))
-            solved.append(one)
-        _keep_shares(missed, solved)
-        self.hypotheses = _kept(self.hypotheses)
+        solved = taken_over(begun.hypotheses, found, self.weighed)
+        self.hypotheses = kept(self.hypotheses)
         self._catch_up(solved, begun.end, begun.since)
         self.weigh()
-
-    def _log_prior(self, one: Hypothesis, solved: Solved) -> float:
-        """Return the logarithm of what a hypothesis is before the record [1]."""
-        if one.past.other is None:
-            return one.log_prior
-        mean, covariance = moments(solved.solutions.components)
-        return one.log_prior + one.past.other(mean[: len(LAW)], covariance[: len(LAW), : len(LAW)])
 
     def _catch_up(self, solved: Sequence[Hypothesis], end: float, since: list[Block]) -> None:
         """Go on from solutions whose record ends at a time [s], by the blocks since."""
@@ -605,7 +539,8 @@ class PressPosterior:
             solution = look.solution
             found = Solutions((solution,), (solution.log_evidence,))
             solved = replace(without.solved, posterior=look.posterior, solutions=found)
-            changed.take_over(solved, without.log_weight)
+            changed.take_over(solved, 0.0)
+            changed.shift_weight(without.log_weight - changed.log_weight)
             self._catch_up([changed], looking.end, looking.since)
         self.weigh()
 
@@ -641,23 +576,3 @@ class PressPosterior:
         for one in self.hypotheses:
             one.events = tuple(placed if e is placing.change else e for e in one.events)
         self.begin_solution()
-
-
-def _keep_shares(missed: Sequence[tuple[float, Hypothesis]], solved: Sequence[Hypothesis]) -> None:
-    """Let hypotheses whose solution was not found keep their weights beside those found."""
-    rest = 1.0 - sum(weight for weight, _ in missed)
-    total = float(logsumexp([one.log_weight for one in solved]))
-    for weight, one in missed:
-        one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
-
-
-def _kept(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the hypotheses that are not ruled out, one at least."""
-    best = max(hypotheses, key=lambda one: one.log_weight)
-    found = [
-        one
-        for one in hypotheses
-        if one is best
-        or (one.misses < _MOST_MISSES and one.log_weight > best.log_weight - NEGLIGIBLE)
-    ]
-    return found

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""All hypotheses solved of one record, and weighed under the same errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.special import logsumexp
+
+from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.mixture import NEGLIGIBLE
+from fden_ros.core.estimation.parts import Parts
+from fden_ros.core.estimation.posterior import UNSOLVABLE
+from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.search import Search, Solved
+from fden_ros.core.estimation.solution import cost_of, evidence_under
+
+#: A solution with its log evidence; None: it was not found.
+Weighed = tuple[Solved, float] | None
+
+#: Solutions in a row that are not found before a hypothesis is dropped [1].
+_MOST_MISSES = 2
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Solutions of all hypotheses, of one record."""
+
+    searches: tuple[Search, ...]
+
+    def in_parts(self) -> Parts[list[Weighed]]:
+        """Return each solution with its log evidence, under the same errors; None: there is none.
+
+        Raises
+        ------
+        FloatingPointError
+            If there is none of any.
+        """
+        found: list[Solved | None] = []
+        for search in self.searches:
+            try:
+                found.append((yield from search.in_parts()))
+            except UNSOLVABLE:
+                found.append(None)
+        solved = [one for one in found if one is not None]
+        if not solved:
+            raise FloatingPointError("no hypothesis has a solution")
+        best = max(solved, key=lambda one: one.log_evidence)
+        result: list[Weighed] = []
+        for search, one in zip(self.searches, found, strict=True):
+            if one is None:
+                result.append(None)
+                continue
+            evidence = one.log_evidence
+            if one is not best:
+                yield cost_of(search.points, one.posterior.grid)
+                evidence += _under(search.points, one, best) - one.best.log_evidence
+            result.append((one, evidence))
+        return result
+
+
+def _under(points: Points, one: Solved, best: Solved) -> float:
+    """Return the log evidence of the best maximum under the errors of another solution."""
+    try:
+        grid = one.posterior.grid
+        return evidence_under(one.posterior, points, one.best, best.best.maximum.errors, grid)
+    except UNSOLVABLE:
+        return -math.inf
+
+
+def taken_over(
+    hypotheses: Sequence[Hypothesis],
+    found: Sequence[Weighed],
+    before: Sequence[tuple[float, Hypothesis]],
+) -> list[Hypothesis]:
+    """Let hypotheses go on from their solutions; return those that have one.
+
+    One whose solution was not found keeps its weight beside the others, which is in `before`.
+    """
+    solved, missed = [], []
+    for one, result in zip(hypotheses, found, strict=True):
+        if result is None:
+            one.misses += 1
+            missed += [(weight, other) for weight, other in before if other is one]
+            continue
+        own, evidence = result
+        one.take_over(own, evidence)
+        solved.append(one)
+    _keep_shares(missed, solved)
+    return solved
+
+
+def _keep_shares(missed: Sequence[tuple[float, Hypothesis]], solved: Sequence[Hypothesis]) -> None:
+    """Let hypotheses whose solution was not found keep their weights beside those found."""
+    rest = 1.0 - sum(weight for weight, _ in missed)
+    total = float(logsumexp([one.log_weight for one in solved]))
+    for weight, one in missed:
+        one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
+
+
+def kept(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the hypotheses that are not ruled out, one at least."""
+    best = max(hypotheses, key=lambda one: one.log_weight)
+    found = [
+        one
+        for one in hypotheses
+        if one is best
+        or (one.misses < _MOST_MISSES and one.log_weight > best.log_weight - NEGLIGIBLE)
+    ]
+    return found
