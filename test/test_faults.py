@@ -568,7 +568,8 @@ def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds):
     for _ in range(max(round(seconds / duration), 1)):
         row = generator.choice(rows)
         played.append(row.name)
-        # A robot is back at its first site before the next shift.
+        # A robot is at other sites in the next shift.
+        aside = 0.5 * len(played)
         for item in row.samples(s):
             if not isinstance(item, Item):
                 item(pipeline)
@@ -577,7 +578,8 @@ def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds):
             if item.stream == 0:
                 pipeline.add_force(stamp, item.value)
             else:
-                pipeline.add_displacement(stamp, item.value, item.position)
+                x, y, z = item.position or (0.0, 0.0, 0.0)
+                pipeline.add_displacement(stamp, item.value, item.position and (x + aside, y, z))
         found = emitter.last
         assert found is not None and found.estimate is not None, played
         assert found.converged and found.complete and not found.flags & WARNING_FLAGS, played

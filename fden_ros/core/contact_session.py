@@ -231,6 +231,8 @@ class ContactSession:
         is_elsewhere = before.is_elsewhere(onset) if before is not None else True
         if before is not None and is_elsewhere is False:
             return before
+        if before is not None and is_elsewhere:
+            before.put_away()
         site = self._visited_before(first.position)
         if site is None:
             self.site_count += 1

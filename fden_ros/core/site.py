@@ -261,6 +261,11 @@ class Site:
         is_late = self._seconds_to(first.stamp_ns) > self._config.contact.site_timeout
         return None if is_late else False
 
+    def put_away(self) -> None:
+        """Keep of the last contact what the next one here goes on from: the probe is elsewhere."""
+        if self._estimator is not None:
+            self._estimator.put_away()
+
     def is_at(self, position: Position | None) -> bool:
         """Whether a position is known to be of this site."""
         return self._whereabouts.is_apart(position) is False

@@ -106,6 +106,9 @@ class Estimator:
         """
         raise NotImplementedError
 
+    def put_away(self) -> None:
+        """Keep of the last contact what the next one goes on from."""
+
     def estimate(self) -> Estimate:
         """Return the present estimate."""
         raise NotImplementedError

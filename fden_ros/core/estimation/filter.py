@@ -26,9 +26,11 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
+from fden_ros.core.law.characteristic import MAX_EXPONENT
 
 
 class Update(NamedTuple):
@@ -68,6 +70,7 @@ class PressFilter:
         p00, p01, p11 = solution.walk.covariance
         self.x = np.empty(n + 2)
         self.x[:n] = solution.mean
+        self._begun = np.abs(solution.mean - self._about)[: LARGEST_STEP.size]
         self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
         self.P = np.empty((n + 2, n + 2))
         self.P[:n, :n] = solution.covariance
@@ -85,6 +88,17 @@ class PressFilter:
     def covariance(self) -> Array:
         """Covariance of the unknowns, (n, n)."""
         return self.P[:-2, :-2]
+
+    @property
+    def is_near(self) -> bool:
+        """Whether it is still about where it is linear: within one step of a solution."""
+        off = np.abs(self.x - np.append(self._about, [0.0, 0.0]))[: LARGEST_STEP.size]
+        return bool(np.all(off <= np.maximum(LARGEST_STEP, self._begun)))
+
+    @property
+    def is_beyond_numbers(self) -> bool:
+        """Whether no number has its G or Gn."""
+        return not bool(np.all(np.abs(self.x[: LARGEST_STEP.size]) < MAX_EXPONENT))
 
     @property
     def loading_age(self) -> float:

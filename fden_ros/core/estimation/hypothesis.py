@@ -73,6 +73,7 @@ class Hypothesis:
         self._filters: list[PressFilter] = []
         # Log evidence of each solution, with the likelihood of what came since.
         self._logs: Array = np.empty(0)
+        self._likeliest = 0  # when it was solved
 
     @property
     def change_count(self) -> int:
@@ -149,6 +150,7 @@ class Hypothesis:
         pairs = zip(found.all, is_likely.tolist(), strict=True)
         self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
         self._set_logs(logs[is_likely] + (log_evidence - found.total))
+        self._likeliest = int(np.argmax(self._logs))
 
     def shift_weight(self, logarithm: float) -> None:
         """Multiply its weight."""
@@ -173,12 +175,23 @@ class Hypothesis:
             except (FloatingPointError, OverflowError):
                 logs[k] = -math.inf
                 continue
-            logs[k] += update.log_likelihood
+            # Where it is not linear its likelihood is none.
+            logs[k] += update.log_likelihood if one.is_near else -math.inf
             if k == likeliest:
                 found = update
         if np.isfinite(logs).any():
             self._set_logs(logs)
+        if self._filters[likeliest].is_beyond_numbers:
+            return None
         return found
+
+    @property
+    def has_turned(self) -> bool:
+        """Whether another of its solutions is the likeliest since it was solved.
+
+        The likelihoods of a few blocks that none explains are no evidence.
+        """
+        return self._logs.size > 1 and int(np.argmax(self._logs)) != self._likeliest
 
     @property
     def filter(self) -> PressFilter | None:

@@ -52,7 +52,7 @@ _MOST_SEARCHES, _REACH = 2, 0.5
 #: What an evaluation costs beside its points, in points [1]: of 100 points it takes twice as long.
 EVALUATION_COST = 150
 #: Largest step of ln G, ln Gn and alpha [1].
-_LARGEST_STEP = np.array([3.0, 0.7, 0.15])
+LARGEST_STEP = np.array([3.0, 0.7, 0.15])
 #: Damping at first [1], and by which factors it falls and rises.
 _DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
 #: A step leads too far where the misfit is lowest before this part of it [1].
@@ -286,7 +286,7 @@ class MaximumSearch:
 
     def _try(self, state: Array, step: Array, metric: _Metric) -> _Tried | None:
         """Return where a step leads, and the misfit there; None: nowhere."""
-        largest = float(np.max(np.abs(step[: len(LAW)]) / _LARGEST_STEP))
+        largest = float(np.max(np.abs(step[: len(LAW)]) / LARGEST_STEP))
         after = state + step / max(largest, 1.0)
         after[ORDER] = np.clip(after[ORDER], LOWEST_ORDER, HIGHEST_ORDER)
         density, points, found = self._density, self._points, None

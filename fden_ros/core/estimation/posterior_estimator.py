@@ -272,6 +272,10 @@ class PosteriorEstimator(Estimator):
         sd = math.sqrt(self._path_variance / step) if step > 0.0 else 0.0
         self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
 
+    def put_away(self) -> None:
+        """Keep of the last contact what the next one goes on from."""
+        self._carry()
+
     def rest(self, duration: float) -> None:
         """Let time [s] pass between two contacts."""
         self._time += duration

@@ -218,7 +218,8 @@ class PressPosterior:
         """Whether a newest solution was not found, or the newest block is not explained."""
         if self.solved is None:
             return False
-        return self._is_surprised or not self.is_solved or self._is_delay_open
+        is_explained = self.is_solved and not (self._is_surprised or self.best.has_turned)
+        return not is_explained or self._is_delay_open
 
     @property
     def _is_delay_open(self) -> bool:
@@ -296,7 +297,9 @@ class PressPosterior:
                 under_way.since.extend(blocks)
         self._samples = []
         self._blocks += 1
-        self._is_surprised = innovation.normalized_squared > NO_CHANCE**2
+        # What surprises stays unexplained while it is asked whether the tissue has changed.
+        is_asked = self._is_surprised and self._suspected_at is not None
+        self._is_surprised = is_asked or innovation.normalized_squared > NO_CHANCE**2
         if innovation.normalized_squared > SUSPICIOUS**2 and self._suspected_at is None:
             self._suspected_at = self._now
         if self._suspected_at is not None:
@@ -370,6 +373,7 @@ class PressPosterior:
             self._now - self._start > _TIME_RATIO * elapsed
             or self.record.max_compression > _DEPTH_RATIO * depth > 0.0
             or self._has_moved()
+            or self.best.has_turned
             or self._has_told_delay()
         )
 
