@@ -162,7 +162,7 @@ def _geometry(parameters: Parameters) -> dict[str, Any]:
     kind = parameters.geometry.kind
     sizes = {
         "flat_punch": ("area", "thickness", "hayes"),
-        "sphere": ("radius",),
+        "sphere": ("radius", "thickness"),
         "torsional_rheometer": ("radius", "thickness"),
         "pass_through": (),
     }[kind]

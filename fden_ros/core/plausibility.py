@@ -80,7 +80,7 @@ def stands_against(geometry: Geometry) -> str:
         )
     for name, (most, unit, other, factor) in _MOST_SIZES.items():
         value = getattr(geometry, name, 0.0)
-        if value > most and not (name == "area" and value >= _UNKNOWN_AREA):
+        if most < value < math.inf and not (name == "area" and value >= _UNKNOWN_AREA):
             return (
                 f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: "
                 f"was {other} meant? With the factor {factor:g} it would be "
@@ -195,14 +195,15 @@ class Plausibility:
         self._words.setdefault(kind, words)
 
     def _of_strain(self, strain: float) -> str:
-        most, power = self._geometry.most_strain, self._geometry.exponent
+        most, geometry = self._geometry.most_strain, self._geometry
         if strain <= most:
             return ""
-        values = {name: strain * factor**power for name, factor in _LENGTHS.items()}
+        depth, deepest = geometry.compression(strain), geometry.compression(most)
+        values = {name: geometry.strain(depth * factor) for name, factor in _LENGTHS.items()}
         asked = _asked(values, _LENGTHS, _LIKELY_STRAIN, most)
         if not asked:
-            factor = 10.0 ** -math.ceil(math.log10(strain / most) / power)
-            asked = f"another unit (factor {factor:.3g}: {strain * factor**power:.2g})"
+            factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
+            asked = f"another unit (factor {factor:.3g}: {geometry.strain(depth * factor):.2g})"
         return (
             f"a contact reached a strain of {strain:.3g}, at most {most:g} is plausible: is the "
             f"displacement in {asked}, not m? Or is the geometry wrong?"
