@@ -139,7 +139,7 @@ def test_what_is_said_of_a_thickness_is_right():
             r"(\S+) mm where it is h = 10 mm",
             r"take (\S+) mm",
             r"at 10 mm G comes out (\S+) times",
-            r"\((\S+) with 2.0 mm more",
+            r"\((\S+) with 2 mm more",
             r", (\S+) with as much less",
         )
     )

@@ -239,8 +239,8 @@ class Plausibility:
         )  # fmt: skip
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
-            f"plausible.strain_rate ({least:g} 1/s), and samples come every {self._step:.2g} s: is "
-            f"the time in {asked or 's'}? If the press is that slow, set plausible.strain_rate"
+            f"plausible.strain_rate ({least:g} 1/s), and samples come every {self._step:.2g} s: "
+            f"is the time in {asked or 's'}? If the press is that slow, set plausible.strain_rate"
         )
 
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:
