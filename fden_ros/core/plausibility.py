@@ -46,7 +46,7 @@ _MOST_SIZES = {
     "radius": (0.1, "m", "cm", 1e-2),
 }
 #: Area that stands for an unknown one [m^2]: the stress is in newtons.
-_UNKNOWN_AREA = 1.0
+UNKNOWN_AREA = 1.0
 #: G lies within 5 standard deviations of its prior, or a factor of 30 where they are less ...
 _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
 #: ... and, where the prior allows more, within these [Pa s^alpha]: fat and cartilage lie between.
@@ -81,7 +81,7 @@ def stands_against(geometry: Geometry) -> str:
         )
     for name, (most, unit, other, factor) in _MOST_SIZES.items():
         value = getattr(geometry, name, 0.0)
-        if most < value < math.inf and not (name == "area" and value >= _UNKNOWN_AREA):
+        if most < value < math.inf and not (name == "area" and value >= UNKNOWN_AREA):
             return (
                 f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: "
                 f"was {other} meant? With the factor {factor:g} it would be "

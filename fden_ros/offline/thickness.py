@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
 from fden_ros.core.law.layer import hayes_factor
+from fden_ros.core.plausibility import UNKNOWN_AREA
 from fden_ros.planning.remedies import quantity
 
 #: So far off a thick tissue is taken as good [1].
@@ -32,9 +33,10 @@ def assumed(geometry: Geometry, deepest: float = 0.0) -> str:
         return ""
     if isinstance(geometry, Sphere) and math.isinf(geometry.thickness):
         return _of_sphere(geometry, deepest)
-    if isinstance(geometry, FlatPunch) and geometry.poisson_ratio is None:
-        return _of_face(geometry) if 2.0 * geometry.radius > geometry.thickness else ""
-    return ""
+    if not isinstance(geometry, FlatPunch) or geometry.poisson_ratio is not None:
+        return ""
+    is_wide = 2.0 * geometry.face_radius > geometry.thickness
+    return _of_face(geometry) if is_wide and geometry.area < UNKNOWN_AREA else ""
 
 
 def _of_sphere(sphere: Sphere, deepest: float) -> str:
@@ -58,7 +60,7 @@ def _of_sphere(sphere: Sphere, deepest: float) -> str:
 
 def _of_face(punch: FlatPunch) -> str:
     def raised(thickness: float) -> float:
-        ratio = min(punch.radius / thickness, _WIDEST)
+        ratio = min(punch.face_radius / thickness, _WIDEST)
         return 2.0 * hayes_factor(ratio, 0.5, is_bonded=punch.is_bonded) / (0.75 * math.pi * ratio)
 
     return (

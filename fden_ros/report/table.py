@@ -45,7 +45,7 @@ def table_of(
     )
     for heading, width in columns.items():
         if width:
-            table.add_column(Text(heading), min_width=width)
+            table.add_column(Text(heading), min_width=width, overflow="fold")
         else:
             table.add_column(Text(heading), justify="right", no_wrap=True)
     for row in rows:
@@ -65,7 +65,7 @@ def contact_table(
     rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
     table = table_of(
-        {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 9},
+        {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 8},
         rows,
         "Places" if on_path else "Contacts",
         between=0,

@@ -153,7 +153,7 @@ class FlatPunch(Geometry):
         return _DEEPEST_FLAT
 
     @property
-    def radius(self) -> float:
+    def face_radius(self) -> float:
         """Radius of a round face of that area [m]."""
         return math.sqrt(self.area / math.pi)
 
@@ -167,9 +167,9 @@ class FlatPunch(Geometry):
         """1/A; with Hayes' correction (1 - nu^2) / (2 a kappa h), so that f = E x if elastic."""
         if self.poisson_ratio is None:
             return 1.0 / self.area
-        ratio, nu = self.radius / self.thickness, self.poisson_ratio
+        ratio, nu = self.face_radius / self.thickness, self.poisson_ratio
         kappa = hayes_factor(ratio, nu, is_bonded=self.is_bonded)
-        return (1.0 - nu**2) / (2.0 * self.radius * kappa * self.thickness)
+        return (1.0 - nu**2) / (2.0 * self.face_radius * kappa * self.thickness)
 
 
 @dataclass(frozen=True)
