@@ -40,6 +40,11 @@ GEOMETRIES: Mapping[str, Mapping[str, Any]] = {
         "geometry.hayes": True,
     },
     "sphere": {"geometry.kind": "sphere", "geometry.radius": 0.01},
+    "sphere on a layer": {
+        "geometry.kind": "sphere",
+        "geometry.radius": 0.01,
+        "geometry.thickness": 0.01,
+    },
 }
 #: How long the small motion lasts [s], and its size in parts of the compression [1].
 TIME_SCALE, _SIZE = 0.1, 1e-3
@@ -97,7 +102,7 @@ def found_at(press: Press, stress: Stress, parameters: Mapping[str, Any]) -> lis
     config = pipeline_config(check({**parameters, "estimate.time_scale": TIME_SCALE}))
     geometry = config.geometry
     strains, per_force = press.strains, geometry.stress_per_force
-    compressions = np.sign(strains) * np.abs(strains) ** (1.0 / geometry.exponent)
+    compressions = np.sign(strains) * [geometry.compression(x) for x in np.abs(strains)]
     forces = stress(strains, press.step)[press.cuts - 1 :: press.cuts] / per_force
     forces = forces + press.noise * forces.max()
     depths = geometry.length * compressions[press.cuts - 1 :: press.cuts]
@@ -130,10 +135,10 @@ def _beside(state: TissueState, truth: float) -> Found:
 def _truth(press: Press, stress: Stress, geometry: Geometry, at: float) -> float:
     """Return what a small step meets after the time scale [N/m], from a time on [s]."""
     before = press.strains[: round(at / press.step)]
-    compression = float(before[-1]) ** (1.0 / geometry.exponent)
+    compression = geometry.compression(float(before[-1]))
     count, forces = round(TIME_SCALE / press.step), []
     for moved in (compression, compression * (1.0 + _SIZE)):
-        stays = np.full(count, moved**geometry.exponent)
+        stays = np.full(count, geometry.strain(moved))
         after = stress(np.concatenate([before, stays]), press.step)[-1]
         forces.append(float(after) / geometry.stress_per_force)
     return (forces[1] - forces[0]) / (_SIZE * compression * geometry.length)

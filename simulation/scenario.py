@@ -11,6 +11,7 @@ made, so `dataclasses.replace` is checked too.
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import os
 import types
@@ -28,6 +29,7 @@ from fden_ros.shipped import all_shipped, shipped
 from fden_ros.simulation.model import FdenModel, FloatArray
 from simulation.contact import Stiffening
 from simulation.disturbance import Disturbances
+from simulation.elastic_layer import stiffening
 from simulation.trajectory import (
     TRAJECTORIES,
     Approach,
@@ -125,19 +127,23 @@ class Geometry:
     ----------
     kind
         ``flat_punch``: force = stress · area, depth = strain · thickness. ``sphere``: force =
-        stress · 4 R²/3, depth = R · strain^(2/3), which is Hertz' law where the tissue is linear.
+        stress · 4 R²/3, depth = R · strain^(2/3), which is Hertz' law where the tissue is linear;
+        with a thickness it presses an incompressible layer, :mod:`simulation.elastic_layer`.
         ``pass_through``: the force stream carries the stress in Pa, the displacement stream the
         strain.
     area_m2, radius_m
         Face of the punch, one of the two; radius of the sphere.
     thickness_m
-        Thickness of the tissue under a flat punch.
+        Thickness of the tissue under a flat punch, or a sphere; None: a half-space.
+    bonded
+        The base holds the layer under a sphere; else it slips.
     """
 
     kind: str = "flat_punch"
     area_m2: float | None = None
     radius_m: float | None = None
     thickness_m: float | None = None
+    bonded: bool = True
 
     def __post_init__(self) -> None:
         require_choice("geometry: kind", self.kind, ("flat_punch", "sphere", "pass_through"))
@@ -149,7 +155,7 @@ class Geometry:
         }
         allowed = {
             "flat_punch": ({"area_m2", "thickness_m"}, {"radius_m", "thickness_m"}),
-            "sphere": ({"radius_m"},),
+            "sphere": ({"radius_m"}, {"radius_m", "thickness_m"}),
             "pass_through": (set[str](),),
         }[self.kind]
         if given not in allowed:
@@ -176,17 +182,30 @@ class Geometry:
         lengths = {"flat_punch": self.thickness_m, "sphere": self.radius_m, "pass_through": 1.0}
         return lengths[self.kind] or 1.0
 
+    @functools.cached_property
+    def _layer(self) -> tuple[FloatArray, FloatArray]:
+        """Depths into the layer, and into a half-space that presses as much, in radii."""
+        layer = stiffening(0.5, is_bonded=self.bonded)
+        ratio = self.length_m / (self.thickness_m or math.inf)
+        places = np.linspace(0.0, layer.ratios[-1], 20_000)
+        depths = (places / ratio) ** 2
+        return depths, depths * np.cbrt(layer.of(places)) ** 2
+
     def depth_of_strain(self, strain: FloatArray) -> FloatArray:
         """Return the displacement into the tissue in m; negative above the undisturbed surface."""
         if self.kind != "sphere":
             return strain * self.length_m
-        return self.length_m * np.where(
-            strain > 0.0, np.cbrt(np.maximum(strain, 0.0)) ** 2, strain
-        )
+        hertz = np.cbrt(np.maximum(strain, 0.0)) ** 2
+        if self.thickness_m is not None:
+            depths, same = self._layer
+            hertz = np.interp(hertz, same, depths)
+        return self.length_m * np.where(strain > 0.0, hertz, strain)
 
     def strain_of_depth(self, depth: float) -> float:
         """Return the strain at a displacement into the tissue in m, the inverse of the above."""
         relative = depth / self.length_m
+        if self.thickness_m is not None and self.kind == "sphere" and relative > 0.0:
+            relative = float(np.interp(relative, *self._layer))
         return math.sqrt(relative**3) if self.kind == "sphere" and relative > 0.0 else relative
 
 

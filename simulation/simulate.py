@@ -147,7 +147,11 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
             "geometry.area": geometry.force_per_stress,
             "geometry.thickness": geometry.length_m,
         },
-        "sphere": {"geometry.radius": geometry.length_m},
+        "sphere": {
+            "geometry.radius": geometry.length_m,
+            "geometry.thickness": geometry.thickness_m or 0.0,
+            "geometry.bonded": geometry.bonded,
+        },
         "pass_through": {},
     }
     parameters: dict[str, Any] = {

@@ -160,8 +160,10 @@ class _Elastic(NamedTuple):
 def _elastic(law: LawState, compression: Array) -> _Elastic:
     """Return the law's elastic response; pulled, a one-sided law has none."""
     size = np.abs(compression)
-    strain = size**law.exponent
-    by_size = law.exponent * size ** (law.exponent - 1.0)
+    powers = law.exponent + 0.5 * np.arange(len(law.series) + 1)
+    terms = np.array([1.0, *law.series])
+    strain = size[:, None] ** powers @ terms
+    by_size = size[:, None] ** (powers - 1.0) @ (powers * terms)
     scaled = law.nonlinear_stiffness * strain
     beyond = np.clip(scaled - 1.0, 0.0, MAX_EXPONENT)
     growth = np.exp(beyond)

@@ -387,7 +387,7 @@ def test_what_the_data_do_not_allow_is_said_in_words(tmp_path):
     said = out.read_text()
     assert "is cut off at byte" in said
     assert "The contact was cut short" in said
-    assert "of 1 more G is known" in said
+    assert "of 1 G is known, Gn is not" in said
     assert "G is known, Gn is not observable: the strain reached" in said
 
 
@@ -438,5 +438,7 @@ def test_the_test_tells_large_and_coloured_innovations_from_right_ones():
         passed += verdict(white) == "as large as the noise explains; white"
         assert "larger than" in verdict(2.0 * white)
         assert "smaller than" in verdict(0.5 * white)
-        assert "not white" in verdict(np.convolve(white, np.ones(4) / 2.0, "valid"))
+        for kernel, words in ((np.ones(4) / 2.0, "resemble"), ([0.8, -0.6], "are opposed to")):
+            coloured = verdict(np.convolve(white, kernel, "valid"))
+            assert f"not white: neighbours {words} each other" in coloured
     assert passed >= 190  # 98 % expected of the two tests of 99 %

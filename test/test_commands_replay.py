@@ -304,19 +304,6 @@ def test_rows_and_bad_cells_of_a_table_are_told_apart(tmp_path: Path) -> None:
     assert Columns.parse("t_ms*1e-3, f ,d").time == Column("t_ms", Decimal("1e-3"))
 
 
-@pytest.mark.parametrize("heading", ["time_s;force_N;depth_mm\n", ""])
-@pytest.mark.parametrize("delimiter", [";", "\t"])
-def test_decimal_commas_are_points(tmp_path: Path, heading: str, delimiter: str) -> None:
-    path = tmp_path / "messung.csv"
-    text = f"{heading}0,000;0,02;1,5\n0,002;-1,25e-1;2,5\n"
-    path.write_text(text.replace(";", delimiter))
-    rows = list(TableReader(path, Columns.parse("1,2,3*1e-3")).rows())
-    assert [tuple(row[:3]) for row in rows] == [
-        (1_000_000_000, 0.02, pytest.approx(1.5e-3)),
-        (1_002_000_000, -0.125, pytest.approx(2.5e-3)),
-    ]
-
-
 # What cannot be used says so in one line
 
 

@@ -30,12 +30,10 @@ from fden_ros.configure.robots import robot_named, robot_names
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.transforms import FrameTree
-from fden_ros.errors import InputError
 from fden_ros.nodes import guide
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import read_parameter_file
 from fden_ros.parameters.files import live_topics, read_sections
-from fden_ros.recording.table import stated_columns
 from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
@@ -383,35 +381,6 @@ def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys
         assert run(command, table, "--config", probe) == 0
     assert run("batch", table, "--config", probe, "-o", tmp_path / "contacts.csv") == 0
     assert "2 contacts new" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("headings", "columns"),
-    [
-        (["time_s", "force_N", "depth_mm"], "time_s,force_N,depth_mm*0.001"),
-        (["Depth [mm]", "Load [N]", "Time [s]"], "Time [s],Load [N],Depth [mm]*0.001"),
-        (
-            ["timestamp", "actual_TCP_pose_2", "actual_TCP_force_2"],
-            "timestamp,actual_TCP_force_2,actual_TCP_pose_2*-1",
-        ),
-        (
-            ["timestamp", *(f"actual_TCP_{w}_{k}" for w in ("pose", "force") for k in range(6))],
-            "timestamp,actual_TCP_force,actual_TCP_pose",
-        ),
-        (["Zeit [s]", "Kraft [N]", "Weg [mm]"], "Zeit [s],Kraft [N],Weg [mm]*0.001"),
-        (["t", "f", "z"], None),
-        (["time_s", "force_N", "temperature_K"], None),
-    ],
-)
-def test_headings_with_units_say_the_columns(tmp_path, headings, columns):
-    table = tmp_path / "press.csv"
-    rows = ("".join(f",{0.1 * (k + row):.1f}" for k in range(len(headings))) for row in range(2))
-    table.write_text("\n".join([",".join(headings), *(row[1:] for row in rows)]))
-    if columns is None:
-        with pytest.raises(InputError, match="do not say"):
-            stated_columns(table)
-    else:
-        assert str(stated_columns(table)) == columns
 
 
 # Measured

@@ -27,8 +27,8 @@ from fden_ros.core.law.geometry import (
     PassThrough,
     Sphere,
     TorsionalRheometer,
-    hayes_factor,
 )
+from fden_ros.core.law.layer import hayes_factor
 from fden_ros.core.law.relaxation import memory_weights
 from fden_ros.core.law.stress_memory import StressMemory
 from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
@@ -102,6 +102,8 @@ GEOMETRIES = [
     FlatPunch(1e-4, 0.02),
     FlatPunch(1e-4, 0.02, 0.5),
     Sphere(0.005),
+    Sphere(0.005, 0.004),
+    Sphere(0.01, 0.004, is_bonded=False),
     TorsionalRheometer(0.01, 0.005),
     PassThrough(),
 ]

@@ -132,10 +132,16 @@ def surface_of(size: int) -> Array:
     return 0.15 * np.interp(np.arange(size), [0, 20, 90, 150, 170], [0, 0, 1, 0.4, 0.3])
 
 
+#: Of a layer as thick as the radius, which its base holds.
+THIN = (1.13, 1.3, 2.77, -1.41, 0.32)
+
 CASES = {
     "touch and release": Case(BASE, *PRESS),
     "free surface": Case(BASE, *PRESS, surface_of(PRESS[0].size)),
     "sphere": Case(replace(BASE, exponent=1.5), *PRESS),
+    "sphere on a layer": Case(
+        replace(BASE, bend=BEND, exponent=1.5, compliance=0.05, series=THIN), *PRESS
+    ),
     "two-sided": Case(replace(BASE, is_one_sided=False), *PRESS),
     "compliance": Case(replace(BASE, compliance=0.05), *PRESS),
     "compliance at a free surface": Case(

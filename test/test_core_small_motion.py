@@ -18,6 +18,7 @@ from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN, unkn
 from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
 
 FLAT, SPHERE = FlatPunch(area=1e-4, thickness=0.02), Sphere(radius=0.01)
+THIN = Sphere(radius=0.01, thickness=0.015)
 ORIGIN_SD, TIME_SCALE = 0.01, 0.1
 
 
@@ -49,7 +50,7 @@ def value_of(model: PressModel, state: Array, stress: float) -> float:
     return found[0]
 
 
-@pytest.mark.parametrize("geometry", [FLAT, SPHERE])
+@pytest.mark.parametrize("geometry", [FLAT, SPHERE, THIN])
 def test_the_prediction_is_the_answer_of_the_model_to_a_small_step(geometry):
     model = bent_model(geometry, compliance_sd=0.0)
     state, size = state_of(model, 1), 1e-5
@@ -70,7 +71,7 @@ def test_the_prediction_is_the_answer_of_the_model_to_a_small_step(geometry):
     assert math.exp(value_of(model, state, 0.0)) == pytest.approx(rise / per_length, rel=0.02)
 
 
-@pytest.mark.parametrize("geometry", [FLAT, SPHERE])
+@pytest.mark.parametrize("geometry", [FLAT, SPHERE, THIN])
 def test_its_variance_is_that_of_its_derivatives(geometry):
     model, stress = bent_model(geometry), 2000.0
     state = state_of(model, 2)

@@ -26,7 +26,9 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 
 from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
+from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
     ContactSummary,
     Flag,
@@ -156,6 +158,20 @@ def test_the_monitor_shows_what_is_known_and_what_is_not():
         assert words in text
     lost = MonitorView("/identifier", state=state, age=3.0, refusal=Refusal.LOST)
     assert "no estimate for 3.0 s" in shown(lost)
+    slope = MeasuredStiffness(2619.7, 12.0, 0.005, 0.001, 0)
+    alone = replace(
+        on_map(1),
+        converged=False,
+        estimate=ESTIMATE._replace(known=ParameterSet(0)),
+        measured=BothWays(slope),
+    )
+    text = shown(MonitorView("/identifier", state=state, age=0.01, summaries=(alone,)))
+    for words in (
+        "N/m known; G and Gn not: the data do not determine them",
+        *("2,620", "N/m known", "(500 ± 50)"),
+    ):
+        assert words in text
+    assert "not converged" not in text
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies():

@@ -221,6 +221,7 @@ ROOMS = (
     "one_thread",
     "progress",
     "shipped",
+    "written",
     "core.arrays",
     "core.streams",
     "core.law",
@@ -262,7 +263,7 @@ ROOMS = (
     "cli",
 )
 #: Modules that stand alone at the root.
-LOOSE = {"errors", "one_thread", "progress", "shipped", "tissue_feed", "cli"}
+LOOSE = {"errors", "one_thread", "progress", "shipped", "tissue_feed", "written", "cli"}
 
 
 def room_of(module: str) -> str:

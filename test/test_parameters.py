@@ -532,6 +532,12 @@ EFFECTS: dict[str, Effect] = {
     ),
     "geometry.radius": ("plain", {"geometry.kind": "sphere"}, 0.01, stress_times(0.25)),
     "geometry.hayes": ("plain", {}, True, lambda a, b: b.stress < a.stress),
+    "geometry.bonded": (
+        "plain",
+        {"geometry.hayes": True},
+        False,
+        lambda a, b: b.stress > a.stress,
+    ),
     "geometry.poisson_ratio": (
         "plain",
         {"geometry.hayes": True},

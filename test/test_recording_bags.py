@@ -221,17 +221,6 @@ def test_split_bag_is_one_stream_by_time(tmp_path):
     assert "bag_10.mcap is listed in metadata.yaml but missing" in warning
 
 
-def test_folder_without_metadata_is_read_and_said(tmp_path):
-    folder = write_bag(tmp_path / "bag")
-    expected = data_of(folder)
-    (folder / "metadata.yaml").unlink()
-    assert data_of(folder) == expected
-    assert "no metadata.yaml" in BagReader(folder).warnings[0]
-    (folder / "metadata.yaml").write_text("{")
-    assert data_of(folder) == expected
-    assert "cannot be read" in BagReader(folder).warnings[0]
-
-
 # Damage
 
 

@@ -119,6 +119,11 @@ def without_metadata(folder: Path) -> Path:
     return folder
 
 
+def broken_metadata(folder: Path) -> Path:
+    (folder / "metadata.yaml").write_text("{")
+    return folder
+
+
 def foxy(path: Path, messages: Messages, left_in_log: int = 0) -> Path:
     """Write a sqlite3 file without definitions; the last messages stay in its log."""
     database = sqlite3.connect(path)
@@ -187,6 +192,10 @@ KINDS: dict[str, Make] = {
     "sqlite3 by message": lambda at, m: ros2(at / "bag", m, BY_MESSAGE),
     "sqlite3 by message, alone": lambda at, m: alone(ros2(at / "bag", m, BY_MESSAGE)),
     "MCAP": lambda at, m: ros2(at / "bag", m, plugin=MCAP),
+    "MCAP without metadata": lambda at, m: without_metadata(ros2(at / "bag", m, plugin=MCAP)),
+    "MCAP without metadata that can be read": lambda at, m: broken_metadata(
+        ros2(at / "bag", m, plugin=MCAP)
+    ),
     "MCAP by file": lambda at, m: ros2(at / "bag", m, BY_FILE, MCAP),
     "MCAP by message": lambda at, m: ros2(at / "bag", m, BY_MESSAGE, MCAP),
     "MCAP by message, alone": lambda at, m: alone(ros2(at / "bag", m, BY_MESSAGE, MCAP)),

@@ -93,6 +93,11 @@ STATED = {
     + "".join(f"{t},{f},\n{t},,{d}\n" for t, f, d in ROWS),
     "sparse by instrument": NEWTONS
     + "".join(f"{t},NaN,{1e3 * d}\n{t},{f},NaN\n" for t, f, d in ROWS),
+    "blank cells and words": "Time (s),Load (N),Load 2 (N),Depth (mm)\n"
+    + lines("{:.3f},{:.4f},off,{:.4f}") + "9,,off,3\n,5,off,3\n",
+    "not a number": NEWTONS + PLAIN + "9,NaN,3\n9.1,5,nan\n",
+    "robot's recorder": "timestamp actual_TCP_pose_2 actual_TCP_force_2\n"
+    + "".join(f"{t} {-d} {f}\n" for t, f, d in ROWS),
     "us mN um": units("us mN µm", time=1e6, force=1e3, displacement=1e6),
     "ms uN nm": units("ms µN nm", time=1e3, force=1e6, displacement=1e9),
     "min cN cm": units("min cN cm", time=1 / 60, force=100.0, displacement=100.0),
@@ -192,6 +197,8 @@ def test_dates_and_times_of_day_are_times(
         (PREAMBLE + NEWTONS + PLAIN, "Time (s),Load (N),Depth (mm)"),
         (PREAMBLE + NEWTONS + PLAIN, "1,2,3"),
         (PREAMBLE + PLAIN, "1,2,3*1e-3"),
+        (GERMAN, "1,2,3*1e-3"),
+        (comma(lines("{:.3f}\t{:.5e}\t{:.5e}")), "1,2,3*1e-3"),
         (PREAMBLE + "Load (N),Load (N),t\n" + lines("9,{1:.4f},{0:.3f},{2:.4f}"), "3,2,4*1e-3"),
         ('t,"Load, raw [N]",Depth\n' + PLAIN, 't,"Load, raw [N]",Depth*1e-3'),
         ("t;f;d\n" + GERMAN, "@10,f,d*1e-3"),
@@ -225,6 +232,8 @@ def test_columns_that_are_given_are_read_below_any_preamble(
         ("time_s,ft1_force_N,ft2_force_N,z_mm", "the force: ft1_force_N, ft2_force_N"),
         ("Time (s),Load (N),Depth,Width", "which column is the displacement:"),
         ("a,b,c,d", "it has a, b, c, d"),
+        ("t,f,z", "do not say"),
+        ("time_s,force_N,temperature_K", "do not say"),
     ],
 )
 def test_what_stays_ambiguous_is_asked_for_with_the_candidates(
@@ -275,14 +284,6 @@ def test_a_file_that_cannot_be_read_says_why(
     assert looks_like_a_table(path)
     with pytest.raises(InputError, match=words):
         read(path)
-
-
-def test_a_column_that_holds_no_numbers_is_none(tmp_path: Path) -> None:
-    path = tmp_path / "press.csv"
-    path.write_text("Time (s),Load (N),Load 2 (N),Depth (mm)\n0,1,off,2\n1,2,off,3\n2,,off,3\n")
-    reader = TableReader(path, stated_columns(path))
-    assert [row.force for row in reader.rows()] == [1.0, 2.0]
-    assert reader.skipped == 1
 
 
 # A testing machine's recording

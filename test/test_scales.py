@@ -98,7 +98,21 @@ def test_a_micro_indenter_s_table_in_nanonewtons_and_nanometres_works_end_to_end
     table, config = tmp_path / "gel.csv", tmp_path / "probe.yaml"
     np.savetxt(table, np.stack([time, 1e9 * force, 1e9 * way]).T, delimiter=",",
                header="time_s,force_nN,displacement_nm", comments="")  # fmt: skip
-    assert main(["configure", str(table), "--sphere", str(radius), "-o", str(config)]) == 0
+    assert (
+        main(
+            [
+                "configure",
+                str(table),
+                "--sphere",
+                str(radius),
+                "--thickness",
+                "1e-3",
+                "-o",
+                str(config),
+            ]
+        )
+        == 0
+    )
     assert "noise_floor: 2.0e-12" in config.read_text()
     capsys.readouterr()
     command = ["replay", str(table), "--config", str(ROOT / "config" / "bench.yaml")]

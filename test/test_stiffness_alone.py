@@ -71,9 +71,14 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
     words = " ".join(printed.out.split())
     assert "N/m known" in words
     said = words.split("contact 2: ")[1]
-    value, _, deviation = said.partition(" N/m are known")[0].partition(" ± ")
+    value, _, deviation = said.partition(" N/m are known")[0].replace(",", "").partition(" ± ")
     assert abs(float(value) - SPRING) < 4.0 * float(deviation)
     assert said.split("as measured; ")[1].startswith("G and Gn are not: ")
+    page = tmp_path / "report.html"
+    assert main(["report", table, "--config", str(config), "-o", str(page)]) == 0
+    told = page.read_text(encoding="utf-8")
+    assert "of 1 N/m is known, G and Gn are not." in told and "not converged<" not in told
+    assert "N/m known; G and Gn not</td>" in told and "<li>N/m known; G and Gn not: " in told
     row = next(line for line in printed.out.splitlines() if line.startswith("2 "))
     assert row.split()[2].startswith(("(", "–"))
 

@@ -118,7 +118,7 @@ def test_the_table_with_flags_is_whole_in_80_columns():
     text = printed(flagged)
     assert "…" not in text
     for words in (
-        *("12346 ± 1235", "8.000 ± 0.014", "0.130", "12.4 ± 0.1"),
+        *("12,300 ± 1,200", "8.000 ± 0.014", "0.130", "12.4 ± 0.1"),
         *("G known", "tissue", "changed", "origin", "uncertain", "unknown", "94%"),
     ):
         assert words in text, text
@@ -131,8 +131,8 @@ def test_the_table_with_flags_is_whole_in_80_columns():
     ("value", "deviation", "is_of_data", "words"),
     [
         (47.4, 4.1, True, "47.4 ± 4.1"),
-        (609.0, 322.0, False, "(609 ± 322)"),
-        (239.0, 250.0, True, "below 1400"),  # 239 exp(1.645 250/239) = 1336
+        (609.0, 322.0, False, "(610 ± 320)"),
+        (239.0, 250.0, True, "below 1,400"),  # 239 exp(1.645 250/239) = 1336
         (0.31, 0.31, True, "below 1.7"),
         (239.0, 708.0, True, "–"),
     ],
@@ -267,23 +267,23 @@ def lacking(
     [
         (
             "friction",
-            "friction of 7.0 mN is assumed and the press had 16 mN: state force.friction_sd, use "
+            "friction of 7 mN is assumed and the press had 16 mN: state force.friction_sd, use "
             "config/bench.yaml on a rigid rig, or press to 56 mN",
         ),
         ("noise", "with 50 mN of noise it takes a face of 38 mm or a strain of 0.46"),
         (
             "drift",
-            "drift of 5.0 mN in a second is assumed and the press had 16 mN: state "
+            "drift of 5 mN in a second is assumed and the press had 16 mN: state "
             "force.drift_sd, press faster, or press to 56 mN",
         ),
         (
             "motion",
-            "0.10 mm of motion of the surface in a second is assumed: state surface.motion_sd, "
+            "0.1 mm of motion of the surface in a second is assumed: state surface.motion_sd, "
             "or press faster",
         ),
-        ("compliance", "a compliance of 0.10 mm/N is assumed: state displacement.compliance_sd"),
+        ("compliance", "a compliance of 0.1 mm/N is assumed: state displacement.compliance_sd"),
         ("delay", "a delay of 2.5 ms is assumed: fden configure measures it"),
-        ("surface", "the surface was found to 0.40 mm: touch it slower"),
+        ("surface", "the surface was found to 0.4 mm: touch it slower"),
         ("thickness", "a thickness known to 2 % is assumed: state geometry.thickness_sd"),
     ],
 )
@@ -344,7 +344,7 @@ def test_a_gn_that_a_faint_press_hides_has_its_budget_and_what_would_help_beside
     contact, config = pressed(150.0, 0.002, 0.15)
     words = shortfall(contact, config)
     assert re.search(r"Gn is not observable: .*\(of the variance: drift \d+ %", words)
-    assert "drift of 5.0 mN in a second is assumed and the press had" in words
+    assert "drift of 5 mN in a second is assumed and the press had" in words
 
 
 def test_a_touch_that_was_not_seen_is_said_where_the_command_ends():

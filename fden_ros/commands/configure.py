@@ -172,12 +172,16 @@ def _check(args: argparse.Namespace) -> None:
         ),
         (unknown, f"--rigid {' '.join(unknown)} is none of the recordings"),
         (
-            args.sphere is not None and (args.flat_punch or args.thickness) is not None,
+            args.sphere is not None and args.flat_punch is not None,
             "--sphere and --flat-punch exclude each other",
         ),
         (
-            (args.flat_punch is None) != (args.thickness is None),
-            "--flat-punch AREA needs --thickness H, and --thickness needs --flat-punch",
+            args.flat_punch is not None and args.thickness is None,
+            "--flat-punch AREA needs --thickness H",
+        ),
+        (
+            args.thickness is not None and args.sphere is None and args.flat_punch is None,
+            "--thickness H needs --flat-punch AREA or --sphere R",
         ),
     ):
         if is_wrong:
@@ -191,6 +195,7 @@ def _indenter(args: argparse.Namespace) -> dict[str, float | str] | None:
     stated: dict[str, float | str] = {}
     if args.sphere is not None:
         stated = {"kind": "sphere", "radius": args.sphere}
+        stated |= {} if args.thickness is None else {"thickness": args.thickness}
     elif args.flat_punch is not None:
         stated = {"kind": "flat_punch", "area": args.flat_punch, "thickness": args.thickness}
     try:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from fden_ros.commands.command import add_json, number, positive, print_json
 from fden_ros.experiments.kinds import EXPERIMENTS, Options, fit_file
+from fden_ros.written import written
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -140,6 +141,7 @@ def _table(title: str, parameters: Mapping[str, Parameter]) -> Table:
 
 def _cells(name: str, p: Parameter) -> tuple[str, ...]:
     symbol, unit = _UNITS.get(name, (name, ""))
-    interval = f"{p.low:.5g} to {p.high:.5g}" if math.isfinite(p.low + p.high) else "–"
-    sd = f"{p.sd:.2g}" if math.isfinite(p.sd) else "–"
-    return symbol, f"{p.value:.5g}", sd, interval, unit
+    ends = f"{written(p.low, 5)} to {written(p.high, 5)}"
+    interval = ends if math.isfinite(p.low + p.high) else "–"
+    sd = written(p.sd, 2) if math.isfinite(p.sd) else "–"
+    return symbol, written(p.value, 5), sd, interval, unit

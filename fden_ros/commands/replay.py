@@ -134,7 +134,7 @@ def _lacking(result: Replay, parameters: Parameters) -> list[str]:
         words = shortfall(summary, config)
         if summary.contact_id in result.with_stiffness_alone:
             words = f"{_stiffness(summary)}; G and Gn are not: " + (
-                words or against_the_law(summary, config)
+                words or against_the_law(summary)
             )
         if words:
             lines.append(f"contact {summary.contact_id}: {words}")
@@ -172,12 +172,12 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         console.print(f"no contact, but measured: {unseen}")
     used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())
     console.print(
-        f"{result.samples} samples, {sum(result.rejected.values())} rejected; {escape(used)}"
+        f"{result.samples:,} samples, {sum(result.rejected.values()):,} rejected; {escape(used)}"
     )
     for line in result.set_by_recording:
         console.print(f"set by the recording: {escape(line)}")
     for reason, count in result.rejected.items():
-        console.print(f"  {reason}: {count}")
+        console.print(f"  {reason}: {count:,}")
     for words in lacking:
         console.print(escape(words))
     for warning in result.warnings:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from fden_ros.commands.command import add_json, number, print_json, write
 from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
 from fden_ros.errors import InputError
+from fden_ros.written import written
 
 if TYPE_CHECKING:
     from fden_ros.core.classification.classifier import TissueLibrary
@@ -162,7 +164,7 @@ def _geometry(parameters: Parameters) -> dict[str, Any]:
     kind = parameters.geometry.kind
     sizes = {
         "flat_punch": ("area", "thickness", "hayes"),
-        "sphere": ("radius",),
+        "sphere": ("radius", "thickness"),
         "torsional_rheometer": ("radius", "thickness"),
         "pass_through": (),
     }[kind]
@@ -217,9 +219,9 @@ def _print(
                 escape(name),
                 str(spread.contacts),
                 "not named" if name in contacts.unnamed else str(spread.specimens),
-                f"{np.exp(tissue.mean[0]):.4g}",
+                written(math.exp(tissue.mean[0]), 4),
                 f"{np.exp(sd[0]):.2f}",
-                f"{np.exp(tissue.mean[1]):.3g}",
+                written(math.exp(tissue.mean[1]), 3),
                 f"{np.exp(sd[1]):.2f}",
                 f"{tissue.mean[2]:.3f}",
                 f"{sd[2]:.3f}",

@@ -74,7 +74,7 @@ SUBJECTS: Mapping[str, Subject] = {
     ),
     "place": Subject("", "site", "state --one-place where all presses are of one"),
     "indenter": Subject(
-        "", "geometry", "state the indenter: --flat-punch AREA --thickness H, or --sphere R"
+        "", "geometry", "state the indenter: --flat-punch AREA, or --sphere R, with --thickness H"
     ),
 }
 

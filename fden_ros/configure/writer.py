@@ -65,7 +65,7 @@ def replay_problems(survey: Survey) -> list[str]:
     if not survey.finding("indenter").claim:
         problems.append(
             "the indenter is the default's, a flat face of 1 cm^2 on 20 mm: G and Gn are not the "
-            "tissue's before you state yours (--flat-punch AREA --thickness H, --sphere R)"
+            "tissue's before you state yours (--flat-punch AREA or --sphere R, with --thickness H)"
         )
     return problems
 

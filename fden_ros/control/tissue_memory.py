@@ -128,6 +128,7 @@ class TissueMemory:
             weights=relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER))),
             bend=np.zeros(0),
             last_knot=1.0,
+            series=self._geometry.series,
         )
 
     def _respond(

@@ -19,6 +19,7 @@ from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.written import written
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ _MOST_SIZES = {
     "radius": (0.1, "m", "cm", 1e-2),
 }
 #: Area that stands for an unknown one [m^2]: the stress is in newtons.
-_UNKNOWN_AREA = 1.0
+UNKNOWN_AREA = 1.0
 #: G lies within 5 standard deviations of its prior, or a factor of 30 where they are less ...
 _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
 #: ... and, where the prior allows more, within these [Pa s^alpha]: fat and cartilage lie between.
@@ -80,7 +81,7 @@ def stands_against(geometry: Geometry) -> str:
         )
     for name, (most, unit, other, factor) in _MOST_SIZES.items():
         value = getattr(geometry, name, 0.0)
-        if value > most and not (name == "area" and value >= _UNKNOWN_AREA):
+        if most < value < math.inf and not (name == "area" and value >= UNKNOWN_AREA):
             return (
                 f"geometry.{name} of {value:.3g} {unit} is implausible, so nothing is converged: "
                 f"was {other} meant? With the factor {factor:g} it would be "
@@ -195,17 +196,19 @@ class Plausibility:
         self._words.setdefault(kind, words)
 
     def _of_strain(self, strain: float) -> str:
-        most, power = self._geometry.most_strain, self._geometry.exponent
+        most, geometry = self._geometry.most_strain, self._geometry
         if strain <= most:
             return ""
-        values = {name: strain * factor**power for name, factor in _LENGTHS.items()}
+        depth, deepest = geometry.compression(strain), geometry.compression(most)
+        values = {name: geometry.strain(depth * factor) for name, factor in _LENGTHS.items()}
         asked = _asked(values, _LENGTHS, _LIKELY_STRAIN, most)
         if not asked:
-            factor = 10.0 ** -math.ceil(math.log10(strain / most) / power)
-            asked = f"another unit (factor {factor:.3g}: {strain * factor**power:.2g})"
+            factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
+            then = geometry.strain(depth * factor)
+            asked = f"another unit (factor {factor:.3g}: {written(then, 2)})"
         return (
-            f"a contact reached a strain of {strain:.3g}, at most {most:g} is plausible: is the "
-            f"displacement in {asked}, not m? Or is the geometry wrong?"
+            f"a contact reached a strain of {written(strain, 3)}, at most {written(most, 3)} is "
+            f"plausible: is the displacement in {asked}, not m? Or is the geometry wrong?"
         )
 
     def _of_force(self, force: float) -> str:
@@ -216,8 +219,8 @@ class Plausibility:
             {name: force * factor for name, factor in _FORCES.items()}, _FORCES, *_LIKELY_FORCE
         )
         return (
-            f"a contact reached {force:.3g} N, more than plausible.force ({most:g} N): is the "
-            f"force in {asked or 'N'}? If it is that large, set plausible.force to "
+            f"a contact reached {written(force, 3)} N, more than plausible.force ({most:g} N): is "
+            f"the force in {asked or 'N'}? If it is that large, set plausible.force to "
             f"{10.0 ** math.ceil(math.log10(force)):g} in the parameter file"
         )
 
@@ -235,9 +238,9 @@ class Plausibility:
             _TIMES, *_LIKELY_RATE,
         )  # fmt: skip
         return (
-            f"a strain of {strain:.2g} took {elapsed:.3g} s, slower than plausible.strain_rate "
-            f"({least:g} 1/s), and samples come every {self._step:.2g} s: is the time in "
-            f"{asked or 's'}? If the press is that slow, set plausible.strain_rate"
+            f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
+            f"plausible.strain_rate ({least:g} 1/s), and samples come every {self._step:.2g} s: "
+            f"is the time in {asked or 's'}? If the press is that slow, set plausible.strain_rate"
         )
 
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:
@@ -264,7 +267,7 @@ class Plausibility:
         if ratio > 1.0 and strain < _LEAST_STRAIN:
             asked = f"{asked or 'N'}, or the displacement in m already (factor 1e3)"
         return (
-            f"the stress at a strain of {strain:.2g} is some {ratio:.2g} times that of "
+            f"the stress at a strain of {strain:.2g} is some {written(ratio, 2)} times that of "
             f"prior.linear_stiffness: is the force in {asked or 'N'}? If not, state the prior"
         )
 
@@ -280,7 +283,7 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
         words = " or ".join(f"{u} (factor {units[u]:.3g})" for u in list(units)[:2])
         return (
             f"most samples of the {name} are beyond {name}.limit ({limit:g} {unit}), up to "
-            f"{guard.largest:.3g}: is it in {words}, not {unit}?"
+            f"{written(guard.largest, 3)}: is it in {words}, not {unit}?"
         )
     if 2 * guard.too_close > max(_MIN_SAMPLES, guard.accepted):
         return too_fast(guard.close_step)

@@ -31,6 +31,7 @@ from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.lag import Lag
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall_in_parts
+from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.stamps import restamped_data
 from fden_ros.ros.decoding import handler_of
@@ -101,6 +102,8 @@ class Session:
         self._node.get_logger().info(f"listening to {', '.join(first)} and {last}")
         for problem in self.pipeline.problems:
             self._node.get_logger().warning(problem)
+        if words := assumed(self.pipeline.config.geometry):
+            self._node.get_logger().info(words)
 
     @property
     def lost(self) -> Counter[str]:

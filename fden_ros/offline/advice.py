@@ -29,6 +29,7 @@ from fden_ros.planning.remedies import (
     uncover,
 )
 from fden_ros.planning.tissue import TissueBelief
+from fden_ros.written import written
 
 #: Sources named at most.
 _NAMED = 4
@@ -121,7 +122,7 @@ def deeper(strain: float, gn: float, geometry: Geometry) -> str:
     compression = geometry.compression(wanted_strain(strain, gn))
     if compression > LARGEST_COMPRESSION:
         return "it hardly stiffens this far, so Gn is not seen"
-    return f"press to {1e3 * geometry.length * compression:.2g} mm for Gn"
+    return f"press to {written(1e3 * geometry.length * compression, 2)} mm for Gn"
 
 
 def wanted_strain(strain: float, gn: float) -> float:
@@ -186,4 +187,4 @@ def _percent(estimate: Estimate, index: int) -> str:
     sd = float(estimate.deviations[index])
     if sd < 1.0:
         return f"{100.0 * sd:.0f} %"
-    return f"a factor of {math.exp(min(sd, 20.0)):.2g}"
+    return f"a factor of {written(math.exp(min(sd, 20.0)), 2)}"

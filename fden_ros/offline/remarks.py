@@ -11,6 +11,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.offline.advice import shortfall
+from fden_ros.written import written
 
 #: What a flag stands for; ALPHA_CONTRADICTED has its numbers.
 _BY_FLAG = {
@@ -46,7 +47,7 @@ _BY_FLAG = {
 }
 
 
-def against_the_law(summary: ContactSummary, config: PipelineConfig) -> str:
+def against_the_law(summary: ContactSummary) -> str:
     """Return in one line what stands against G and Gn of a contact that lacks nothing else."""
     estimate = summary.estimate
     against = [words for flag, words in _BY_FLAG.items() if summary.flags & flag]
@@ -56,9 +57,13 @@ def against_the_law(summary: ContactSummary, config: PipelineConfig) -> str:
     return f"{words[0].lower()}{words[1:]}".rstrip(".")
 
 
-def remarks(summary: ContactSummary, config: PipelineConfig) -> Iterator[str]:
-    """Yield, in words, what stands against a conclusion."""
+def remarks(
+    summary: ContactSummary, config: PipelineConfig, *, alone: bool = False
+) -> Iterator[str]:
+    """Yield, in words, what stands against a conclusion; `alone`: N/m is known, and not G."""
     estimate = summary.estimate
+    if alone:
+        yield f"N/m known; G and Gn not: {against_the_law(summary)}."
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
     yield from (words for flag, words in _BY_FLAG.items() if summary.flags & flag)
@@ -90,7 +95,7 @@ def _at_edge(estimate: Estimate) -> Iterator[str]:
     for parameter, words in (
         (
             ParameterSet.LINEAR_STIFFNESS,
-            f"G ({estimate.linear_stiffness:.3g}): state another prior.linear_stiffness",
+            f"G ({written(estimate.linear_stiffness, 3)}): state another prior.linear_stiffness",
         ),
         (
             ParameterSet.NONLINEAR_STIFFNESS,

@@ -17,6 +17,7 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.offline import thickness
 from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.planning.tissue import TissueBelief
@@ -137,7 +138,11 @@ def replay(
     return Replay(
         samples=pipeline.pair_count,
         rejected=dict(sorted(pipeline.rejected.items())),
-        warnings=(*source.warnings, *_warnings(pipeline, summaries)),
+        warnings=(
+            *source.warnings,
+            *_warnings(pipeline, summaries),
+            *_assumed(pipeline, summaries),
+        ),
         summaries=tuple(summaries),
         inputs=source.inputs,
         parameters=source.parameters,
@@ -169,6 +174,16 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
             "presses) and force.threshold"
         )
     return warnings
+
+
+def _assumed(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
+    """Return what is assumed of the thickness, where G rests on it."""
+    geometry = pipeline.config.geometry
+    strains = [summary.max_strain for summary in summaries if summary.estimate is not None]
+    if not strains:
+        return []
+    words = thickness.assumed(geometry, geometry.length * geometry.compression(max(strains)))
+    return [words] if words else []
 
 
 def result_object(result: Replay) -> dict[str, Any]:

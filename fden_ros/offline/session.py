@@ -85,8 +85,10 @@ class InnovationTest:
             size = "larger than the noise explains: the model or the stated noise is off"
         elif self.mean_square < self.low:
             size = "smaller than the stated noise: the intervals are wider than they need be"
-        white = abs(self.correlation) <= self.correlation_limit
-        return f"{size}; {'white' if white else 'not white: neighbours resemble each other'}"
+        if abs(self.correlation) <= self.correlation_limit:
+            return f"{size}; white"
+        likeness = "resemble" if self.correlation > 0.0 else "are opposed to"
+        return f"{size}; not white: neighbours {likeness} each other"
 
 
 @dataclass

@@ -149,7 +149,7 @@ def uncertainty_of(parameters: Parameters) -> Uncertainty:
         friction_sd=parameters.force.friction_sd,
         compliance_sd=parameters.displacement.compliance_sd,
         delay_sd=parameters.displacement.delay_sd,
-        thickness_sd=parameters.geometry.thickness_sd,
+        thickness_sd=parameters.geometry.thickness_sd * geometry_of(parameters).size_gain,
     )
 
 
@@ -256,11 +256,12 @@ def geometry_of(parameters: Parameters) -> Geometry:
     area, thickness, radius = own.area or _AREA, own.thickness or _THICKNESS, own.radius or _RADIUS
     has_thickness, has_radius = own.thickness > 0.0, own.radius > 0.0
     if own.kind == "sphere":
-        return Sphere(radius, is_stated=has_radius)
+        depth = own.thickness or math.inf
+        return Sphere(radius, depth, own.poisson_ratio, own.bonded, is_stated=has_radius)
     if own.kind == "torsional_rheometer":
         return TorsionalRheometer(radius, thickness, is_stated=has_radius and has_thickness)
     if own.kind == "pass_through":
         return PassThrough()
     poisson_ratio = own.poisson_ratio if own.hayes else None
     is_stated = own.area > 0.0 and has_thickness
-    return FlatPunch(area, thickness, poisson_ratio, is_stated=is_stated)
+    return FlatPunch(area, thickness, poisson_ratio, own.bonded, is_stated=is_stated)

@@ -348,8 +348,8 @@ class GeometryParameters:
     thickness: float = number(
         0.0,
         "m",
-        "flat_punch: thickness of the tissue; torsional_rheometer: height of the sample; 0: not "
-        "stated.",
+        "flat_punch, sphere: thickness of the tissue on its rigid base; torsional_rheometer: "
+        "height of the sample; 0: not stated, under a sphere then thick.",
         1e-09,
         1.0,
         may_be_zero=True,
@@ -366,6 +366,11 @@ class GeometryParameters:
         False,
         "flat_punch: divide by Hayes' factor, for a probe smaller than the tissue around it.",
     )
+    bonded: bool = flag(
+        True,
+        "The base holds the tissue; false: the tissue slips on it. Counts with hayes, and under a "
+        "sphere with a thickness.",
+    )
     thickness_sd: float = number(
         0.02,
         "1",
@@ -376,7 +381,8 @@ class GeometryParameters:
     poisson_ratio: float = number(
         0.5,
         "1",
-        "Poisson's ratio for Hayes' factor.",
+        "Poisson's ratio of a layer that its base holds: with hayes, or under a sphere with a "
+        "thickness.",
         0.0,
         0.5,
     )

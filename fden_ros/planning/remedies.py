@@ -15,6 +15,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.law.characteristic import elastic_response, strain_of_phi
 from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
+from fden_ros.written import written
 
 #: Sources of a budget in words.
 WORDS: Mapping[str, str] = {
@@ -151,10 +152,13 @@ def _face(geometry: Geometry, times: float) -> str:
 
 
 def quantity(value: float, unit: str, *, up: bool = False) -> str:
-    """Return a quantity with two digits, in thousandths of its unit where it is small."""
-    size, prefix = (value, "") if abs(value) >= 0.5 else (1e3 * value, "m")
-    if size <= 0.0:
-        return f"0 {prefix}{unit}"
-    step = 10.0 ** (math.floor(math.log10(size)) - 1)
-    rounded = step * (math.ceil(size / step - 1e-9) if up else round(size / step))
-    return f"{rounded:.{max(0, -math.floor(math.log10(step)))}f} {prefix}{unit}"
+    """Return a quantity with two digits, by a prefix of its unit where it is small."""
+    if value == 0.0:
+        return f"0 m{unit}"
+    prefixes = {"": 0.5, "m": 0.5e-4, "µ": 0.5e-7, "n": 0.0}
+    prefix = next(name for name, least in prefixes.items() if abs(value) >= least)
+    size = value * 10.0 ** (3 * list(prefixes).index(prefix))
+    if up:
+        step = 10.0 ** (math.floor(math.log10(size)) - 1)
+        size = step * math.ceil(size / step - 1e-9)
+    return f"{written(size, 2)} {prefix}{unit}"

@@ -18,8 +18,11 @@ from rich.text import Text
 from fden_ros.control.live_tissue import Refusal
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
+from fden_ros.offline.known import knows_stiffness_alone
+from fden_ros.offline.remarks import against_the_law
 from fden_ros.report.numbers import DASH, law, stiffness
 from fden_ros.report.table import contact_table
+from fden_ros.written import written
 
 _COLOURS = {
     Status.NO_CONTACT: "cyan",
@@ -55,7 +58,14 @@ def monitor_view(view: MonitorView) -> Group:
         *_warnings(view),
     ]
     if view.summaries:
-        parts.append(contact_table(view.summaries[-_LAST_CONTACTS:]))
+        shown = view.summaries[-_LAST_CONTACTS:]
+        alone = {s.contact_id for s in shown if knows_stiffness_alone(s)}
+        parts.append(contact_table(shown, alone))
+        parts += [
+            Text(f"contact {s.contact_id}: N/m known; G and Gn not: {against_the_law(s)}")
+            for s in shown[-1:]
+            if s.contact_id in alone
+        ]
     return Group(*parts)
 
 
@@ -116,7 +126,7 @@ def _rates(view: MonitorView) -> str:
 def _contact(state: TissueState) -> str:
     parts = [f"{state.contact_id} at site {state.site_id}", state.phase.name.lower()]
     if state.signals is not None:
-        parts += [f"strain {state.signals.strain:.3f}", f"stress {state.signals.stress:.0f} Pa"]
+        parts += [f"strain {state.signals.strain:.3f}", f"stress {state.signals.stress:,.0f} Pa"]
     found = state.apparent_stiffness
     if found is not None:
         parts.append(f"{stiffness(found, 3)} N/m at {found.time_scale:g} s")
@@ -134,8 +144,10 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
     rows = []
     for name, index, unit in (("G", 0, "Pa s^α"), ("Gn", 1, "")):
         value, spread = math.exp(estimate.mean[index]), math.exp(_DEVIATIONS * deviations[index])
-        interval = f"{value:.4g}   [{value / spread:.4g}, {value * spread:.4g}] {unit}".rstrip()
-        rows.append((name, f"{interval}   {_how_known(estimate, index)}"))
+        interval = (
+            f"{written(value, 4)}   [{written(value / spread, 4)}, {written(value * spread, 4)}]"
+        )
+        rows.append((name, f"{interval} {unit}".rstrip() + f"   {_how_known(estimate, index)}"))
     order, half = estimate.fractional_order, _DEVIATIONS * deviations[2]
     words = [_how_known(estimate, 2)]
     if state.order_source in (OrderSource.GIVEN, OrderSource.LEARNED):

@@ -10,6 +10,7 @@ import math
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import ApparentStiffness
+from fden_ros.written import written
 
 DASH = "–"
 #: Values within these have decimal places, others significant digits.
@@ -26,13 +27,19 @@ def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
     The value has at most `most_digits` significant digits.
     """
     if not deviation > 0.0 or not math.isfinite(deviation):
-        return f"{value:.4g}"
+        return written(value, 4)
     if not _SMALL <= abs(value) < _LARGE or deviation >= _LARGE:
-        return f"{value:.3g} ± {deviation:.2g}"
+        return f"{written(value, 3)} ± {written(deviation, 2)}"
     places = 1 - math.floor(math.log10(deviation))
-    places = max(0, min(places, most_digits - 1 - math.floor(math.log10(abs(value)))))
-    shown = f"{deviation:.{places}f}"
-    return f"{value:.{places}f} ± {shown if float(shown) else f'{deviation:.1g}'}"
+    first = -math.floor(math.log10(abs(value)))
+    places = max(min(places, most_digits - 1 + first), first)
+    shown = _rounded(deviation, places)
+    return f"{_rounded(value, places)} ± {shown if shown.strip('0.') else written(deviation, 1)}"
+
+
+def _rounded(value: float, places: int) -> str:
+    """Return a number to so many decimal places; negative: to tens, hundreds ..."""
+    return f"{round(value, places):,.{max(places, 0)}f}"
 
 
 def result(
@@ -86,13 +93,13 @@ def slope(found: MeasuredStiffness | None) -> str:
     if found is None:
         return DASH
     digits = 1 + math.floor(math.log10(found.value)) - math.floor(math.log10(found.sd))
-    return f"{float(f'{found.value:.{max(1, min(digits, 4))}g}'):.4g}"
+    return written(found.value, max(1, min(digits, 4)))
 
 
 def measured_words(measured: BothWays) -> str:
     """Return the measured slopes in words; empty where there is none."""
     words = (
-        f"{stiffness(found, 4)} N/m {way} at {1e3 * found.depth:.3g} mm"
+        f"{stiffness(found, 4)} N/m {way} at {written(1e3 * found.depth, 3)} mm"
         for way, found in zip(("loading", "unloading"), measured, strict=True)
         if found is not None
     )
@@ -117,4 +124,4 @@ def _rounded_up(value: float) -> str:
     """Return a bound with two digits, none of them below it."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     bound = step * math.ceil(value / step - 1e-9)
-    return f"{bound:.0f}" if 10.0 <= bound < _LARGE else f"{bound:.2g}"
+    return written(bound, 2)

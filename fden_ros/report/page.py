@@ -26,7 +26,8 @@ from fden_ros.report.path_picture import draw_path
 from fden_ros.report.region_picture import draw_region
 from fden_ros.report.sentence import sentence
 from fden_ros.report.style import draw
-from fden_ros.report.table import label_words, status_words
+from fden_ros.report.table import bracketed, label_words, status_words
+from fden_ros.written import written
 
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
@@ -70,7 +71,10 @@ def page(session: Session) -> str:
         ),
         region=None if on_path else _region(summaries),
         is_path=on_path,
-        rows=[_row(summary, on_path=on_path) for summary in summaries],
+        rows=[
+            _row(s, on_path=on_path, alone=s.contact_id in session.replay.with_stiffness_alone)
+            for s in summaries
+        ],
         time_scale=f"{session.parameters.estimate.time_scale:g}",
         contacts=[_contact(session, contact) for contact in detailed],
         left_out=0 if on_path else max(0, len(summaries) - DETAILED_CONTACTS),
@@ -106,7 +110,7 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
     for line in session.replay.set_by_recording:
         yield "Set by the recording", line
     rejected = sum(session.replay.rejected.values())
-    yield "Samples", f"{session.replay.samples}, {rejected} rejected"
+    yield "Samples", f"{session.replay.samples:,}, {rejected:,} rejected"
     kind = session.parameters.geometry.kind.replace("_", " ")
     yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
 
@@ -121,8 +125,11 @@ def _headline(session: Session) -> str:
         f"{_count(len(summaries), 'contact')} at {_count(sites, 'site')}; "
         f"{'all' if converged == len(summaries) else converged or 'none'} converged"
     )
-    linear = sum(map(_knows_g_alone, summaries))
-    return f"{words}; of {linear} more G is known." if linear else f"{words}."
+    known = (
+        (sum(map(_knows_g_alone, summaries)), "G is known, Gn is not"),
+        (len(session.replay.with_stiffness_alone), "N/m is known, G and Gn are not"),
+    )
+    return "; ".join([words, *(f"of {count} {what}" for count, what in known if count)]) + "."
 
 
 def _knows_g_alone(summary: ContactSummary) -> bool:
@@ -135,7 +142,7 @@ def _knows_g_alone(summary: ContactSummary) -> bool:
 
 
 def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")
 
 
 def _warnings(session: Session) -> Iterator[str]:
@@ -152,7 +159,15 @@ def _warnings(session: Session) -> Iterator[str]:
     linear = [str(s.contact_id) for s in summaries if _knows_g_alone(s)]
     if linear:
         yield f"Contact {', '.join(linear)}: G is known, Gn is not; see there why."
-    unsure = [str(s.contact_id) for s in summaries if not s.converged and not _knows_g_alone(s)]
+    alone = session.replay.with_stiffness_alone
+    if alone:
+        numbers = ", ".join(map(str, sorted(alone)))
+        yield f"Contact {numbers}: N/m is known, G and Gn are not; see there why."
+    unsure = [
+        str(s.contact_id)
+        for s in summaries
+        if not (s.converged or _knows_g_alone(s) or s.contact_id in alone)
+    ]
     if unsure:
         yield (f"Contact {', '.join(unsure)}: the data do not allow a conclusion; see there why.")
     tests = [(c.contact_id, c.innovations.test) for c in session.contacts]
@@ -164,7 +179,7 @@ def _warnings(session: Session) -> Iterator[str]:
         )
 
 
-def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
+def _row(summary: ContactSummary, *, on_path: bool, alone: bool) -> dict[str, Any]:
     """Return a line of the table: texts, and a dash where there is nothing."""
     row = dict.fromkeys(("g", "gn", "boundary", "gi", "alpha", "apparent"), DASH)
     estimate = summary.estimate
@@ -176,10 +191,10 @@ def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
         is_known = estimate.determines(1)
         boundary = estimate.boundary_strain
         sd = boundary * float(estimate.deviations[1])
-        scale = f"{estimate.exponential_scale:.3g}"
+        scale = written(estimate.exponential_scale, 3)
         row |= {
-            "g": parameter(estimate, 0),
-            "gn": parameter(estimate, 1),
+            "g": bracketed(parameter(estimate, 0)) if alone else parameter(estimate, 0),
+            "gn": bracketed(parameter(estimate, 1)) if alone else parameter(estimate, 1),
             "boundary": result(boundary, sd, is_of_data=is_known),
             "gi": scale if is_known and estimate.determines(0) else f"({scale})",
             "alpha": f"{order(estimate)} {_SOURCES[summary.order_source]}".strip(),
@@ -194,9 +209,10 @@ def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
         "site": summary.site_id,
         "seconds": f"{(summary.end_ns - summary.start_ns) * 1e-9:.2f}",
         "strain": f"{summary.max_strain:.3f}",
-        "force": f"{summary.max_force:.3g}",
-        "status": status_words(summary, on_path=on_path),
-        "converged": summary.converged,
+        "force": written(summary.max_force, 3),
+        "status": status_words(summary, on_path=on_path, alone=alone)
+        + ("; G and Gn not" if alone else ""),
+        "has_result": summary.converged or alone,
         "label": label_words(summary),
     }
 
@@ -204,6 +220,7 @@ def _row(summary: ContactSummary, *, on_path: bool) -> dict[str, Any]:
 def _contact(session: Session, contact: Contact) -> dict[str, Any]:
     summary = contact.summary
     assert summary is not None
+    alone = summary.contact_id in session.replay.with_stiffness_alone
     states = contact.states.items
     drawings = []
     if any(state.signals is not None for state in states):
@@ -221,10 +238,10 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         if summary.position_frame:
             place += f" in {summary.position_frame}"
     return {
-        "row": _row(summary, on_path=False),
+        "row": _row(summary, on_path=False, alone=alone),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
-        "remarks": list(remarks(summary, session.config)),
+        "remarks": list(remarks(summary, session.config, alone=alone)),
         "drawings": drawings,
         "law": law(summary.estimate),
         "test": contact.innovations.test,

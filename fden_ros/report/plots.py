@@ -24,6 +24,7 @@ from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import unit_vector
 from fden_ros.report import style
 from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, TRUTH, WIDE, draw
+from fden_ros.written import written
 
 #: Makes the logarithm of 0 finite.
 _TINY = 1e-300
@@ -89,13 +90,14 @@ def comparison(session: Session) -> str:
             if true:
                 axes.plot(*truth, "_", color=TRUTH, markersize=14, label="truth")
             axes.set_xlabel("contact")
-            axes.set_title(label)
+            axes.set_title(label, loc="left")
+            axes.yaxis.set_major_formatter(lambda value, _: written(value, 6))
             axes.locator_params(axis="x", integer=True)
             axes.margins(x=0.08)
             shown = style.interval([s.estimate for s in known], index)
             axes.set_ylim(*style.interval_limits(*(np.append(part, truth[1]) for part in shown)))
             axes.grid(axis="x", visible=False)
-        figure.axes[0].legend(loc="best")
+        style.legend_above(figure.axes[0])
 
     return draw(plot, WIDE)
 
@@ -119,7 +121,11 @@ def site_map(session: Session) -> str:
                 x, y, s=260, c=values, cmap="viridis", edgecolors=MUTED, vmin=low, vmax=high
             )
         for across, along, value, summary in zip(x, y, values, placed, strict=True):
-            text = f"{summary.contact_id}: {value:.4g}" if math.isfinite(value) else "no estimate"
+            text = (
+                f"{summary.contact_id}: {written(value, 4)}"
+                if math.isfinite(value)
+                else "no estimate"
+            )
             axes.annotate(
                 text, (across, along), xytext=(0, 12), textcoords="offset points", ha="center"
             )
@@ -220,6 +226,7 @@ def characteristic(session: Session, contact: Contact, summary: ContactSummary) 
         axes.set_title("Fractional stress against strain")
         axes.set_xlabel("strain")
         axes.set_ylabel("f' [Pa s^α]")
+        axes.yaxis.set_major_formatter(lambda value, _: written(value, 6))
         style.limit_by(axes, points[:, 1], 0.3)
         axes.legend(loc="upper left")
 
@@ -283,6 +290,7 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
             spread = min(float(np.quantile(away, 0.9)), 2.0 * final)
             axes.set_ylim(final - 1.3 * spread - 0.02 * final, final + 1.3 * spread + 0.02 * final)
             axes.set_ylabel(label)
+            axes.yaxis.set_major_formatter(lambda value, _: written(value, 6))
         figure.axes[0].set_title("The estimate")
         style.legend_above(figure.axes[0])
         figure.axes[-1].set_xlabel("time since the touch [s]")

@@ -15,6 +15,7 @@ from fden_ros.core.outputs import ContactSummary, Flag, is_path
 from fden_ros.offline.advice import cure
 from fden_ros.offline.session import Session
 from fden_ros.report.numbers import DASH, stiffness
+from fden_ros.written import written
 
 #: So many places are named one by one.
 _EACH = 3
@@ -59,7 +60,7 @@ def _what(place: ContactSummary, geometry: Geometry) -> str:
     """Return which tissue it is like, and how stiff at which depth."""
     found = DASH if place.flags & Flag.IMPLAUSIBLE else stiffness(place.apparent_stiffness, 3)
     depth = 1e3 * geometry.length * geometry.compression(max(place.max_strain, 0.0))
-    words = f"{found} N/m at {depth:.2g} mm" if found != DASH else "stiffness not known"
+    words = f"{found} N/m at {written(depth, 2)} mm" if found != DASH else "stiffness not known"
     tissue = _tissue(place)
     return f"{tissue}, {words}" if tissue else words
 
@@ -81,7 +82,7 @@ def _of_many(places: Sequence[ContactSummary], config: PipelineConfig) -> str:
         if (found := place.apparent_stiffness) is not None and found.sd < found.value
     ]
     if values:
-        words += f"; {min(values):.3g} to {max(values):.3g} N/m"
+        words += f"; {written(min(values), 3)} to {written(max(values), 3)} N/m"
     steps = Counter(filter(None, (next_step(place, config) for place in places)))
     for step, count in steps.most_common(1):
         words += f"; at {count} of them {step}"
@@ -91,7 +92,7 @@ def _of_many(places: Sequence[ContactSummary], config: PipelineConfig) -> str:
 def _of_path(places: Sequence[ContactSummary]) -> str:
     values = [place.apparent_stiffness.value for place in places if place.apparent_stiffness]
     count = f"{len(places)} place{'s' if len(places) > 1 else ''}"
-    low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+    low, high = (written(value, 3) for value in (min(values), max(values)))
     span = low if low == high else f"{low} to {high}"
     return f"{count} on the path whose stiffness is known: {span} N/m."
 

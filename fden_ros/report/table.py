@@ -45,7 +45,7 @@ def table_of(
     )
     for heading, width in columns.items():
         if width:
-            table.add_column(Text(heading), min_width=width)
+            table.add_column(Text(heading), min_width=width, overflow="fold")
         else:
             table.add_column(Text(heading), justify="right", no_wrap=True)
     for row in rows:
@@ -65,7 +65,7 @@ def contact_table(
     rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
     table = table_of(
-        {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 9},
+        {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 8},
         rows,
         "Places" if on_path else "Contacts",
         between=0,
@@ -112,7 +112,8 @@ def label_words(summary: ContactSummary) -> str:
     return summary.classes.words if summary.classes is not None else "undetermined"
 
 
-def _bracketed(text: str) -> str:
+def bracketed(text: str) -> str:
+    """Return a number as one that the data did not determine."""
     return text if text == DASH or text.startswith("(") else f"({text})"
 
 
@@ -123,7 +124,7 @@ def _cells(summary: ContactSummary, *, on_path: bool, alone: bool) -> list[str]:
         g, g_n = (parameter(estimate, index, _DIGITS) for index in (0, 1))
         alpha = order(estimate, with_deviation=False)
         if alone:
-            g, g_n = _bracketed(g), _bracketed(g_n)
+            g, g_n = bracketed(g), bracketed(g_n)
     if summary.is_of_path:
         g = DASH
         g_n = g_n if estimate is not None and estimate.determines(1) else DASH

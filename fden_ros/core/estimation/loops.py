@@ -29,10 +29,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.law.layer import TERMS
 from fden_ros.core.law.relaxation import COUNT as RATE_COUNT
 from fden_ros.core.law.relaxation import RATES
 
-_VERSION = 2  #: of what the functions take; raised with every change of it
+_VERSION = 3  #: of what the functions take; raised with every change of it
 _MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
 try:
     from fden_ros.core.estimation import _loops as _compiled  # type: ignore[attr-defined]
@@ -63,6 +64,8 @@ class LawState:
     #: spaced in ln(1 + strain / (NEAR last_knot)). None, or three and more. Shape (knots,).
     bend: Array
     last_knot: float  #: strain of the last knot [1]
+    #: Of the geometry: by what factor a layer strains more than that power.
+    series: tuple[float, ...] = (0.0,) * TERMS
 
     @property
     def numbers(self) -> Array:
@@ -70,7 +73,9 @@ class LawState:
         slow, fast = self.weights[RATE_COUNT:].tolist()
         one_sided = float(self.is_one_sided)
         law = self.linear_stiffness, self.nonlinear_stiffness, self.exponent
-        return np.array([*law, one_sided, self.compliance, slow, fast, self.last_knot])
+        return np.array(
+            [*law, one_sided, self.compliance, slow, fast, self.last_knot, *self.series]
+        )
 
 
 @dataclass(frozen=True)

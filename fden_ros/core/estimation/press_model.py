@@ -226,6 +226,7 @@ class PressModel:
             weights=weights,
             bend=state[self.characteristic],
             last_knot=self.last_knot,
+            series=self.geometry.series,
         )
         self._law_at = state.copy(), (law, rows)
         return law, rows
@@ -367,17 +368,17 @@ class PressModel:
 
     def _elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the elastic response at the points, and its derivatives, (size, points)."""
-        compressions, exponent = self._compressions(points, state), self.geometry.exponent
+        compressions = self._compressions(points, state)
         if self.geometry.is_one_sided:
             compressions = np.maximum(compressions, 0.0)
         sizes = np.abs(compressions)
-        strains = sizes**exponent
+        strains, slopes, _ = self.geometry.strains(sizes)
         found = elastic_responses(strains, math.exp(state[LOG_G]), math.exp(state[LOG_GN]))
         knots = self.characteristic.stop - self.characteristic.start
         of_knots, _ = splines(strains, self.last_knot, knots)
         bend = np.exp(of_knots @ state[self.characteristic])
         elastic = found.value * bend
-        slope = found.by_strain * exponent * sizes ** (exponent - 1.0) * (strains > 0.0) * bend
+        slope = found.by_strain * slopes * (strains > 0.0) * bend
         by_unknowns = np.zeros((self.size, sizes.size))
         by_unknowns[: len(self.unknowns)] = slope * self._design(points).motions
         by_unknowns[LOG_G] += elastic

@@ -149,8 +149,8 @@ def _of_characteristic(
     -------
     by_state, by_compression, values : ndarray, shape (modes, n), (modes,), (modes,)
     """
-    exponent, knots = model.geometry.exponent, model.characteristic
-    strains = compressions**exponent
+    knots = model.characteristic
+    strains, per_compression, of_geometry = model.geometry.strains(compressions)
     linear, nonlinear = np.exp(states[:, LOG_G]), np.exp(states[:, LOG_GN])
     reach = nonlinear * strains
     excess = np.maximum(reach - 1.0, 0.0)
@@ -170,11 +170,8 @@ def _of_characteristic(
     by_log_gn = slope * reach * is_beyond + value * excess * tilt
     gradient[:, LOG_GN] = by_log_gn / own
     by_strain = tilt + (slope * (nonlinear * is_beyond + tilt) + value * turn) / own
-    per_compression = exponent * compressions ** (exponent - 1.0)
     values = np.log(own * per_compression) + bend
-    by_compression = by_strain * per_compression
-    if exponent != 1.0:
-        by_compression += (exponent - 1.0) / compressions
+    by_compression = by_strain * per_compression + of_geometry
     return gradient, by_compression, values
 
 

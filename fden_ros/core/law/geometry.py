@@ -15,13 +15,30 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.law.layer import TERMS, hayes_factor, sphere_series
+
+#: The most that a flat punch reaches in thicknesses, and a sphere on a thick tissue in radii [1].
+_DEEPEST_FLAT, _DEEPEST_SPHERE = 1.0, 4.64
+#: sqrt(R d) / h up to which the series of a sphere on a layer holds [1].
+_THINNEST = 2.0
+
+
+class Strains(NamedTuple):
+    """Strains of compressions, each of their shape."""
+
+    values: Array  #: x [1]
+    slopes: Array  #: dx/du [1]
+    bends: Array  #: d ln(dx/du) / du [1]
 
 
 class Geometry(ABC):
-    """A contact geometry: strain is a power of the compression.
+    """A contact geometry: strain is a power of the compression, or a series of powers.
 
     Attributes
     ----------
@@ -30,11 +47,15 @@ class Geometry(ABC):
     unit : str
         Of what is measured as the force.
     exponent : float
-        Of that power [1].
+        Of that power, the first [1].
+    series : tuple of float
+        By what factor a layer strains more: 1 + sum of c_k u^(k/2), k from 1 [1].
     is_one_sided : bool
         The tissue lets go of the probe, and cannot pull at it.
     most_strain : float
         The largest that is plausible [1].
+    size_gain : float
+        By how much more than a thickness or radius G and Gn are off, where that is [1].
     example : str
         How it is stated in a parameter file.
     is_stated : bool
@@ -46,7 +67,6 @@ class Geometry(ABC):
     unit: ClassVar[str] = "N"
     exponent: ClassVar[float] = 1.0
     is_one_sided: ClassVar[bool] = True
-    most_strain: ClassVar[float] = 3.0
     example: ClassVar[str] = "kind: flat_punch, area: 3.14e-4, thickness: 0.02"
     is_stated: bool
 
@@ -60,6 +80,21 @@ class Geometry(ABC):
     def stress_per_force(self) -> float:
         """Stress per force [Pa/N]."""
 
+    @property
+    def series(self) -> tuple[float, ...]:
+        """Coefficients of the factor by which a layer strains more [1]."""
+        return (0.0,) * TERMS
+
+    @property
+    def most_strain(self) -> float:
+        """Largest strain that is plausible [1]."""
+        return 3.0
+
+    @property
+    def size_gain(self) -> float:
+        """By how much more than a thickness or radius G and Gn are off [1]."""
+        return 1.0
+
     def strain(self, compression: float) -> float:
         """Return the strain x [1] at a compression from the strain origin [1]."""
         return compression
@@ -71,6 +106,21 @@ class Geometry(ABC):
     def compression(self, strain: float) -> float:
         """Return the compression [1] at a strain in contact: the inverse of `strain`."""
         return strain
+
+    def strains(self, sizes: Array) -> Strains:
+        """Return strains, slopes and bends at compressions that are not negative [1]."""
+        power = self.exponent
+        values, slopes = sizes**power, power * sizes ** (power - 1.0)
+        if power == 1.0:
+            return Strains(values, slopes, np.zeros_like(sizes))
+        orders = np.arange(1, TERMS + 1)
+        terms = np.array(self.series) * np.sqrt(sizes)[..., None] ** orders
+        steeper = terms * (1.0 + 0.5 * orders / power)
+        steep = 1.0 + steeper.sum(axis=-1)
+        # At the surface they have no bound.
+        with np.errstate(divide="ignore"):
+            bends = (power - 1.0 + steeper @ (0.5 * orders) / steep) / sizes
+        return Strains(values * (1.0 + terms.sum(axis=-1)), slopes * steep, bends)
 
 
 @dataclass(frozen=True)
@@ -86,15 +136,26 @@ class FlatPunch(Geometry):
     poisson_ratio : float or None
         Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
         the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
+    is_bonded : bool
+        For that factor the base holds the tissue; else the tissue slips on it.
     """
 
     kind = "flat_punch"
-    #: It cannot go deeper than the tissue is thick.
-    most_strain = 1.0
     area: float
     thickness: float
     poisson_ratio: float | None = None
+    is_bonded: bool = True
     is_stated: bool = True
+
+    @property
+    def most_strain(self) -> float:
+        """It cannot go deeper than the tissue is thick."""
+        return _DEEPEST_FLAT
+
+    @property
+    def face_radius(self) -> float:
+        """Radius of a round face of that area [m]."""
+        return math.sqrt(self.area / math.pi)
 
     @property
     def length(self) -> float:
@@ -106,9 +167,9 @@ class FlatPunch(Geometry):
         """1/A; with Hayes' correction (1 - nu^2) / (2 a kappa h), so that f = E x if elastic."""
         if self.poisson_ratio is None:
             return 1.0 / self.area
-        radius = math.sqrt(self.area / math.pi)
-        kappa = hayes_factor(radius / self.thickness, self.poisson_ratio)
-        return (1.0 - self.poisson_ratio**2) / (2.0 * radius * kappa * self.thickness)
+        ratio, nu = self.face_radius / self.thickness, self.poisson_ratio
+        kappa = hayes_factor(ratio, nu, is_bonded=self.is_bonded)
+        return (1.0 - nu**2) / (2.0 * self.face_radius * kappa * self.thickness)
 
 
 @dataclass(frozen=True)
@@ -123,18 +184,28 @@ class Sphere(Geometry):
     of the force, the memory is exact where the law is linear, and G is the plane-strain modulus in
     Pa s^alpha.
 
+    On a layer the strain is larger by a factor of the depth, :func:`.layer.sphere_series`: of an
+    incompressible layer that its base holds 3.4 at sqrt(R delta)/h = 0.75.
+
     Parameters
     ----------
     radius : float
         Radius of the tip R [m].
+    thickness : float
+        Of the tissue, on a rigid base [m]; infinite: a half-space.
+    poisson_ratio : float
+        Of the tissue nu [1]; counts where it is bonded.
+    is_bonded : bool
+        The base holds the tissue; else the tissue slips on it.
     """
 
     kind = "sphere"
     exponent = 1.5
-    #: 4.6 radii deep.
-    most_strain = 10.0
-    example = "kind: sphere, radius: 0.005"
+    example = "kind: sphere, radius: 0.005, thickness: 0.02"
     radius: float
+    thickness: float = math.inf
+    poisson_ratio: float = 0.5
+    is_bonded: bool = True
     is_stated: bool = True
 
     @property
@@ -147,17 +218,59 @@ class Sphere(Geometry):
         """3 / (4 R^2) [1/m^2]."""
         return 0.75 / self.radius**2
 
+    @functools.cached_property
+    def series(self) -> tuple[float, ...]:
+        """Coefficients of the layer's factor, by powers of sqrt(u) [1]."""
+        if math.isinf(self.thickness):
+            return super().series
+        found = sphere_series(self.poisson_ratio, is_bonded=self.is_bonded)
+        ratio = self.radius / self.thickness
+        return tuple(c * ratio**k for k, c in enumerate(found, 1))
+
+    @property
+    def most_strain(self) -> float:
+        """At 4.64 radii, the whole thickness, or where the layer's series ends."""
+        thickness = self.thickness / self.radius
+        return self.strain(min(_DEEPEST_SPHERE, thickness, (_THINNEST * thickness) ** 2))
+
+    @property
+    def size_gain(self) -> float:
+        """The power of the thickness by which the strain falls, half of it deep; at least 1."""
+        if math.isinf(self.thickness):
+            return 1.0
+        u = 0.5 * self.thickness / self.radius
+        return max(2.0 * (u * self.strain_slope(u) / self.strain(u) - self.exponent), 1.0)
+
     def strain(self, compression: float) -> float:
-        """Return (delta/R)^1.5; 0 above the surface, where there is no contact."""
-        return compression * math.sqrt(compression) if compression > 0.0 else 0.0
+        """Return (delta/R)^1.5 and the layer's part; 0 above the surface: there is no contact."""
+        if compression <= 0.0:
+            return 0.0
+        root = math.sqrt(compression)
+        return compression * root * _polynomial(root, (1.0, *self.series))
 
     def strain_slope(self, compression: float) -> float:
-        """Return 1.5 (delta/R)^0.5."""
-        return 1.5 * math.sqrt(compression) if compression > 0.0 else 0.0
+        """Return 1.5 (delta/R)^0.5 and the layer's part."""
+        if compression <= 0.0:
+            return 0.0
+        root = math.sqrt(compression)
+        slopes = ((1.0 + k / 3.0) * c for k, c in enumerate((1.0, *self.series)))
+        return 1.5 * root * _polynomial(root, tuple(slopes))
 
     def compression(self, strain: float) -> float:
-        """Return x^(2/3)."""
-        return max(strain, 0.0) ** (2.0 / 3.0)
+        """Return x^(2/3), or less on a layer."""
+        most = max(strain, 0.0) ** (2.0 / 3.0)
+        if not any(self.series) or self.strain(most) <= strain:
+            return most
+        # The series is positive throughout.
+        return float(brentq(lambda u: self.strain(u) - strain, 0.0, most, xtol=1e-300, rtol=1e-14))
+
+
+def _polynomial(x: float, coefficients: tuple[float, ...]) -> float:
+    """Return c_0 + c_1 x + ... by Horner's rule."""
+    value = 0.0
+    for coefficient in reversed(coefficients):
+        value = value * x + coefficient
+    return value
 
 
 @dataclass(frozen=True)
@@ -204,37 +317,3 @@ class PassThrough(Geometry):
     length: float = 1.0
     stress_per_force: float = 1.0
     is_stated: bool = True
-
-
-@functools.lru_cache(maxsize=64)
-def hayes_factor(aspect_ratio: float, poisson_ratio: float) -> float:
-    r"""Return Hayes' factor kappa of a rigid flat punch on an elastic layer bonded to its base.
-
-    :math:`F = 2 a \kappa E d / (1 - \nu^2)`; kappa is 1 for a half-space (Hayes, Keer, Herrmann
-    and Mockros, J. Biomech. 5 (1972) 541). Found here from the integral equation itself,
-    :math:`\varphi(\xi) - \tfrac1\pi \int_{-1}^{1} M(\xi-\eta)\,\varphi(\eta)\,d\eta = 1`,
-    :math:`M(\xi) = \tfrac{a}{h}\int_0^\infty (1-L(u)) \cos(u \xi a/h)\,du`, :math:`\kappa =
-    \int_0^1 \varphi`, with L the layer's compliance relative to a half-space.
-
-    Parameters
-    ----------
-    aspect_ratio : float
-        Probe radius over thickness a/h [1], positive; meant for up to about 4.
-    poisson_ratio : float
-        Poisson's ratio nu [1], 0 to 0.5.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(64)
-    unit_wave, unit_weights = np.polynomial.legendre.leggauss(400)
-    wave, wave_weights = 15.0 * (unit_wave + 1.0), 15.0 * unit_weights
-    kolosov = 3.0 - 4.0 * poisson_ratio
-    # Divided by e^(2u) throughout, so that nothing overflows.
-    decay, decay2 = np.exp(-2.0 * wave), np.exp(-4.0 * wave)
-    compliance = (kolosov * (1.0 - decay2) - 4.0 * wave * decay) / (
-        kolosov * (1.0 + decay2) + (4.0 * wave**2 + 1.0 + kolosov**2) * decay
-    )
-    distance = np.abs(nodes[:, None] - nodes[None, :])
-    kernel = np.cos(aspect_ratio * distance[:, :, None] * wave) @ (
-        (1.0 - compliance) * wave_weights
-    )
-    system = np.eye(nodes.size) - aspect_ratio / math.pi * kernel * weights
-    return float(0.5 * weights @ np.linalg.solve(system, np.ones(nodes.size)))

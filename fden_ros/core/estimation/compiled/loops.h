@@ -20,6 +20,7 @@
 #define INLINE inline __attribute__((always_inline))
 
 #define RATES 32
+#define TERMS 5
 /* Sums and columns go in groups of eight, whatever the width of the vectors. */
 #define GROUP 8
 
@@ -28,6 +29,7 @@ enum { BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT };
 
 typedef struct {
     double g, gn, power, one_sided, compliance, slow, fast;
+    const double *series; /* TERMS of them: 1 + sum of c_k u^(k/2) raises the strain u^1.5 */
     int knots;
     double last_knot;
     const double *bend;

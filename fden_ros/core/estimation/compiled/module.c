@@ -11,7 +11,7 @@
 #include "loops.h"
 
 /* Raised with every change of what a function takes: loops.py compares it. */
-#define VERSION 2
+#define VERSION 3
 
 #define MOST_ARGUMENTS 32
 
@@ -163,7 +163,7 @@ FUNCTION(respond)
     Call call = begin(arguments, count);
     Response in;
     Py_ssize_t knots = 0, points = 0, columns = 0, motions = 0, rows = 0, blocks = 0;
-    const double *law = numbers(&call, 8), *bend = sized(&call, &knots);
+    const double *law = numbers(&call, 8 + TERMS), *bend = sized(&call, &knots);
     in.weights = numbers(&call, RATES + 2);
     in.rates = numbers(&call, RATES);
     in.durations = sized(&call, &points);
@@ -187,7 +187,7 @@ FUNCTION(respond)
     if (is_ready(&call)) {
         in.points = (int)points, in.columns = (int)columns, in.blocks = (int)blocks;
         in.moving = points ? (int)(motions / points) : 0;
-        Law own = {law[0], law[1], law[2], law[3], law[4], law[5], law[6], (int)knots, law[7], bend};
+        Law own = {law[0], law[1], law[2], law[3], law[4], law[5], law[6], law + 8, (int)knots, law[7], bend};
         in.law = own;
         for (Py_ssize_t k = 0; k < columns; k++)
             call.has_failed |= in.weight_of[k] >= rows / (RATES + 2);

@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What it costs that a layer is taken for a thick one, or for a column: in one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from scipy.optimize import brentq
+
+from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
+from fden_ros.core.law.layer import hayes_factor
+from fden_ros.core.plausibility import UNKNOWN_AREA
+from fden_ros.planning.remedies import quantity
+
+#: So far off a thick tissue is taken as good [1].
+_GOOD = 1.1
+#: The change of the thickness that is shown: 2 mm, or this part of it where that is less [m, 1].
+_CHANGE, _PART = 2e-3, 0.3
+#: Hayes' factor is meant up to this radius over the thickness [1].
+_WIDEST = 4.0
+
+
+def assumed(geometry: Geometry, deepest: float = 0.0) -> str:
+    """Return what is assumed of the layer, and its cost at the deepest indentation [m]; or empty.
+
+    Of a layer that is stated, and no wider pressed than it is thick, nothing is assumed.
+    """
+    if not geometry.is_stated:
+        return ""
+    if isinstance(geometry, Sphere) and math.isinf(geometry.thickness):
+        return _of_sphere(geometry, deepest)
+    if not isinstance(geometry, FlatPunch) or geometry.poisson_ratio is not None:
+        return ""
+    is_wide = 2.0 * geometry.face_radius > geometry.thickness
+    return _of_face(geometry) if is_wide and geometry.area < UNKNOWN_AREA else ""
+
+
+def _of_sphere(sphere: Sphere, deepest: float) -> str:
+    layer = replace(sphere, thickness=sphere.radius)
+    ratio = float(brentq(lambda u: _raised(layer, u * layer.thickness) - _GOOD, 1e-9, 1.0))
+    shown = 2.0 * sphere.radius
+    words = (
+        "geometry.thickness is not stated, so the tissue is taken as thick: on a rigid base "
+        f"right to {100.0 * (_GOOD - 1.0):.0f} % up to an indentation of {ratio:.2g} h^2/R, "
+        f"{quantity(ratio * shown**2 / sphere.radius, 'm')} where it is h = "
+        f"{quantity(shown, 'm')} thick"
+    )
+    if deepest <= 0.0:
+        return words
+    least = math.sqrt(sphere.radius * deepest / ratio)
+    return (
+        f"{words}; the {quantity(deepest, 'm')} reached take {quantity(least, 'm')}, and at "
+        + _around(shown, lambda h: _raised(replace(sphere, thickness=h), deepest))
+    )
+
+
+def _of_face(punch: FlatPunch) -> str:
+    def raised(thickness: float) -> float:
+        ratio = min(punch.face_radius / thickness, _WIDEST)
+        return 2.0 * hayes_factor(ratio, 0.5, is_bonded=punch.is_bonded) / (0.75 * math.pi * ratio)
+
+    return (
+        "the face is wider than the tissue is thick and geometry.hayes is false, so G is that of "
+        "a column with free sides: of a layer that goes on around the face, at "
+        + _around(punch.thickness, raised)
+        + "; then set geometry.hayes"
+    )
+
+
+def _raised(layer: Sphere, depth: float) -> float:
+    """Return by what factor the layer raises the force of a thick tissue [1]."""
+    compression = min(depth, layer.thickness) / layer.radius
+    return layer.strain(compression) / compression**layer.exponent
+
+
+def _around(thickness: float, factor: Callable[[float], float]) -> str:
+    change = min(_CHANGE, _PART * thickness)
+    times = [factor(thickness + more) for more in (0.0, change, -change)]
+    return (
+        f"{quantity(thickness, 'm')} G comes out {times[0]:.2g} times too large "
+        f"({times[1]:.2g} with {quantity(change, 'm')} more, {times[2]:.2g} with as much less)"
+    )

@@ -1,0 +1,20 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Numbers as a person writes them."""
+
+from __future__ import annotations
+
+import math
+
+#: Magnitudes within these are written out, others by a power of ten.
+_SMALL, _LARGE = 1e-5, 1e7
+
+
+def written(value: float, digits: int) -> str:
+    """Return a number with so many significant digits, its thousands apart: 2,620 for 2619.7."""
+    if not _SMALL <= abs(value) < _LARGE:  # none of 0, and of what is not finite
+        return f"{value:.{digits}g}"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    text = f"{round(value, places):,.{max(places, 0)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Spheres on layers, against a solver of their own; what is said of a layer that is assumed."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from fden_ros.cli import main
+from fden_ros.core.law.geometry import FlatPunch, Sphere
+from fden_ros.offline.thickness import assumed
+from simulation.bag import write_recording
+from simulation.elastic_layer import stiffening
+from simulation.scenario import (
+    Approach,
+    DisplacementSensor,
+    ForceSensor,
+    Geometry,
+    Scenario,
+    Site,
+    Tissue,
+)
+from simulation.simulate import simulate
+from simulation.trajectory import RampHold
+
+RADIUS = 0.005
+#: Garcia and Garcia (2018), a bonded, incompressible layer: coefficients of chi, chi^2, ...
+PUBLISHED = (1.0, 1.133, 1.497, 1.469, 0.755)
+
+
+def factor(sphere: Sphere, depth: float) -> float:
+    """Return by what factor a layer raises the force of Hertz."""
+    compression = depth / sphere.length
+    return sphere.strain(compression) / compression**1.5
+
+
+@pytest.mark.parametrize("thickness", [0.003, 0.005, 0.02])
+@pytest.mark.parametrize(
+    ("poisson_ratio", "is_bonded"), [(0.5, True), (0.45, True), (0.3, True), (0.5, False)]
+)
+def test_a_sphere_on_a_layer_is_what_boundary_elements_find(poisson_ratio, is_bonded, thickness):
+    sphere = Sphere(RADIUS, thickness, poisson_ratio, is_bonded)
+    depths = np.linspace(0.05, 0.9, 12) * min(thickness, RADIUS)
+    truth = stiffening(poisson_ratio, is_bonded=is_bonded).of(np.sqrt(RADIUS * depths) / thickness)
+    assert [factor(sphere, depth) for depth in depths] == pytest.approx(truth, rel=0.01)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.3, 0.5])
+def test_a_sphere_on_a_bonded_layer_is_the_published_series(ratio):
+    sphere = Sphere(RADIUS, 0.004)
+    found = factor(sphere, (ratio * sphere.thickness) ** 2 / RADIUS)
+    assert found == pytest.approx(np.polynomial.polynomial.polyval(ratio, PUBLISHED), rel=0.01)
+
+
+@pytest.mark.parametrize("poisson_ratio", np.linspace(0.0, 0.5, 11))
+def test_the_strain_grows_at_any_depth(poisson_ratio):
+    for is_bonded in (True, False):
+        sphere = Sphere(1.0, 1.0, float(poisson_ratio), is_bonded)
+        strains = sphere.strains(np.geomspace(1e-6, 1e6, 2000))
+        assert np.all(strains.slopes >= 1.5 * np.geomspace(1e-3, 1e3, 2000) * (1.0 - 1e-12))
+
+
+def test_a_press_beyond_the_theory_is_implausible():
+    """Where the contact is three times as wide as the layer, the series ends."""
+    thin = Sphere(0.02, 0.002)
+    assert thin.compression(thin.most_strain) * thin.radius == pytest.approx(4 * 0.002**2 / 0.02)
+
+
+#: Thickness [m], whether the base holds it, and by which factor G is off where it is not stated.
+LAYERS = {
+    "3 mm, bonded": (0.003, True),
+    "4 mm, slipping": (0.004, False),
+    "10 mm, bonded": (0.01, True),
+}
+STIFFNESS, NONLINEARITY = 20_000.0, 6.0
+
+
+def pressed(thickness: float, is_bonded: bool, folder: Path) -> Path:
+    """Write a bag of a sphere that presses up to 1.5 mm into a layer."""
+    geometry = Geometry("sphere", radius_m=RADIUS, thickness_m=thickness, bonded=is_bonded)
+    strain = geometry.strain_of_depth(0.0015)
+    scenario = Scenario(
+        geometry=geometry,
+        sites=(
+            Site(Tissue(STIFFNESS, NONLINEARITY, 0.13), (RampHold(strain, strain, 2.0, 1.0),)),
+        ),
+        approach=Approach(distance_m=0.003, speed_m_per_s=0.005, slow_distance_m=0.001),
+        force=ForceSensor(rate_hz=500.0, noise_n=2e-3),
+        displacement=DisplacementSensor(rate_hz=500.0, noise_m=1e-6),
+    )
+    write_recording(simulate(scenario), folder)
+    return folder
+
+
+def replayed(capsys: Any, bag: Path, **changes: object) -> dict[str, Any]:
+    """Return the contact that `fden replay` finds, with the warnings."""
+    config = bag / "identifier.yaml"
+    content = yaml.safe_load(config.read_text())
+    for section in content.values():
+        section["ros__parameters"].setdefault("geometry", {}).update(changes)
+    config.write_text(yaml.safe_dump(content))
+    capsys.readouterr()
+    main(["replay", str(bag), "--config", str(config), "--json"])
+    result = json.loads(capsys.readouterr().out)
+    (contact,) = result["contacts"]
+    return contact | {"warnings": result["warnings"]}
+
+
+@pytest.mark.parametrize(("thickness", "is_bonded"), LAYERS.values(), ids=LAYERS)
+def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_it_takes(
+    thickness, is_bonded, capsys, tmp_path
+):
+    bag = pressed(thickness, is_bonded, tmp_path / "press")
+    stated = replayed(capsys, bag)
+    assert stated["converged"] and not stated["warnings"]
+    assert abs(stated["g"] - STIFFNESS) < 2.0 * stated["g_sd"] < 0.3 * STIFFNESS
+    assert abs(stated["g_n"] - NONLINEARITY) < 2.0 * stated["g_n_sd"]
+    unstated = replayed(capsys, bag, thickness=0.0)
+    assert unstated["g"] > 1.3 * STIFFNESS
+    (words,) = unstated["warnings"]
+    assert words.startswith("geometry.thickness is not stated, so the tissue is taken as thick")
+    reached = re.search(r"the (\S+) mm reached", words)
+    assert reached and float(reached[1]) == pytest.approx(1.5, rel=0.25)
+
+
+def test_what_is_said_of_a_thickness_is_right():
+    words = assumed(Sphere(RADIUS), 0.0018)
+    up_to, least, here, more, less = (
+        float(re.search(pattern, words)[1])
+        for pattern in (
+            r"(\S+) mm where it is h = 10 mm",
+            r"take (\S+) mm",
+            r"at 10 mm G comes out (\S+) times",
+            r"\((\S+) with 2 mm more",
+            r", (\S+) with as much less",
+        )
+    )
+    assert factor(Sphere(RADIUS, 0.01), 1e-3 * up_to) == pytest.approx(1.1, rel=0.01)
+    assert factor(Sphere(RADIUS, 1e-3 * least), 0.0018) == pytest.approx(1.1, rel=0.01)
+    for times, thickness in ((here, 0.01), (more, 0.012), (less, 0.008)):
+        assert times == pytest.approx(factor(Sphere(RADIUS, thickness), 0.0018), rel=0.05)
+
+
+def test_a_face_wider_than_the_layer_is_thick_is_told_of_and_hayes_is_the_remedy():
+    face = 3.14e-4
+    words = assumed(FlatPunch(face, 0.01))
+    times = float(re.search(r"at 10 mm G comes out (\S+) times too large", words)[1])
+    column, layer = FlatPunch(face, 0.01), FlatPunch(face, 0.01, 0.5)
+    assert column.stress_per_force / layer.stress_per_force == pytest.approx(times, rel=0.02)
+    assert not assumed(layer) and not assumed(FlatPunch(face, 0.02))
