@@ -44,21 +44,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folders of bags, bags, tables, or patterns",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FILE", help="the table, CSV"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the table, CSV; FILE.parquet: as Parquet too, beside FILE.csv",
     )
-    parser.add_argument(
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
         "--workers",
         type=count,
         metavar="N",
         default=len(os.sched_getaffinity(0)),
-        help="processes (default: one a processor core)",
+        help="processes of this machine (default: one a processor core)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="the workers of a cluster of Dask: tcp://HOST:8786, or the scheduler's file",
     )
     add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Identify the archive; return the exit code."""
-    from fden_ros.offline import batch
+    from fden_ros.offline import batch, workers
     from fden_ros.progress import progress
 
     work = batch.Work(parameters_of(args), selection_of(args))
@@ -79,11 +90,18 @@ def run(args: argparse.Namespace) -> int:
             show(done)
 
         try:
-            batch.run(left, work, results, args.workers, see)
+            with (
+                workers.cluster(args.scheduler, str(left[0]))
+                if args.scheduler and left
+                else workers.local(args.workers)
+            ) as pool:
+                batch.run(left, work, results, pool, see)
         except KeyboardInterrupt:
             count_done = len(bags) - len(left) + done
             _tell_interrupted(f"{args.output} has {count_done} of {len(bags)} bags")
             raise
+        finally:
+            results.close()
     print(
         f"{args.output}: {len(bags)} bags, {len(bags) - len(left)} of them done before, "
         f"{broken} broken; {contacts} contacts new"
