@@ -27,8 +27,8 @@ class BuildLoops(build_ext):
 
 
 CLUSTER = [
-    "aiohttp",
     "distributed",
+    "fsspec[http]",
     "pyarrow",
     "s3fs",
     "sshfs",

@@ -15,7 +15,6 @@ import csv
 import glob
 import hashlib
 import json
-import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
@@ -36,6 +35,7 @@ from fden_ros.offline.rows import COLUMNS, contact_row
 from fden_ros.offline.session import Innovations
 from fden_ros.offline.workers import SAME_VERSION, is_killed
 from fden_ros.parameters import Parameters
+from fden_ros.recording.places import NOT_REACHED, exists, is_folder, is_remote, place, reached
 from fden_ros.recording.reader import METADATA_FILE, is_bag_file
 from fden_ros.recording.source import Selection
 from fden_ros.recording.text import TABLE_SUFFIXES, layout_of
@@ -90,30 +90,48 @@ def find_bags(places: Sequence[str]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     empty: dict[Path, None] = {}
-    for place in places:
-        paths = sorted(glob.glob(place)) if not os.path.exists(place) else [place]
-        for path in map(Path, paths or [place]):
-            bags = dict.fromkeys(bag.resolve() for bag in _bags_at(path)) if paths else {}
+    for text in places:
+        paths = _matches(text)
+        for path in paths or [place(text)]:
+            with reached(path):
+                bags = dict.fromkeys(map(_absolute, _bags_at(path))) if paths else {}
             found |= bags
-            empty |= {} if bags else {path.resolve(): None}
+            empty |= {} if bags else {_absolute(path): None}
     if not found:
         where = ", ".join(places)
         raise InputError(f"{where} holds no bag: give a folder of bags, or a pattern of some")
-    return sorted(found | empty)
+    return sorted(found | empty, key=str)
+
+
+def _matches(text: str) -> list[Path]:
+    """Return the places that there are at a path or a URL, or by a pattern."""
+    path = place(text)
+    if not is_remote(path):
+        return [path] if path.exists() else list(map(Path, sorted(glob.glob(text))))
+    start, star, _ = text.partition("*")
+    with reached(path):
+        if not star:
+            return [path] if exists(path) else []
+        folder = start[: start.rindex("/") + 1]
+        return sorted(place(folder).glob(text.removeprefix(folder)), key=str)
+
+
+def _absolute(path: Path) -> Path:
+    return path if is_remote(path) else path.resolve()
 
 
 def _bags_at(path: Path) -> Iterator[Path]:
     # What is named is meant, whatever its name: if it is no bag, its row will say so.
-    if not path.is_dir():
+    if not is_folder(path):
         yield path
         return
-    is_bag = (path / METADATA_FILE).is_file()
+    is_bag = exists(path / METADATA_FILE)
     if is_bag:
         yield path
-    for child in sorted(path.iterdir()):
+    for child in sorted(path.iterdir(), key=str):
         if child.name.startswith("."):
             continue
-        if child.is_dir() or (not is_bag and (is_bag_file(child) or _is_table(child))):
+        if is_folder(child) or (not is_bag and (is_bag_file(child) or _is_table(child))):
             yield from _bags_at(child)
 
 
@@ -123,6 +141,9 @@ def _is_table(path: Path) -> bool:
     if suffix not in TABLE_SUFFIXES:
         return False
     is_text = suffix == ".txt"
+    if is_remote(path):
+        # To look into each would read them all twice.
+        return not is_text
     try:
         layout = layout_of(path)
     except InputError:
@@ -282,7 +303,8 @@ def _groups(path: Path) -> Iterator[tuple[str, list[Row]]]:
 def _is_whole(rows: Sequence[Row]) -> bool:
     """Return whether all rows of a bag are there, and it can be relied on that they are."""
     error, contacts = rows[0]["error"], rows[0]["contacts"]
-    return not error.startswith(KILLED) and len(rows) == max(1, int(contacts or 0))
+    may_pass = error.startswith(KILLED) or NOT_REACHED in error
+    return not may_pass and len(rows) == max(1, int(contacts or 0))
 
 
 def run(
