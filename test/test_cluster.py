@@ -44,6 +44,12 @@ def started(*command: str | Path, first: Path | None = None) -> subprocess.Popen
     )
 
 
+def said_by(*command: str | Path) -> subprocess.Popen[str]:
+    """Start ``fden``; what it says can be read."""
+    whole = [sys.executable, "-m", "fden_ros.cli", *map(str, command)]
+    return subprocess.Popen(whole, stderr=subprocess.PIPE, text=True)
+
+
 def until(is_so: Callable[[], bool], limit: float = 60.0) -> None:
     end = time.monotonic() + limit
     while not is_so():
@@ -140,14 +146,14 @@ def test_the_table_of_a_cluster_is_that_of_this_machine(tmp_path, cluster, capsy
 
 
 def test_a_worker_that_is_killed_in_the_middle_costs_nothing(tmp_path, cluster):
-    places, table = archive(tmp_path / "archive", 8), tmp_path / "results.csv"
+    places, table = archive(tmp_path / "archive", 6), tmp_path / "results.csv"
     whole = command(places, table, "--scheduler", cluster.file)
     running = started("fden_ros.cli", *whole)
     until(lambda: table.exists() and len(rows_of(table)) >= 2)
     os.kill(cluster.pids()[0], signal.SIGKILL)
     assert running.wait(timeout=120) == 0
     rows = rows_of(table)
-    assert len(rows) == 16 and not any(row["error"] for row in rows)
+    assert len(rows) == 12 and not any(row["error"] for row in rows)
     first = {name: value for name, value in rows[0].items() if name != "bag"}
     assert all(first.items() <= row.items() for row in rows[::2])
 
@@ -155,11 +161,7 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing(tmp_path, cluster):
 def test_ctrl_c_leaves_what_is_done_and_cancels_the_rest(tmp_path, cluster):
     places, table = archive(tmp_path / "archive", 30), tmp_path / "results.parquet"
     whole = command(places, table, "--scheduler", cluster.file)
-    running = subprocess.Popen(
-        [sys.executable, "-m", "fden_ros.cli", *whole],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    running = said_by(*whole)
     until(lambda: table.with_suffix(".csv").exists())
     until(lambda: bool(rows_of(table.with_suffix(".csv"))))
     running.send_signal(signal.SIGINT)
@@ -186,7 +188,7 @@ def lethal(bag: str, work: batch.Work) -> list[batch.Row]:
 def test_a_recording_that_kills_its_worker_again_and_again_is_a_row(tmp_path, cluster):
     bags = [Path("lethal"), *(ROOT / "examples").glob("press.csv")]
     results = batch.Results(tmp_path / "results.csv", WORK.digest())
-    with workers.cluster(str(cluster.file), str(bags[1])) as pool:
+    with workers.cluster(str(cluster.file), str(bags[1]), print) as pool:
         batch.run(bags, WORK, results, pool, lambda rows: None, lethal)
     errors = {row["bag"]: row["error"] for row in rows_of(results.path)}
     assert errors.pop("lethal").startswith(batch.KILLED)
@@ -195,21 +197,54 @@ def test_a_recording_that_kills_its_worker_again_and_again_is_a_row(tmp_path, cl
     assert not again.has("lethal") and again.has(str(bags[1]))
 
 
-def test_a_worker_of_another_version_or_without_the_recordings_is_refused(tmp_path, capsys):
-    (tmp_path / "fden_ros").mkdir()
-    (tmp_path / "fden_ros" / "__init__.py").write_text("__version__ = '0.0.9'\n")
+@pytest.fixture
+def other_version(tmp_path: Path) -> Path:
+    """A folder with another version of the package."""
+    package = tmp_path / "other" / "fden_ros"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("__version__ = '0.0.9'\n")
+    return package.parent
+
+
+def test_a_worker_of_another_version_is_refused(tmp_path, other_version, capsys):
     table = tmp_path / "results.csv"
     with cluster_in(tmp_path) as cluster:
-        cluster.add(1, first=tmp_path)
+        cluster.add(1, first=other_version)
         assert main(command(ROOT / "examples", table, "--scheduler", cluster.file)) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "has fden_ros 0.0.9: install fden_ros 0.1.0" in line and not table.exists()
 
 
+def test_a_worker_of_another_version_that_comes_later_ends_the_run_too(tmp_path, other_version):
+    whole = command(ROOT / "examples", tmp_path / "results.csv")
+    with cluster_in(tmp_path) as cluster:
+        running = said_by(*whole, "--scheduler", cluster.file)
+        assert running.stderr is not None
+        assert "has no worker yet: waiting for one" in running.stderr.readline()
+        cluster.add(1, first=other_version)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 1
+    assert "install fden_ros 0.1.0" in said.splitlines()[-1]
+
+
+def test_a_scheduler_that_goes_ends_the_run_in_one_line(tmp_path, monkeypatch):
+    # For so long its client tries to find it again.
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "5s")
+    places, table = archive(tmp_path / "archive", 8), tmp_path / "results.csv"
+    with cluster_in(tmp_path) as cluster:
+        cluster.add(1)
+        running = said_by(*command(places, table, "--scheduler", cluster.file))
+        until(lambda: table.exists() and bool(rows_of(table)))
+        cluster.stop()
+        _, said = running.communicate(timeout=90)
+    assert running.returncode == 1
+    assert "the scheduler is gone" in said.splitlines()[-1]
+
+
 def test_recordings_that_a_worker_does_not_see_are_refused(tmp_path, cluster):
     with (
         pytest.raises(InputError, match=r"worker .* does not see /nowhere/press.mcap: mount it"),
-        workers.cluster(str(cluster.file), "/nowhere/press.mcap"),
+        workers.cluster(str(cluster.file), "/nowhere/press.mcap", print),
     ):
         pass
 

@@ -24,6 +24,7 @@ EPILOG = """\
 examples:
   fden batch archive/ --config probe.yaml -o results.csv
   fden batch 'archive/2026-*/*.mcap' --config probe.yaml -o results.csv --workers 8
+  fden batch s3://lab/day/ --config probe.yaml -o results.parquet --scheduler tcp://host:8786
 
 Interrupted (Ctrl-C), it goes on from there the next time.
 """
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "places",
         nargs="+",
         metavar="DIR_OR_GLOB",
-        help="folders of bags, bags, tables, or patterns",
+        help="folders of bags, bags, tables, or patterns; paths or URLs of s3, https, sftp",
     )
     parser.add_argument(
         "-o",
@@ -90,11 +91,11 @@ def run(args: argparse.Namespace) -> int:
             show(done)
 
         try:
-            with (
-                workers.cluster(args.scheduler, str(left[0]))
-                if args.scheduler and left
-                else workers.local(args.workers)
-            ) as pool:
+            if args.scheduler and left:
+                made = workers.cluster(args.scheduler, str(left[0]), _tell)
+            else:
+                made = workers.local(args.workers)
+            with made as pool:
                 batch.run(left, work, results, pool, see)
         except KeyboardInterrupt:
             count_done = len(bags) - len(left) + done
@@ -110,9 +111,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tell_interrupted(what: str) -> None:
-    print(f"interrupted: {what}; the same command does the others", file=sys.stderr)
+    _tell(f"interrupted: {what}; the same command does the others")
 
 
 def _tell_broken(bag: str, error: str) -> None:
     # The reason often begins with the path.
-    print(f"broken: {error if bag in error else f'{bag}: {error}'}", file=sys.stderr)
+    _tell(f"broken: {error if bag in error else f'{bag}: {error}'}")
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

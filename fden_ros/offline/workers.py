@@ -47,7 +47,7 @@ def _ignore_interrupts() -> None:
 
 
 @contextmanager
-def cluster(scheduler: str, sample: str) -> Iterator[Executor]:
+def cluster(scheduler: str, sample: str, tell: Callable[[str], object]) -> Iterator[Executor]:
     """Give the workers of a scheduler of Dask.
 
     Parameters
@@ -56,6 +56,8 @@ def cluster(scheduler: str, sample: str) -> Iterator[Executor]:
         Its address, such as ``tcp://host:8786``, or the file that it has written.
     sample : str
         A recording; where it is a file, every worker must see it.
+    tell : callable
+        Called with a line where there is no worker yet.
 
     Raises
     ------
@@ -74,8 +76,11 @@ def cluster(scheduler: str, sample: str) -> Iterator[Executor]:
             f"the scheduler {scheduler} cannot be reached ({error}): start it with dask scheduler"
         ) from None
     with client:
-        for name, found in client.run(_probe(sample), on_error="return").items():
+        answers = client.run(_probe(sample), on_error="return")
+        for name, found in answers.items():
             _check(name, found, sample)
+        if not answers:
+            tell(f"{scheduler} has no worker yet: waiting for one")
         pool = client.get_executor()
         try:
             yield pool
