@@ -23,10 +23,10 @@ import pytest
 from test_recording_kinds import KINDS, small
 
 from fden_ros.cli import main
-from fden_ros.errors import InputError
-from fden_ros.offline.batch import Results, find_bags
+from fden_ros.offline.batch import Results, Work, find_bags, identify
+from fden_ros.parameters import check
 from fden_ros.recording.reader import BagReader
-from fden_ros.recording.table import TableReader, stated_columns
+from fden_ros.recording.source import Selection, open_source
 from fden_ros.recording.text import looks_like_a_table
 
 fsspec = pytest.importorskip("fsspec", reason="the extra is not installed")
@@ -137,9 +137,10 @@ def root(request: pytest.FixtureRequest) -> str:
 
 def held(place: str | Path) -> list[Any]:
     """What a recording holds, message by message or row by row."""
-    if looks_like_a_table(place):
-        return list(TableReader(place, stated_columns(place)).rows())
-    return list(BagReader(place).messages())
+    if not looks_like_a_table(place):
+        return list(BagReader(place).messages())
+    source = open_source(place, check({}), Selection(from_touch=False))
+    return [source.inputs, *source._table.rows()]
 
 
 @pytest.mark.parametrize(
@@ -166,19 +167,27 @@ def test_what_is_no_bag_at_a_url_is_called_by_its_url(s3, capsys):
     assert "s3://lab/notes.mcap is no bag" in capsys.readouterr().err
 
 
-def test_an_archive_at_a_url_is_identified(root, tmp_path, capsys):
-    if root.endswith("/lab/day"):
-        pytest.skip("served without pages of folders; the next test has S3's own")
-    table = tmp_path / "results.csv"
-    places = [f"{root}/press/", f"{root}/nothing.mcap"]
-    command = ["batch", *places, "-o", table, "--config", CONFIG, "--workers", "1"]
+@pytest.mark.parametrize("server", ["web", "sftp"])
+def test_an_archive_at_a_url_is_identified(server, request, tmp_path):
+    root = request.getfixturevalue(server)
+    names, table = ("press/", "nothing.mcap", "nothing.csv"), tmp_path / "results.csv"
+    command = [
+        "batch",
+        *(f"{root}/{name}" for name in names),
+        "-o",
+        table,
+        "--config",
+        CONFIG,
+        "--workers",
+        "1",
+    ]
     assert main([str(word) for word in command]) == 0
     with table.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    errors = {row["bag"]: row["error"] for row in rows}
-    assert len(rows) == 3 and sorted(map(bool, errors.values())) == [False, True]
-    assert "does not exist" in errors[f"{root}/nothing.mcap"]
-    assert all(bag.startswith(root) for bag in errors)
+        errors = [(row["bag"].removeprefix(root), row["error"]) for row in csv.DictReader(file)]
+    (missing, why), (other, why_other), *contacts = sorted(errors)
+    assert (missing, other) == ("/nothing.csv", "/nothing.mcap")
+    assert "does not exist" in why and "does not exist" in why_other
+    assert [error for _, error in contacts] == ["", ""]
 
 
 def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3, sftp):
@@ -236,7 +245,7 @@ def test_without_the_extra_one_line_says_what_to_install(name):
     [
         ("http://127.0.0.1:1/press.mcap", "cannot be reached"),
         ("http://127.0.0.1:1/press.csv", "cannot be reached"),
-        ("sftp://someone@127.0.0.1:1/press.mcap", "cannot be reached"),
+        ("sftp://someone@127.0.0.1:1/press", "cannot be reached"),
         ("gopher://lab/press.mcap", "is no URL that can be read"),
     ],
 )
@@ -246,12 +255,9 @@ def test_a_url_that_cannot_be_read_is_one_line(url, words, capsys):
     assert url in line and words in line
 
 
-def test_what_could_not_be_reached_is_done_again_the_next_time(tmp_path, capsys):
-    table = tmp_path / "results.csv"
-    url = "http://127.0.0.1:1/press.mcap"
-    with pytest.raises(InputError, match="cannot be reached"):
-        find_bags([url])
-    results = Results(table, "")
-    row = dict.fromkeys(("bag", "configuration", "error", "contacts"))
-    results.add([row | {"bag": url, "configuration": "", "error": f"{url} cannot be reached: no"}])
-    assert not Results(table, "").has(url)
+def test_what_could_not_be_reached_is_done_again_the_next_time(tmp_path):
+    (row,) = identify("http://127.0.0.1:1/press.mcap", work := Work(check({}), Selection()))
+    results = Results(tmp_path / "results.csv", work.digest())
+    results.add([row])
+    assert "cannot be reached" in row["error"]
+    assert not Results(results.path, work.digest()).has(row["bag"])

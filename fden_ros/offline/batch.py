@@ -109,10 +109,10 @@ def _matches(text: str) -> list[Path]:
     if not is_remote(path):
         return [path] if path.exists() else list(map(Path, sorted(glob.glob(text))))
     start, star, _ = text.partition("*")
+    if not star:
+        return [path] if exists(path) else []
+    folder = start[: start.rindex("/") + 1]
     with reached(path):
-        if not star:
-            return [path] if exists(path) else []
-        folder = start[: start.rindex("/") + 1]
         return sorted(place(folder).glob(text.removeprefix(folder)), key=str)
 
 

@@ -98,6 +98,8 @@ class McapFile:
         Where the messages lie, in the order of the file.
     cut_off_at
         Offset (bytes) from which on the file is incomplete; None when it is whole.
+    kept
+        The span that was read last, and its bytes.
     """
 
     path: Path
@@ -108,6 +110,7 @@ class McapFile:
     end_ns: int | None = None
     spans: list[Span] = field(default_factory=list)
     cut_off_at: int | None = None
+    kept: tuple[Span, bytes] | None = field(default=None, repr=False)
 
     @property
     def message_count(self) -> int:
@@ -122,7 +125,10 @@ class McapFile:
         ChunkError
             When it is damaged.
         """
-        content = piece(self.path, span.offset, span.length)
+        if self.kept is None or self.kept[0] is not span:
+            # The beginning is looked at before all is read.
+            self.kept = (span, piece(self.path, span.offset, span.length))
+        content = self.kept[1]
         rows = list(_rows(_unpack(content, span.cut_off) if span.packed else content))
         rows.sort(key=log_time)
         return rows

@@ -12,7 +12,6 @@ import functools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from fden_ros.errors import InputError
@@ -99,6 +98,8 @@ def reached(path: Path) -> Iterator[None]:
         is_of_place = type(error).__module__.partition(".")[0] in _CLIENTS
         if not is_remote(path) or not (is_of_place or isinstance(error, OSError)):
             raise
+        if isinstance(error, FileNotFoundError):
+            raise InputError(f"{path} does not exist") from None
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path} {NOT_REACHED}: {reason}") from None
 
@@ -107,6 +108,11 @@ def exists(path: Path) -> bool:
     """Return whether there is anything at a place."""
     if not is_remote(path):
         return path.exists()
+    with reached(path):
+        return _is_there(path)
+
+
+def _is_there(path: Path) -> bool:
     try:
         path.stat()
     except FileNotFoundError as error:
@@ -123,7 +129,8 @@ def is_folder(path: Path) -> bool:
     """Return whether a place is a folder; on the web, one whose URL ends with a slash."""
     if str(path).startswith(("http://", "https://")):
         return str(path).endswith("/")
-    return path.is_dir()
+    with reached(path):
+        return path.is_dir()
 
 
 def opened(path: Path, **options: Any) -> Any:
@@ -134,7 +141,7 @@ def opened(path: Path, **options: Any) -> Any:
 
 def piece(path: Path, offset: int, length: int) -> bytes:
     """Return `length` bytes of a file; of one that is here, as many as there are."""
-    # Fewer where a damaged length is more than memory holds.
+    # A damaged length may be more than memory holds.
     most = length if is_remote(path) else min(length, path.stat().st_size)
     with opened(path, cache_type="none") as file:
         file.seek(offset)
@@ -152,13 +159,10 @@ def copied(path: Path, folder: str | Path) -> Path:
     return copy
 
 
-@functools.lru_cache(maxsize=2)
-def _kept(path: Path) -> tuple[Path, TemporaryDirectory[str]]:
-    """Return a copy of a URL and its folder, which vanishes when others are read."""
-    folder = TemporaryDirectory(prefix="fden_")
-    return copied(path, folder.name), folder
-
-
-def local(path: Path) -> Path:
-    """Return a path of this machine for a file that is read as a whole, and soon."""
-    return _kept(path)[0] if is_remote(path) else path
+@contextmanager
+def called(copy: Path, path: Path) -> Iterator[None]:
+    """Name the URL, not its copy, in what is wrong with it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error).replace(str(copy), str(path)), error.hint) from None

@@ -37,7 +37,7 @@ from fden_ros.recording.mcap_file import (
     read_index,
     read_mcap,
 )
-from fden_ros.recording.places import copied, exists, is_folder, is_remote, place, reached
+from fden_ros.recording.places import called, copied, exists, is_folder, is_remote, place, reached
 from fden_ros.recording.qos import Qos, parse_profiles
 from fden_ros.recording.rosbags_file import DamageError, RosbagsFile, read_ros1, read_sqlite3
 
@@ -358,10 +358,8 @@ class BagReader:
 
     def _open_copy(self, path: Path) -> McapFile | RosbagsFile:
         copy = self._copied(path)
-        try:
+        with called(copy, path):
             return self._open(copy)
-        except InputError as error:
-            raise InputError(str(error).replace(str(copy), str(path))) from None
 
     def _copied(self, path: Path) -> Path:
         """Return the path of a copy here, with what an interrupted writer has left beside it."""

@@ -23,7 +23,7 @@ from typing import BinaryIO
 from dateutil import parser as dates
 
 from fden_ros.errors import InputError
-from fden_ros.recording.places import is_folder, is_remote, local, opened, place, reached
+from fden_ros.recording.places import is_folder, is_remote, opened, place, reached
 from fden_ros.recording.units import is_unit
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
@@ -464,17 +464,14 @@ def _encoding(path: Path) -> str:
 
 
 def _head(path: Path) -> bytes:
-    with reached(path), _opened(path) if _is_packed(path) else opened(path) as file:
+    with reached(path), _opened(path) as file:
         return file.read(_HEAD_BYTES)
 
 
 def _opened(path: Path) -> BinaryIO | gzip.GzipFile:
-    here = local(path)
-    return gzip.GzipFile(here) if _is_packed(path) else here.open("rb")
-
-
-def _is_packed(path: Path) -> bool:
-    return path.suffix.lower() == ".gz"
+    if path.suffix.lower() != ".gz":
+        return opened(path)
+    return gzip.GzipFile(fileobj=opened(path)) if is_remote(path) else gzip.GzipFile(path)
 
 
 def _not_opened(path: Path, error: Exception) -> InputError:
