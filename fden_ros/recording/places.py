@@ -116,10 +116,10 @@ def _is_there(path: Path) -> bool:
     try:
         path.stat()
     except FileNotFoundError as error:
+        # fsspec says so of whatever the web answers, and where nothing does.
         cause = error.__cause__
         is_of_web = type(cause).__module__.startswith("aiohttp")
         if cause is not None and is_of_web and getattr(cause, "status", 0) != _NOT_FOUND:
-            # fsspec says so of whatever the web answers, and where nothing does.
             raise cause from None
         return False
     return True
