@@ -26,6 +26,15 @@ class BuildLoops(build_ext):
             ) from None
 
 
+CLUSTER = [
+    "distributed",
+    "fsspec[http]",
+    "pyarrow",
+    "s3fs",
+    "sshfs",
+    "universal-pathlib>=0.3",
+]
+
 setup(
     name="fden_ros",
     version="0.1.0",
@@ -82,8 +91,13 @@ setup(
             "ros-jazzy-rmw-fastrtps-cpp",
             "ros-jazzy-rosidl-parser",
         ],
+        # fden batch --scheduler and -o FILE.parquet; recordings at s3://, https://, sftp://.
+        "cluster": CLUSTER,
         "test": [
+            *CLUSTER,
+            "flask-cors",  # of moto's server
             "hypothesis",
+            "moto[s3]",
             "mpmath",
             "pytest",
             "pytest-xdist",

@@ -12,6 +12,9 @@ import json
 import re
 import shutil
 import subprocess
+import tracemalloc
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -212,6 +215,37 @@ def test_a_bag_is_done_again_where_the_configuration_differs_or_its_rows_are_cut
     assert torn.has(bags[0]) and not torn.has(bags[1])
     torn.add(batch.identify(bags[1], work))
     assert [row["bag"] for row in rows_of(table)] == bags
+    # With another configuration its old rows go, and those of other bags stay.
+    anew = batch.Results(table, other.digest())
+    anew.add(batch.identify(bags[0], other))
+    anew.close()
+    assert [(row["bag"], row["configuration"]) for row in rows_of(table)] == [
+        (bags[1], work.digest()),
+        (bags[0], other.digest()),
+    ]
+
+
+def test_an_archive_takes_memory_for_the_names_of_its_recordings_alone(tmp_path, work):
+    (row,) = batch.identify("nowhere", work)
+    handed = done = most = 0
+
+    def names() -> Iterator[Path]:
+        nonlocal handed
+        for handed in range(1, 3001):
+            yield Path(str(handed))
+
+    def see(rows: list[batch.Row]) -> None:
+        nonlocal done, most
+        done, most = done + 1, max(most, handed - done)
+
+    results = batch.Results(tmp_path / "results.csv", work.digest())
+    tracemalloc.start()
+    with ThreadPoolExecutor(2) as pool:
+        batch.run(names(), work, results, pool, see, lambda bag, _: [row | {"bag": bag}])
+    size, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert done == 3000 == len(rows_of(results.path)) and most <= 1000
+    assert size < 500 * done  # bytes; a row has some 5000
 
 
 def test_another_table_is_not_touched(tmp_path):

@@ -24,6 +24,7 @@ EPILOG = """\
 examples:
   fden batch archive/ --config probe.yaml -o results.csv
   fden batch 'archive/2026-*/*.mcap' --config probe.yaml -o results.csv --workers 8
+  fden batch s3://lab/day/ --config probe.yaml -o results.parquet --scheduler tcp://host:8786
 
 Interrupted (Ctrl-C), it goes on from there the next time.
 """
@@ -41,24 +42,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "places",
         nargs="+",
         metavar="DIR_OR_GLOB",
-        help="folders of bags, bags, tables, or patterns",
+        help="folders of bags, bags, tables, or patterns; paths or URLs of s3, https, sftp",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FILE", help="the table, CSV"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the table, CSV; FILE.parquet: as Parquet too, beside FILE.csv",
     )
-    parser.add_argument(
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
         "--workers",
         type=count,
         metavar="N",
         default=len(os.sched_getaffinity(0)),
-        help="processes (default: one a processor core)",
+        help="processes of this machine (default: one a processor core)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="the workers of a cluster of Dask: tcp://HOST:8786, or the scheduler's file",
     )
     add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Identify the archive; return the exit code."""
-    from fden_ros.offline import batch
+    from fden_ros.offline import batch, workers
     from fden_ros.progress import progress
 
     work = batch.Work(parameters_of(args), selection_of(args))
@@ -79,11 +91,18 @@ def run(args: argparse.Namespace) -> int:
             show(done)
 
         try:
-            batch.run(left, work, results, args.workers, see)
+            if args.scheduler and left:
+                made = workers.cluster(args.scheduler, str(left[0]), _tell)
+            else:
+                made = workers.local(args.workers)
+            with made as pool:
+                batch.run(left, work, results, pool, see)
         except KeyboardInterrupt:
             count_done = len(bags) - len(left) + done
             _tell_interrupted(f"{args.output} has {count_done} of {len(bags)} bags")
             raise
+        finally:
+            results.close()
     print(
         f"{args.output}: {len(bags)} bags, {len(bags) - len(left)} of them done before, "
         f"{broken} broken; {contacts} contacts new"
@@ -92,9 +111,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tell_interrupted(what: str) -> None:
-    print(f"interrupted: {what}; the same command does the others", file=sys.stderr)
+    _tell(f"interrupted: {what}; the same command does the others")
 
 
 def _tell_broken(bag: str, error: str) -> None:
     # The reason often begins with the path.
-    print(f"broken: {error if bag in error else f'{bag}: {error}'}", file=sys.stderr)
+    _tell(f"broken: {error if bag in error else f'{bag}: {error}'}")
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -27,7 +27,9 @@ _STREAMS = [p.name.partition(".")[0] for p in PARAMETERS if p.name.endswith(".me
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """Add the recording itself, ``bag``."""
     parser.add_argument(
-        "bag", type=Path, metavar="BAG", help="a bag (folder, .mcap, .db3, .bag) or a table"
+        "bag",
+        metavar="BAG",
+        help="a bag (folder, .mcap, .db3, .bag) or a table: a path, or a URL of s3, https, sftp",
     )
 
 

@@ -3,6 +3,8 @@
 
 """An archive of recordings, identified by several processes: a table with a row a contact.
 
+The processes are those of an executor: of this machine, or of a cluster.
+
 The rows of a bag are in the table as soon as it is done. So a run that is interrupted goes on
 where it was: a bag whose rows are there with the same configuration is not done again.
 """
@@ -13,24 +15,27 @@ import csv
 import glob
 import hashlib
 import json
-import multiprocessing
-import os
-import signal
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import groupby, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from fden_ros import __version__
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
+from fden_ros.offline.parquet import write_parquet
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row
 from fden_ros.offline.session import Innovations
+from fden_ros.offline.workers import SAME_VERSION, is_killed
 from fden_ros.parameters import Parameters
+from fden_ros.recording.places import NOT_REACHED, exists, is_folder, is_remote, place, reached
 from fden_ros.recording.reader import METADATA_FILE, is_bag_file
 from fden_ros.recording.source import Selection
 from fden_ros.recording.text import TABLE_SUFFIXES, layout_of
@@ -41,6 +46,11 @@ from fden_ros.tissues.library import load_library
 _BAG_COLUMNS = (
     "bag", "configuration", "inputs", "error", "warnings", "seconds", "pairs", "contacts",
 )  # fmt: skip
+
+#: How the error of a recording begins that is done again the next time.
+KILLED = "its worker was killed"
+#: Recordings that are handed out at once: the cores of a large cluster, and little memory.
+_UNDER_WAY = 1000
 
 Row = dict[str, Any]
 
@@ -80,30 +90,48 @@ def find_bags(places: Sequence[str]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     empty: dict[Path, None] = {}
-    for place in places:
-        paths = sorted(glob.glob(place)) if not os.path.exists(place) else [place]
-        for path in map(Path, paths or [place]):
-            bags = dict.fromkeys(bag.resolve() for bag in _bags_at(path)) if paths else {}
+    for text in places:
+        paths = _matches(text)
+        for path in paths or [place(text)]:
+            with reached(path):
+                bags = dict.fromkeys(map(_absolute, _bags_at(path))) if paths else {}
             found |= bags
-            empty |= {} if bags else {path.resolve(): None}
+            empty |= {} if bags else {_absolute(path): None}
     if not found:
         where = ", ".join(places)
         raise InputError(f"{where} holds no bag: give a folder of bags, or a pattern of some")
-    return sorted(found | empty)
+    return sorted(found | empty, key=str)
+
+
+def _matches(text: str) -> list[Path]:
+    """Return the places that there are at a path or a URL, or by a pattern."""
+    path = place(text)
+    if not is_remote(path):
+        return [path] if path.exists() else list(map(Path, sorted(glob.glob(text))))
+    start, star, _ = text.partition("*")
+    if not star:
+        return [path] if exists(path) else []
+    folder = start[: start.rindex("/") + 1]
+    with reached(path):
+        return sorted(place(folder).glob(text.removeprefix(folder)), key=str)
+
+
+def _absolute(path: Path) -> Path:
+    return path if is_remote(path) else path.resolve()
 
 
 def _bags_at(path: Path) -> Iterator[Path]:
     # What is named is meant, whatever its name: if it is no bag, its row will say so.
-    if not path.is_dir():
+    if not is_folder(path):
         yield path
         return
-    is_bag = (path / METADATA_FILE).is_file()
+    is_bag = exists(path / METADATA_FILE)
     if is_bag:
         yield path
-    for child in sorted(path.iterdir()):
+    for child in sorted(path.iterdir(), key=str):
         if child.name.startswith("."):
             continue
-        if child.is_dir() or (not is_bag and (is_bag_file(child) or _is_table(child))):
+        if is_folder(child) or (not is_bag and (is_bag_file(child) or _is_table(child))):
             yield from _bags_at(child)
 
 
@@ -113,6 +141,9 @@ def _is_table(path: Path) -> bool:
     if suffix not in TABLE_SUFFIXES:
         return False
     is_text = suffix == ".txt"
+    if is_remote(path):
+        # To look into each would read them all twice.
+        return not is_text
     try:
         layout = layout_of(path)
     except InputError:
@@ -132,8 +163,7 @@ def identify(bag: str, work: Work) -> list[Row]:
         Path.
     work : Work
     """
-    row: Row = dict.fromkeys((*_BAG_COLUMNS, *COLUMNS))
-    row |= {"bag": bag, "configuration": work.digest(), "contacts": 0}
+    row = _row(bag, work.digest())
     try:
         return _identify(row, work)
     except InputError as error:
@@ -141,6 +171,12 @@ def identify(bag: str, work: Work) -> list[Row]:
     except Exception as error:
         # One bag must not end a run of thousands, whatever is wrong with it.
         return [row | {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"}]
+
+
+def _row(bag: str, configuration: str) -> Row:
+    """Return a row without a contact."""
+    row: Row = dict.fromkeys((*_BAG_COLUMNS, *COLUMNS))
+    return row | {"bag": bag, "configuration": configuration, "contacts": 0}
 
 
 def _identify(row: Row, work: Work) -> list[Row]:
@@ -170,11 +206,14 @@ def _identify(row: Row, work: Work) -> list[Row]:
 
 
 class Results:
-    """The table, CSV.
+    """The table: CSV, and beside it Parquet where the path says so.
+
+    Rows go to the CSV as they come. The Parquet file is made of it at the end.
 
     Parameters
     ----------
     path : path
+        Ends with ``.parquet`` for both; the CSV stands beside it.
     configuration : str
         That of the run: rows of another one are left out when their bag is done again.
 
@@ -185,111 +224,147 @@ class Results:
     """
 
     def __init__(self, path: str | Path, configuration: str) -> None:
-        self.path = Path(path)
-        self._configuration = configuration
-        self._rows = _read_table(self.path)
-        self._is_written = False
+        target = Path(path)
+        self._parquet = target if target.suffix.lower() == ".parquet" else None
+        self.path = target.with_suffix(".csv") if self._parquet else target
+        self.configuration = configuration
+        self._done: set[str] = set()
+        self._others: set[str] = set()
+        self._is_open = False
+        for bag, rows in _groups(self.path):
+            is_done = _is_whole(rows) and rows[0]["configuration"] == configuration
+            (self._done if is_done else self._others).add(bag)
 
     def has(self, bag: str) -> bool:
         """Return whether all rows of `bag` are there, of this configuration."""
-        rows = self._rows.get(bag, [])
-        return bool(rows) and all(
-            row["configuration"] == self._configuration
-            and len(rows) == max(1, int(row["contacts"] or 0))
-            for row in rows
-        )
+        return bag in self._done
 
     def add(self, rows: Sequence[Row]) -> None:
         """Keep the rows of a bag; they are on the disk when this returns."""
-        bag = rows[0]["bag"]
-        can_follow = self._is_written and bag not in self._rows
-        self._rows[bag] = list(rows)
-        try:
-            if can_follow:
-                with self.path.open("a", encoding="utf-8", newline="") as file:
-                    _writer(file).writerows(rows)
-                return
-            self._write_anew()
-        except OSError as error:
-            raise InputError(
-                f"{self.path} cannot be written ({error.strerror}): choose another place"
-            ) from None
+        with _written(self.path):
+            if not self._is_open:
+                self._write_anew()
+            with self.path.open("a", encoding="utf-8", newline="") as file:
+                _writer(file).writerows(rows)
+        self._done.add(rows[0]["bag"])
+
+    def close(self) -> None:
+        """Leave out what was done again, and write the Parquet file."""
+        with _written(self._parquet or self.path):
+            if self._is_open and self._done & self._others:
+                self._write_anew()
+            if self._parquet is not None and self.path.exists():
+                write_parquet(self.path, self._parquet)
 
     def _write_anew(self) -> None:
+        """Write the table without rows that are cut off, or have others of this configuration."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         draft = self.path.with_name(f".{self.path.name}.part")
         with draft.open("w", encoding="utf-8", newline="") as file:
             writer = _writer(file)
             writer.writeheader()
-            for rows in self._rows.values():
-                writer.writerows(rows)
+            for bag, rows in _groups(self.path):
+                is_ours = rows[0]["configuration"] == self.configuration
+                if _is_whole(rows) and (is_ours or bag not in self._done):
+                    writer.writerows(rows)
         draft.replace(self.path)
-        self._is_written = True
+        self._is_open = True
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}): choose another place"
+        ) from None
 
 
 def _writer(file: Any) -> csv.DictWriter[str]:
     return csv.DictWriter(file, (*_BAG_COLUMNS, *COLUMNS), lineterminator="\n")
 
 
-def _read_table(path: Path) -> dict[str, list[Row]]:
-    """Return the rows of a table by bag; without a line that was cut off."""
-    found: defaultdict[str, list[Row]] = defaultdict(list)
+def _groups(path: Path) -> Iterator[tuple[str, list[Row]]]:
+    """Yield the rows of each bag in a table; without a line that was cut off."""
     if not path.exists():
-        return found
+        return
     try:
-        whole, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
-        reader = csv.DictReader(whole.splitlines())
-        if reader.fieldnames != [*_BAG_COLUMNS, *COLUMNS]:
-            raise InputError(f"{path} is a table of another kind: choose another place")
-        for row in reader:
-            found[row["bag"]].append(row)
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(line for line in file if line.endswith("\n"))
+            if reader.fieldnames != [*_BAG_COLUMNS, *COLUMNS]:
+                raise InputError(f"{path} is a table of another kind: choose another place")
+            for (bag, _), rows in groupby(reader, key=itemgetter("bag", "configuration")):
+                yield bag, list(rows)
     except (OSError, UnicodeDecodeError, csv.Error):
         raise InputError(f"{path} is no table of results: choose another place") from None
-    return found
+
+
+def _is_whole(rows: Sequence[Row]) -> bool:
+    """Return whether all rows of a bag are there, and it can be relied on that they are."""
+    error, contacts = rows[0]["error"], rows[0]["contacts"]
+    may_pass = error.startswith(KILLED) or NOT_REACHED in error
+    return not may_pass and len(rows) == max(1, int(contacts or 0))
 
 
 def run(
-    bags: Sequence[Path], work: Work, results: Results, workers: int, on_bag: Callable[..., object]
+    bags: Iterable[Path],
+    work: Work,
+    results: Results,
+    pool: Executor,
+    on_bag: Callable[[list[Row]], object],
+    task: Callable[[str, Work], list[Row]] = identify,
 ) -> None:
-    """Identify `bags` with `workers` processes and keep each as it comes.
+    """Identify `bags` in the processes of `pool` and keep each as it comes.
 
     Parameters
     ----------
-    bags : sequence of path
+    bags : iterable of path
     work : Work
     results : Results
-    workers : int
+    pool : Executor
+        Such as :func:`fden_ros.offline.workers.local` and ``cluster`` give.
     on_bag : callable
         Called with the rows of each bag.
+    task : callable
+        What is done with each bag.
 
     Raises
     ------
     InputError
-        If a process was killed, as for want of memory.
+        If a process of this machine was killed, or a worker computes something else.
     """
-    others = multiprocessing.active_children()
-    # A fork would take the threads of the numerics with it.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
-    try:
-        for future in as_completed([pool.submit(identify, str(bag), work) for bag in bags]):
-            rows = future.result()
+    left = iter(bags)
+    under_way: dict[Future[list[Row]], str] = {}
+    while True:
+        for bag in map(str, islice(left, _UNDER_WAY - len(under_way))):
+            under_way[pool.submit(task, bag, work)] = bag
+        if not under_way:
+            return
+        for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+            rows = _rows_of(future, under_way.pop(future), results)
             results.add(rows)
             on_bag(rows)
-    except KeyboardInterrupt:
-        # What they are at is not kept: nobody waits for it.
-        for process in set(multiprocessing.active_children()) - set(others):
-            process.terminate()
-        raise
+
+
+def _rows_of(future: Future[list[Row]], bag: str, results: Results) -> list[Row]:
+    try:
+        rows = future.result()
     except BrokenProcessPool:
         raise InputError(
             f"a process was killed: {results.path} has what was done before; run it again, with "
             "fewer --workers where memory is short"
         ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the process that started this one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except CancelledError:
+        raise InputError(
+            f"the scheduler is gone: {results.path} has what was done before; start it, and run "
+            "the same command again"
+        ) from None
+    except Exception as error:
+        if not is_killed(error):
+            raise InputError(f"a worker cannot do it ({error}): {SAME_VERSION}") from None
+        why = f"{KILLED} each time it was tried: does it have enough memory?"
+        return [_row(bag, results.configuration) | {"error": why}]
+    if rows[0]["configuration"] != results.configuration:
+        raise InputError(f"a worker has another version or tissue library: {SAME_VERSION}")
+    return rows

@@ -27,6 +27,7 @@ from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.offline.signals import Envelope, signals_of
 from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.recording.places import place
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection, is_table, open_source
 from fden_ros.recording.truth import read_truth
@@ -202,7 +203,7 @@ def gather(
     result = replay(bag, parameters, selection, progress=progress, on_output=gatherer.take)
     signals = signals_of(open_source(bag, parameters, selection), result.parameters)
     return Session(
-        path=Path(bag),
+        path=place(bag),
         parameters=result.parameters,
         replay=result,
         contacts=[c for c in gatherer.contacts if c.summary is not None],

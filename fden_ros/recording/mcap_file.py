@@ -27,6 +27,8 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Schema
 from mcap.summary import Summary
 
+from fden_ros.recording.places import opened, piece
+
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<BQHIQQ")  # record header, channel, sequence, log time, publish time
@@ -96,6 +98,8 @@ class McapFile:
         Where the messages lie, in the order of the file.
     cut_off_at
         Offset (bytes) from which on the file is incomplete; None when it is whole.
+    kept
+        The span that was read last, and its bytes.
     """
 
     path: Path
@@ -106,6 +110,7 @@ class McapFile:
     end_ns: int | None = None
     spans: list[Span] = field(default_factory=list)
     cut_off_at: int | None = None
+    kept: tuple[Span, bytes] | None = field(default=None, repr=False)
 
     @property
     def message_count(self) -> int:
@@ -120,9 +125,10 @@ class McapFile:
         ChunkError
             When it is damaged.
         """
-        with self.path.open("rb") as file:
-            file.seek(span.offset)
-            content = file.read(min(span.length, self.path.stat().st_size))
+        if self.kept is None or self.kept[0] is not span:
+            # The beginning is looked at before all is read.
+            self.kept = (span, piece(self.path, span.offset, span.length))
+        content = self.kept[1]
         rows = list(_rows(_unpack(content, span.cut_off) if span.packed else content))
         rows.sort(key=log_time)
         return rows
@@ -130,7 +136,7 @@ class McapFile:
 
 def read_mcap(path: Path) -> McapFile:
     """Return what the file at `path` holds, from its index or, without a usable one, by a scan."""
-    return _from_summary(path) or _Scan(path).file
+    return read_index(path) or _Scan(path).file
 
 
 def log_time(row: Row) -> int:
@@ -138,8 +144,9 @@ def log_time(row: Row) -> int:
     return row.log_time_ns
 
 
-def _from_summary(path: Path) -> McapFile | None:
-    with path.open("rb") as stream:
+def read_index(path: Path) -> McapFile | None:
+    """Return what the index of a file says that it holds; None without a usable one."""
+    with opened(path) as stream:
         try:
             summary = SeekingReader(stream).get_summary()
         except _DAMAGE:

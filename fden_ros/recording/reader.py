@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bisect
 import contextlib
+import fnmatch
 import heapq
 import itertools
 import re
@@ -33,8 +34,10 @@ from fden_ros.recording.mcap_file import (
     Row,
     Span,
     log_time,
+    read_index,
     read_mcap,
 )
+from fden_ros.recording.places import called, copied, exists, is_folder, is_remote, place, reached
 from fden_ros.recording.qos import Qos, parse_profiles
 from fden_ros.recording.rosbags_file import DamageError, RosbagsFile, read_ros1, read_sqlite3
 
@@ -107,11 +110,12 @@ class BagReader:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = place(path)
         self._warnings: list[str] = []
         self._metadata: dict[str, Any] = {}
         self._unpacked: TemporaryDirectory[str] | None = None
-        self._files = [self._open(file) for file in self._find_files()]
+        with reached(self.path):
+            self._files = [self._open(file) for file in self._find_files()]
         self._routes = [self._route(file) for file in self._files]
         self._topics = self._collect_topics()
         if not self._topics:
@@ -250,7 +254,8 @@ class BagReader:
 
     def _load(self, file: McapFile, span: Span) -> list[Row]:
         try:
-            return file.load(span)
+            with reached(file.path):
+                return file.load(span)
         except ChunkError as error:
             self._warn(f"{file.path.name}: the chunk at byte {span.offset} is lost ({error})")
         except OSError as error:
@@ -264,12 +269,12 @@ class BagReader:
     # Finding and opening the files
 
     def _find_files(self) -> list[Path]:
-        if not self.path.exists():
+        if not exists(self.path):
             raise InputError(f"{self.path} does not exist: {_EXPECTED}")
-        if not self.path.is_dir():
+        if not is_folder(self.path):
             return [self.path]
         listed = self._read_metadata()
-        present = [path for path in listed if path.is_file()]
+        present = [path for path in listed if exists(path)]
         for path in listed:
             if path not in present:
                 self._warn(f"{path.name} is listed in {METADATA_FILE} but missing: not used")
@@ -297,11 +302,13 @@ class BagReader:
             raise InputError(f"{self.path} has messages compressed by {packing}: expected zstd")
         # Bags of ROS 2 Dashing and older name the files with the folder in front.
         return [
-            self.path / name if (self.path / name).is_file() else self.path / name.name
+            self.path / name if exists(self.path / name) else self.path / name.name
             for name in names
         ]
 
     def _open(self, path: Path) -> McapFile | RosbagsFile:
+        if is_remote(path):
+            return read_index(path) or self._open_copy(path)
         try:
             return self._read(path)
         except OSError as error:
@@ -348,6 +355,19 @@ class BagReader:
             except (zstandard.ZstdError, RuntimeError, EOFError) as error:
                 self._warn(f"{path.name} cannot be unpacked to its end ({error})")
         return unpacked
+
+    def _open_copy(self, path: Path) -> McapFile | RosbagsFile:
+        copy = self._copied(path)
+        with called(copy, path):
+            return self._open(copy)
+
+    def _copied(self, path: Path) -> Path:
+        """Return the path of a copy here, with what an interrupted writer has left beside it."""
+        for suffix in _LEFTOVERS:
+            beside = path.with_name(path.name + suffix)
+            if path.suffix == ".db3" and exists(beside):
+                copied(beside, self._place())
+        return copied(path, self._place())
 
     def _recovered(self, path: Path) -> Path:
         """Return a sqlite3 file with what an interrupted writer has left beside it."""
@@ -476,7 +496,8 @@ def _listed_profiles(metadata: dict[str, Any]) -> dict[str, tuple[Qos, ...]]:
 
 def is_bag_file(path: Path) -> bool:
     """Return whether a file is one of a bag by its name."""
-    return path.is_file() and any(path.match(pattern) for pattern in _RECORDINGS)
+    is_file = is_remote(path) or path.is_file()
+    return is_file and any(fnmatch.fnmatch(path.name, pattern) for pattern in _RECORDINGS)
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:

@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 from fden_ros.core.streams.rotation import conjugate, rotate
@@ -21,6 +22,7 @@ from fden_ros.recording.candidates import hint_of
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.machine import machine_values
+from fden_ros.recording.places import called, copied, is_remote, place, reached
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.stamps import (
     LOOKED_AT,
@@ -87,12 +89,23 @@ def open_source(
     """
     chosen = selection or Selection()
     if is_table(path, chosen):
-        columns = chosen.columns or stated_columns(path)
-        return TableSource(path, parameters, replace(chosen, columns=columns))
+        return _open_table(place(path), parameters, chosen)
     if chosen.from_touch or chosen.where is not None:
         option = "--from-touch" if chosen.from_touch else "--rows"
         raise InputError(f"{path} is no table: {option} is for tables")
     return BagSource(path, parameters, chosen)
+
+
+def _open_table(path: Path, parameters: Parameters, selection: Selection) -> TableSource:
+    """Return a table, or a copy of one at a URL, since it is read more than once."""
+    folder = TemporaryDirectory(prefix="fden_") if is_remote(path) else None
+    with reached(path):
+        here = copied(path, folder.name) if folder is not None else path
+    with called(here, path):
+        columns = selection.columns or stated_columns(here)
+        source = TableSource(here, parameters, replace(selection, columns=columns))
+    source.folder = folder
+    return source
 
 
 class BagSource:
@@ -346,6 +359,7 @@ class TableSource:
     """
 
     frame = displacement_frame = ""
+    folder: TemporaryDirectory[str] | None = None  #: of a copy, which lives as long as this
 
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         assert selection.columns is not None

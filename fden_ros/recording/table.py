@@ -23,6 +23,7 @@ from fden_ros.recording.headings import (
     parts_of,
     rivals,
 )
+from fden_ros.recording.places import place
 from fden_ros.recording.text import Layout, clock_ns, layout_of, numeral, stamp_of_clock
 
 _NS = Decimal(1_000_000_000)
@@ -204,7 +205,7 @@ class TableReader:
     def __init__(
         self, path: str | Path, columns: Columns, where: tuple[str, str] | None = None
     ) -> None:
-        self.path = Path(path)
+        self.path = place(path)
         self.skipped = 0
         self.layout = layout_of(self.path, columns.headings)
         self._columns = columns

@@ -23,6 +23,7 @@ from typing import BinaryIO
 from dateutil import parser as dates
 
 from fden_ros.errors import InputError
+from fden_ros.recording.places import is_folder, is_remote, opened, place, reached
 from fden_ros.recording.units import is_unit
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
@@ -160,7 +161,7 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
     InputError
         If the file cannot be read or is empty.
     """
-    path = Path(path)
+    path = place(path)
     encoding = _encoding(path)
     head = list(islice(lines_of(path, encoding, comments=True), _HEAD_LINES))
     lines = [(number, line) for number, line in head if not is_comment(line)]
@@ -197,11 +198,13 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
 
 def looks_like_a_table(path: str | Path) -> bool:
     """Return whether `path` is a text table by its name, or else by what it begins with."""
-    path = Path(path)
+    path = place(path)
     suffix = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
     if suffix.lower() in (*TABLE_SUFFIXES, *_WORKBOOKS):
-        return not path.is_dir()
-    return suffix.lower() not in BAG_SUFFIXES and path.is_file() and _begins_as_text(path)
+        return not is_folder(path)
+    if suffix.lower() in BAG_SUFFIXES or is_folder(path):
+        return False
+    return (is_remote(path) or path.is_file()) and _begins_as_text(path)
 
 
 def _begins_as_text(path: Path) -> bool:
@@ -222,7 +225,7 @@ def lines_of(path: Path, encoding: str, *, comments: bool = False) -> Iterator[t
         If the file cannot be read.
     """
     try:
-        with _opened(path) as raw:
+        with reached(path), _opened(path) as raw:
             file = io.TextIOWrapper(raw, encoding, errors="replace")
             for number, line in enumerate(file, start=1):
                 if line.strip() and (comments or not is_comment(line)):
@@ -461,14 +464,14 @@ def _encoding(path: Path) -> str:
 
 
 def _head(path: Path) -> bytes:
-    with _opened(path) as file:
+    with reached(path), _opened(path) as file:
         return file.read(_HEAD_BYTES)
 
 
 def _opened(path: Path) -> BinaryIO | gzip.GzipFile:
-    if path.suffix.lower() == ".gz":
-        return gzip.GzipFile(path)
-    return path.open("rb")
+    if path.suffix.lower() != ".gz":
+        return opened(path)
+    return gzip.GzipFile(fileobj=opened(path)) if is_remote(path) else gzip.GzipFile(path)
 
 
 def _not_opened(path: Path, error: Exception) -> InputError:

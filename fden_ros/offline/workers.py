@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Processes that identify recordings: of this machine, or of a cluster of Dask.
+
+Each is an executor of :mod:`concurrent.futures`, which ends what it has begun when it is left.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+from fden_ros import __version__
+from fden_ros.errors import InputError
+from fden_ros.recording.places import needs_extra
+
+SAME_VERSION = f"install fden_ros {__version__} and the same tissue library on each"
+
+
+@contextmanager
+def local(count: int) -> Iterator[Executor]:
+    """Give `count` processes of this machine."""
+    others = multiprocessing.active_children()
+    # A fork would take the threads of the numerics with it.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(count, context, initializer=_ignore_interrupts)
+    try:
+        yield pool
+    except KeyboardInterrupt:
+        # What they are at is not kept: nobody waits for it.
+        for process in set(multiprocessing.active_children()) - set(others):
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the process that started this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def cluster(scheduler: str, sample: str, tell: Callable[[str], object]) -> Iterator[Executor]:
+    """Give the workers of a scheduler of Dask.
+
+    Parameters
+    ----------
+    scheduler : str
+        Its address, such as ``tcp://host:8786``, or the file that it has written.
+    sample : str
+        A recording; where it is a file, every worker must see it.
+    tell : callable
+        Called with a line where there is no worker yet.
+
+    Raises
+    ------
+    InputError
+        If it cannot be reached, or a worker has another version or does not see the recording.
+    """
+    with needs_extra("--scheduler"):
+        from distributed import Client
+    is_file = os.path.isfile(scheduler)
+    if not is_file and "://" not in scheduler:
+        raise InputError(f"{scheduler} is no scheduler: give tcp://HOST:8786, or its file")
+    try:
+        client = Client(**{"scheduler_file" if is_file else "address": scheduler})
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            f"the scheduler {scheduler} cannot be reached ({error}): start it with dask scheduler"
+        ) from None
+    with client:
+        answers = client.run(_probe(sample), on_error="return")
+        for name, found in answers.items():
+            _check(name, found, sample)
+        if not answers:
+            tell(f"{scheduler} has no worker yet: waiting for one")
+        pool = client.get_executor()
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=False)
+
+
+def _probe(sample: str) -> Callable[[], tuple[str, bool]]:
+    """Return what a worker tells its version by, and whether it sees a file.
+
+    A function of a function is sent as it is: another version need not have it.
+    """
+
+    def probe() -> tuple[str, bool]:
+        import importlib
+        import os
+
+        version = importlib.import_module("fden_ros").__version__
+        return version, "://" in sample or os.path.exists(sample)
+
+    return probe
+
+
+def _check(name: str, found: Any, sample: str) -> None:
+    if isinstance(found, Exception):
+        raise InputError(f"worker {name} lacks fden_ros ({found}): {SAME_VERSION}")
+    version, is_seen = found
+    if version != __version__:
+        raise InputError(f"worker {name} has fden_ros {version}: {SAME_VERSION}")
+    if not is_seen:
+        raise InputError(f"worker {name} does not see {sample}: mount it there at the same path")
+
+
+def is_killed(error: Exception) -> bool:
+    """Return whether Dask has given a task up because each of its workers was killed."""
+    return type(error).__name__ == "KilledWorker"

@@ -1,0 +1,263 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings at URLs: a server of S3, one of the web and one of sftp, on the loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import functools
+import gzip
+import json
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_recording_kinds import KINDS, small
+
+from fden_ros.cli import main
+from fden_ros.offline.batch import Results, Work, find_bags, identify
+from fden_ros.parameters import check
+from fden_ros.recording.reader import BagReader
+from fden_ros.recording.source import Selection, open_source
+from fden_ros.recording.text import looks_like_a_table
+
+fsspec = pytest.importorskip("fsspec", reason="the extra is not installed")
+
+ROOT = Path(__file__).parent.parent
+POSE = ROOT / "bags" / "golden" / "golden_pose"
+CONFIG = POSE / "identifier.yaml"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the servers show: a bag, a bag of sqlite3, tables."""
+    folder = tmp_path_factory.mktemp("shown")
+    shutil.copytree(POSE, folder / "press")
+    (folder / "old").mkdir()
+    KINDS["sqlite3"](folder / "old", small())
+    shutil.move(next((folder / "old").rglob("*.db3")), folder / "old" / "old.db3")
+    shutil.rmtree(folder / "old" / "bag")
+    table = (ROOT / "examples" / "press.csv").read_bytes()
+    (folder / "table.csv").write_bytes(table)
+    (folder / "packed.csv.gz").write_bytes(gzip.compress(table))
+    return folder
+
+
+class Counted:
+    """The app of a server; counts the bytes of the answers."""
+
+    def __init__(self, app: Callable[..., Any]) -> None:
+        self._app, self.sent = app, 0
+
+    def __call__(self, environ: dict[str, Any], respond: Callable[..., Any]) -> Iterator[bytes]:
+        for part in self._app(environ, respond):
+            self.sent += len(part)
+            yield part
+
+
+@pytest.fixture(scope="module")
+def s3(folder: Path) -> Iterator[tuple[str, Counted]]:
+    pytest.importorskip("moto", reason="the servers of the tests are not installed")
+    import boto3
+    from moto.server import DomainDispatcherApplication, create_backend_app
+    from werkzeug.serving import make_server
+
+    app = Counted(DomainDispatcherApplication(create_backend_app))
+    server = make_server("127.0.0.1", 0, app, threaded=True)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    url = f"http://127.0.0.1:{server.port}"
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in (
+            ("AWS_ENDPOINT_URL", url),
+            ("AWS_ACCESS_KEY_ID", "someone"),
+            ("AWS_SECRET_ACCESS_KEY", "something"),
+            ("AWS_DEFAULT_REGION", "us-east-1"),
+        ):
+            patched.setenv(name, value)
+        client = boto3.client("s3")
+        client.create_bucket(Bucket="lab", ACL="public-read")
+        for path in folder.rglob("*.*"):
+            key = f"day/{path.relative_to(folder)}"
+            client.upload_file(str(path), "lab", key, ExtraArgs={"ACL": "public-read"})
+        yield url, app
+    server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def web(folder: Path) -> Iterator[str]:
+    """A server that knows no ranges, as Python has it, with pages of its folders."""
+    handler = functools.partial(SimpleHTTPRequestHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def sftp(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    asyncssh = pytest.importorskip("asyncssh", reason="the extra is not installed")
+
+    class Anyone(asyncssh.SSHServer):
+        def begin_auth(self, username: str) -> bool:
+            return False
+
+    loop = asyncio.new_event_loop()
+    threading.Thread(target=loop.run_forever, daemon=True).start()
+
+    async def serve() -> Any:
+        key = asyncssh.generate_private_key("ssh-ed25519")
+        files = functools.partial(asyncssh.SFTPServer, chroot=str(folder))
+        return await asyncssh.listen(
+            "127.0.0.1", 0, server_factory=Anyone, server_host_keys=[key], sftp_factory=files
+        )
+
+    server = asyncio.run_coroutine_threadsafe(serve(), loop).result(30)
+    yield f"sftp://someone@127.0.0.1:{server.get_port()}"
+    loop.call_soon_threadsafe(server.close)
+
+
+@pytest.fixture(params=["s3", "ranges", "web", "sftp"])
+def root(request: pytest.FixtureRequest) -> str:
+    """URL of the folder, without a slash."""
+    if request.param == "s3":
+        request.getfixturevalue("s3")
+        return "s3://lab/day"
+    if request.param == "ranges":
+        return request.getfixturevalue("s3")[0] + "/lab/day"
+    return request.getfixturevalue(request.param)
+
+
+def held(place: str | Path) -> list[Any]:
+    """What a recording holds, message by message or row by row."""
+    if not looks_like_a_table(place):
+        return list(BagReader(place).messages())
+    source = open_source(place, check({}), Selection(from_touch=False))
+    return [source.inputs, *source._table.rows()]
+
+
+@pytest.mark.parametrize(
+    "name", ["press/golden_pose_0.mcap", "old/old.db3", "table.csv", "packed.csv.gz"]
+)
+def test_a_recording_at_a_url_holds_what_its_file_holds(root, name, folder):
+    here = held(folder / name)
+    assert here and held(f"{root}/{name}") == here
+
+
+def test_a_replay_from_a_url_gives_what_that_of_a_file_gives(s3, folder, capsys):
+    shown = []
+    for place in (folder / "press", "s3://lab/day/press"):
+        assert main(["replay", str(place), "--config", str(CONFIG), "--json"]) == 0
+        shown.append(json.loads(capsys.readouterr().out))
+    assert len(shown[0]["contacts"]) == 2 and shown[0] == shown[1]
+
+
+def test_what_is_no_bag_at_a_url_is_called_by_its_url(s3, capsys):
+    import boto3
+
+    boto3.client("s3").put_object(Bucket="lab", Key="notes.mcap", Body=b"no bag at all, but notes")
+    assert main(["replay", "s3://lab/notes.mcap"]) == 1
+    assert "s3://lab/notes.mcap is no bag" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("server", ["web", "sftp"])
+def test_an_archive_at_a_url_is_identified(server, request, tmp_path):
+    root = request.getfixturevalue(server)
+    names, table = ("press/", "nothing.mcap", "nothing.csv"), tmp_path / "results.csv"
+    command = [
+        "batch",
+        *(f"{root}/{name}" for name in names),
+        "-o",
+        table,
+        "--config",
+        CONFIG,
+        "--workers",
+        "1",
+    ]
+    assert main([str(word) for word in command]) == 0
+    with table.open(newline="") as file:
+        errors = [(row["bag"].removeprefix(root), row["error"]) for row in csv.DictReader(file)]
+    (missing, why), (other, why_other), *contacts = sorted(errors)
+    assert (missing, other) == ("/nothing.csv", "/nothing.mcap")
+    assert "does not exist" in why and "does not exist" in why_other
+    assert [error for _, error in contacts] == ["", ""]
+
+
+def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3, sftp):
+    for root in ("s3://lab/day", sftp):
+        found = [str(bag).removeprefix(root) for bag in find_bags([root])]
+        assert found == ["/old/old.db3", "/packed.csv.gz", "/press", "/table.csv"]
+        (bag,) = find_bags([f"{root}/pr*/*.mcap"])
+        assert str(bag) == f"{root}/press/golden_pose_0.mcap"
+
+
+def test_of_an_mcap_file_its_index_and_the_chunks_that_are_asked_for_are_read(s3, tmp_path):
+    import boto3
+    from mcap.writer import Writer
+
+    size, path = 1 << 20, tmp_path / "large.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=size // 2)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        image, force = (writer.register_channel(t, "cdr", schema) for t in ("/image", "/force"))
+        for time in range(20):
+            writer.add_message(image, time, bytes(size), time)
+        for time in range(100):
+            writer.add_message(force, 20 + time, b"\0\1\0\0" + bytes(1000), 20 + time)
+        writer.finish()
+    boto3.client("s3").upload_file(str(path), "lab", "large.mcap")
+    _, server = s3
+    before = server.sent
+    reader = BagReader("s3://lab/large.mcap")
+    assert [(topic.name, topic.message_count) for topic in reader.topics] == [
+        ("/force", 100),
+        ("/image", 20),
+    ]
+    index = server.sent - before
+    assert 0 < index < 70_000
+    assert len(list(reader.messages(["/force"]))) == 100
+    assert server.sent - before - index < 2 * size
+    assert len(list(reader.messages())) == 120
+
+
+@pytest.mark.parametrize("name", ["s3://lab/x.mcap", "https://127.0.0.1/x.mcap", "sftp://h/x.csv"])
+def test_without_the_extra_one_line_says_what_to_install(name):
+    hidden = "import sys; sys.modules['upath'] = None; from fden_ros.cli import main; "
+    done = subprocess.run(
+        [sys.executable, "-c", f"{hidden}sys.exit(main(['replay', {name!r}]))"],
+        capture_output=True,
+        text=True,
+    )
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 1 and name in line and "pip install '.[cluster]'" in line
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("http://127.0.0.1:1/press.mcap", "cannot be reached"),
+        ("http://127.0.0.1:1/press.csv", "cannot be reached"),
+        ("sftp://someone@127.0.0.1:1/press", "cannot be reached"),
+        ("gopher://lab/press.mcap", "is no URL that can be read"),
+    ],
+)
+def test_a_url_that_cannot_be_read_is_one_line(url, words, capsys):
+    assert main(["replay", url]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert url in line and words in line
+
+
+def test_what_could_not_be_reached_is_done_again_the_next_time(tmp_path):
+    (row,) = identify("http://127.0.0.1:1/press.mcap", work := Work(check({}), Selection()))
+    results = Results(tmp_path / "results.csv", work.digest())
+    results.add([row])
+    assert "cannot be reached" in row["error"]
+    assert not Results(results.path, work.digest()).has(row["bag"])
