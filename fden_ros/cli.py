@@ -19,7 +19,7 @@ from types import ModuleType
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.commands.command import Parser
-from fden_ros.errors import Hint, InputError
+from fden_ros.errors import Hint, InputError, without_ros
 
 #: Two interrupts within this time are one [s].
 _SAME_INTERRUPT = 1.0
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         args = build_parser().parse_args(arguments)
         try:
-            return int(args.run(args))
+            return _run(args)
         except InputError as error:
             print(f"fden {args.command}: {error}", file=sys.stderr)
             if error.hint is not None:
@@ -98,6 +98,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 0
+
+
+def _run(args: argparse.Namespace) -> int:
+    try:
+        return int(args.run(args))
+    except ModuleNotFoundError as error:
+        raise without_ros(error) from None
 
 
 def _show(hint: Hint, arguments: Sequence[str]) -> None:
