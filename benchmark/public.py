@@ -83,20 +83,24 @@ def run(args: argparse.Namespace) -> Report:
 
 
 def _draw(figure: Figure, tables: Sequence[Table]) -> None:
-    """Draw the median error of each estimator as a bar, with a line to its 90th percentile."""
-    figure.set_size_inches(3.2 * len(tables), 2.6)
+    """Draw the median error of each estimator, with a line to its 90th percentile."""
+    figure.set_size_inches(1.6 + 2.3 * len(tables), 2.5)
     names = list(dict.fromkeys(name for table in tables for name in table.rows))[::-1]
     (panels,) = figure.subplots(1, len(tables), sharey=True, squeeze=False)
     for axes, table in zip(panels, tables, strict=True):
         for name, row in table.rows.items():
             color = style.ESTIMATE if name == "FDEN" else style.MUTED
-            at, median = names.index(name), row["error, median"]
-            axes.barh(at, median, color=color, height=0.6)
-            axes.plot([median, row["error, 90 %"]], [at, at], color=style.INK)
+            at, ends = names.index(name), (row["error, median"], row["error, 90 %"])
+            axes.plot(ends, [at, at], color=color, linewidth=3.0)
+            axes.plot(ends[0], at, "o", color=color)
         axes.set_title(table.title)
-        axes.set_xlabel("error" if "alpha" in table.title else "error [%]")
+        is_order = "alpha" in table.title
+        axes.set_xlabel("error" if is_order else "error [%]")
         axes.set_yticks(range(len(names)), names)
-        axes.set_xlim(left=0.0)
+        axes.set_xscale("log")
+        ticks = (0.01, 0.1, 1.0) if is_order else (0.1, 1.0, 10.0, 100.0, 1000.0)
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.set_xticks([], minor=True)
 
 
 def row_of(pairs: Sequence[Pair]) -> dict[str, Any]:
