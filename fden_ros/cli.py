@@ -46,6 +46,15 @@ COMMANDS = {
     "live": "simulator, identifier, controller and monitor together",
 }
 
+#: Commands of before, and what stands in their place.
+_RETIRED = {
+    "calibrate": "fden configure, which finds the delay",
+    "demo": "make demo, or fden live",
+    "info": "ros2 bag info, or fden configure",
+    "layout": "sed on config/foxglove_layout.json",
+    "relative": "classification.mode: relative",
+}
+
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
@@ -86,13 +95,17 @@ def _exit_codes(module: ModuleType) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``fden``; return 0 when done, 1 when an input cannot be used, 2 on wrong usage."""
     try:
-        args = build_parser().parse_args(arguments)
+        parser = build_parser()
+        given = sys.argv[1:] if arguments is None else arguments
+        if given and given[0] in _RETIRED:
+            parser.error(f"there is no fden {given[0]} any more: use {_RETIRED[given[0]]}")
+        args = parser.parse_args(given)
         try:
             return _run(args)
         except InputError as error:
             print(f"fden {args.command}: {error}", file=sys.stderr)
             if error.hint is not None:
-                _show(error.hint(), sys.argv[1:] if arguments is None else arguments)
+                _show(error.hint(), given)
             return 1
     except KeyboardInterrupt:
         return 130

@@ -103,13 +103,12 @@ def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[
 
 
 def test_the_version_is_the_same_everywhere():
-    setup_version = re.search(r'version="([^"]+)"', (ROOT / "setup.py").read_text())
-    assert setup_version is not None
-    assert {
-        setup_version.group(1),
-        manifest().findtext("version"),
-        manifest("msg_defs/package.xml").findtext("version"),
-    } == {fden_ros.__version__}
+    """That of package.xml: setup.py reads it, and the package asks what is installed."""
+    version = manifest().findtext("version")
+    assert version == manifest("msg_defs/package.xml").findtext("version") == fden_ros.__version__
+    for path in ("CHANGELOG.rst", "msg_defs/CHANGELOG.rst"):
+        assert f"\n{version} (" in (ROOT / path).read_text()
+    assert f"| {version}, " in (ROOT / "QUALITY_DECLARATION.md").read_text()
 
 
 def test_package_xml_and_setup_py_ask_for_the_same_python_packages():
