@@ -6,7 +6,7 @@ STATISTICS_ARGS ?= -n 2
 PYTEST := $(ENV) python -m pytest --durations=10
 SEARCH_TIME ?= 3600
 
-.PHONY: help setup demo live test statistics search lint clean
+.PHONY: help setup demo live test statistics search lint wheel clean
 
 help:
 	@echo "make demo    two recorded presses: their numbers, and their page in demo/"
@@ -15,6 +15,7 @@ help:
 	@echo "make statistics  statistical claims at their full counts"
 	@echo "make search  property tests on new examples for SEARCH_TIME seconds (3600)"
 	@echo "make lint    ruff and mypy"
+	@echo "make wheel   wheels and a source archive in dist/, tried in a new environment"
 	@echo "make setup   make or mend the environment (PYTHON=... chooses the interpreter)"
 	@echo "make clean   remove the environment and everything built"
 
@@ -35,6 +36,10 @@ lint:
 	@$(ENV) ruff check
 	@$(ENV) mypy
 
+wheel: setup
+	@$(ENV) scripts/wheels
+	@$(PYTEST) -m wheels test/test_packaging.py
+
 test:
 	@echo "make test: set-up where it is missing (3 min), ruff and mypy (under 1 min), then every test but"
 	@echo "statistics, in two processes, over DDS on this host alone: some 10 min on two idle cores"
@@ -50,7 +55,7 @@ search: setup
 		FDEN_SEARCH=4 $(ENV) python -m pytest -q -n 2 -m hypothesis || exit 1; done
 
 clean:
-	rm -rf .venv .venv-jazzy build install log demo *.egg-info
+	rm -rf .venv .venv-jazzy build install log demo dist *.egg-info
 	rm -f fden_ros/core/estimation/_loops.*.so
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

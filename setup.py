@@ -3,6 +3,7 @@
 
 """Package description for pip and for colcon (ament_python)."""
 
+import xml.etree.ElementTree as ElementTree
 from glob import glob
 
 from setuptools import Extension, find_packages, setup
@@ -37,7 +38,7 @@ CLUSTER = [
 
 setup(
     name="fden_ros",
-    version="0.1.0",
+    version=ElementTree.parse("package.xml").findtext("version"),
     description="Online identification of soft-tissue stiffness with the FDEN model, for ROS 2",
     license="Apache-2.0",
     maintainer="fden_ros maintainers",

@@ -16,8 +16,8 @@ from __future__ import annotations
 BENCHMARKS: dict[str, str] = {
     "exact": "the law's own tissue: false alarms, silent errors, honesty, errors over the bound",
     "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",
-    "real": "prediction of measured holds of beef and silicone, beside the estimators of others",
-    "public": "N/m of recordings of others, beside the estimators of others",
+    "real": "prediction of measured holds of beef and silicone",
+    "public": "recordings of others, beside the estimators of others and your own",
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
     "robots": "what a real rig adds: breathing, compliance, hum; silent errors, contacts missed",
     "changes": "inclusions and slides under the probe: how soon they are told; false ones",

@@ -122,7 +122,7 @@ def read_tests(folder: Path | None) -> list[Test]:
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the one with the measured tests")
-    tests = [test for path in sorted(folder.glob("*.csv")) for test in _read_table(path)]
+    tests = [test for path in sorted(folder.glob("*.csv")) for test in read_table(path)]
     if not tests:
         raise InputError(f"{folder}: no CSV file in it has the columns {', '.join(COLUMNS)}")
     return tests
@@ -137,7 +137,8 @@ def some_of(tests: Sequence[Test], count: int) -> list[Test]:
     return chosen
 
 
-def _read_table(path: Path) -> list[Test]:
+def read_table(path: Path) -> list[Test]:
+    """Return the tests of one table; none where it has other columns."""
     rows: defaultdict[tuple[str, str], list[list[float]]] = defaultdict(list)
     with path.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)

@@ -125,6 +125,17 @@ def linear_fractional(seen: Samples, ahead: Samples) -> Array:
     return result
 
 
+def relaxation_order(times: Array, forces: Array) -> float:
+    """Return the order of the linear fractional model after a step at time 0: F = K t^-order."""
+
+    def misfit(order: float) -> float:
+        response = times**-order
+        stiffness = forces @ response / (response @ response)
+        return float(np.sum((forces - stiffness * response) ** 2))
+
+    return float(min(_ORDERS, key=misfit))
+
+
 PEERS: dict[str, Peer] = {
     "last value": last_value,
     "linear fractional": linear_fractional,

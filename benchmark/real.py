@@ -3,9 +3,9 @@
 
 """Measured tissue: from the ramp and the first 2 s of the hold, predict the rest of the hold.
 
-Every test goes through the online pipeline sample by sample, with wide priors, and the same
-samples go to the estimators of others. Nothing is fitted afterwards. *Error*: root mean square, in
-percent of the peak force; *score*: of the 95 % interval (Gneiting and Raftery 2007), likewise;
+Every test goes through the online pipeline sample by sample, with wide priors. Nothing is fitted
+afterwards. *Error*: root mean square, in percent of the peak force; *score*: of the 95 % interval
+(Gneiting and Raftery 2007), likewise;
 *short over whole*: by ramp and 2 s less by the whole record, over the deviation of the former;
 *alpha off*: from the hold's own order, where alpha is known. The rows of a day are those of the
 first part of the tests' names.
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured, within
 from benchmark.measured import FORCE_NOISE, Test, hold_order, identify, read_tests, some_of
-from benchmark.peers import PEERS, Samples
 from benchmark.score import NAMES, TWO_SIDED_95, mean_of, rms, share
-from fden_ros.control.prediction import Predictor
+from fden_ros.control.prediction import Prediction, Predictor
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Estimate, StateIndex
@@ -113,18 +112,23 @@ def run(args: argparse.Namespace) -> Report:
             groups.setdefault(name, []).append(outcome)
     rows = {name: row_of(groups[name]) for name in sorted(groups)}
     tables = {"materials": Table("The rest of the hold, from the ramp and 2 s", rows)}
-    for kind in (TISSUE, NOT_TISSUE):
-        if kind in groups:
-            title = f"{kind}: error of FDEN and of others"
-            tables[f"others, {kind}"] = Table(title, _others(groups[kind]))
     return Report(_goals(rows), tables)
 
 
 def predict(test: Test) -> Outcome:
-    """Identify from what is seen of a test, and predict the rest from the measured motion."""
-    seen, config = test.seen, pipeline_config(check(test.parameters))
+    """Return what is predicted from what is seen of a test, beside what the whole of it says."""
     whole, _, summary = identify(test)
-    short, state, _ = identify(test, seen)
+    short, prediction = foretell(test)
+    return Outcome(test, prediction.value, prediction.sd, short, whole, summary, hold_order(test))
+
+
+def foretell(
+    test: Test, parameters: Mapping[str, Any] | None = None
+) -> tuple[Estimate, Prediction]:
+    """Identify from what is seen of a test, and predict the force of the rest of its motion."""
+    own = dict(parameters or {})
+    seen, config = test.seen, pipeline_config(check(test.parameters | own))
+    short, state, _ = identify(test, seen, own)
     memory = TissueMemory(config.geometry)
     strains = test.displacements[:seen] / test.thickness - short.strain_origin
     steps = np.diff(test.times[:seen])
@@ -139,8 +143,7 @@ def predict(test: Test) -> Outcome:
         config.estimator.uncertainty,
     )
     plan = test.displacements[seen:] - test.displacements[seen - 1]
-    prediction = predictor.force(test.times[seen:] - test.times[seen - 1], plan)
-    return Outcome(test, prediction.value, prediction.sd, short, whole, summary, hold_order(test))
+    return short, predictor.force(test.times[seen:] - test.times[seen - 1], plan)
 
 
 def row_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -168,25 +171,6 @@ def row_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "converged": share(o.whole.converged for o in outcomes),
         "sd": np.median([o.whole.deviations for o in outcomes], axis=0),
     }
-
-
-def _others(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
-    errors: dict[str, list[float]] = {}
-    for outcome in outcomes:
-        test, seen = outcome.test, outcome.test.seen
-        everything = (test.times, test.displacements, test.forces)
-        known = Samples(*(values[:seen] for values in everything))
-        ahead = Samples(*(values[seen:] for values in everything))
-        predicted = {"FDEN": outcome.predicted}
-        predicted |= {name: peer(known, ahead) for name, peer in PEERS.items()}
-        for name, values in predicted.items():
-            error = float(rms(outcome.percent(values - outcome.rest)))
-            errors.setdefault(name, []).append(error)
-    rows = {
-        name: {"error, median": float(np.median(e)), "error, 90 %": float(np.percentile(e, 90.0))}
-        for name, e in errors.items()
-    }
-    return dict(sorted(rows.items(), key=lambda item: item[1]["error, median"]))
 
 
 def _goals(rows: dict[str, dict[str, Any]]) -> list[Goal]:

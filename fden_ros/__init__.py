@@ -3,4 +3,13 @@
 
 """Identify soft tissue online with the FDEN model: fractional dynamics, exponential stress."""
 
-__version__ = "0.1.0"
+__version__: str
+
+
+def __getattr__(name: str) -> str:
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    # Only where it is asked for: it takes as long to import as all that the core needs at first.
+    from importlib.metadata import version
+
+    return version(__name__)

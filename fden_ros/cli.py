@@ -19,7 +19,7 @@ from types import ModuleType
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.commands.command import Parser
-from fden_ros.errors import Hint, InputError
+from fden_ros.errors import Hint, InputError, without_ros
 
 #: Two interrupts within this time are one [s].
 _SAME_INTERRUPT = 1.0
@@ -44,6 +44,15 @@ COMMANDS = {
     "monitor": "show a running identifier in the terminal",
     "doctor": "what a running identifier hears and lacks, and the next step",
     "live": "simulator, identifier, controller and monitor together",
+}
+
+#: Commands of before, and what stands in their place.
+_RETIRED = {
+    "calibrate": "fden configure, which finds the delay",
+    "demo": "make demo, or fden live",
+    "info": "ros2 bag info, or fden configure",
+    "layout": "sed on config/foxglove_layout.json",
+    "relative": "classification.mode: relative",
 }
 
 DESCRIPTION = """\
@@ -86,18 +95,29 @@ def _exit_codes(module: ModuleType) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``fden``; return 0 when done, 1 when an input cannot be used, 2 on wrong usage."""
     try:
-        args = build_parser().parse_args(arguments)
+        parser = build_parser()
+        given = sys.argv[1:] if arguments is None else arguments
+        if given and given[0] in _RETIRED:
+            parser.error(f"there is no fden {given[0]} any more: use {_RETIRED[given[0]]}")
+        args = parser.parse_args(given)
         try:
-            return int(args.run(args))
+            return _run(args)
         except InputError as error:
             print(f"fden {args.command}: {error}", file=sys.stderr)
             if error.hint is not None:
-                _show(error.hint(), sys.argv[1:] if arguments is None else arguments)
+                _show(error.hint(), given)
             return 1
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
         return 0
+
+
+def _run(args: argparse.Namespace) -> int:
+    try:
+        return int(args.run(args))
+    except ModuleNotFoundError as error:
+        raise without_ros(error) from None
 
 
 def _show(hint: Hint, arguments: Sequence[str]) -> None:

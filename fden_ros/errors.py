@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -33,3 +34,19 @@ class InputError(Exception):
     def __init__(self, message: str, hint: Callable[[], Hint] | None = None) -> None:
         super().__init__(message)
         self.hint = hint
+
+
+def without_ros(error: ModuleNotFoundError) -> InputError:
+    """Return the line for somebody who has no ROS 2, or not the messages.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        The error itself, where what is missing is no part of ROS 2.
+    """
+    if not re.match(r"(rclpy|rosidl_parser|std_srvs|\w+_interfaces|\w+_msgs)\b", error.name or ""):
+        raise error
+    return InputError(
+        f"this needs ROS 2 ({error}): source ROS 2 Jazzy and the workspace, or install "
+        "fden_ros[wheels] and the wheel of fden_msgs"
+    )

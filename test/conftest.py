@@ -3,8 +3,9 @@
 
 """Every test process has a ROS domain of its own and keeps DDS on this host.
 
-A test marked ``statistics`` shows a statistical claim at its full count of seeds. It runs where
-the expression of ``-m`` names the marker (``make statistics``), and nowhere else.
+A test marked ``statistics`` shows a statistical claim at its full count of seeds, one marked
+``wheels`` installs what is in ``dist``. They run where the expression of ``-m`` names the marker
+(``make statistics``, ``make wheel``), and nowhere else.
 """
 
 from __future__ import annotations
@@ -30,12 +31,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if "statistics" in config.option.markexpr:
-        return
-    left_out = [item for item in items if item.get_closest_marker("statistics")]
-    if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("statistics")]
+    for alone in ("statistics", "wheels"):
+        if alone in config.option.markexpr:
+            continue
+        left_out = [item for item in items if item.get_closest_marker(alone)]
+        if left_out:
+            config.hook.pytest_deselected(items=left_out)
+            items[:] = [item for item in items if item not in left_out]
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

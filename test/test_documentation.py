@@ -641,6 +641,8 @@ def test_the_examples_stand_in_the_pages_as_they_are():
     assert identify in code_blocks(text_of("README.md"))
     assert identify in code_blocks(text_of("docs/python.md"))
     assert body("controller.py") in code_blocks(text_of("docs/controller.md"))
+    spring = body("own_estimator.py").partition('"""\n\n')[2]
+    assert spring in code_blocks(text_of("docs/benchmark.md"))
 
 
 WITHOUT_ROS = """

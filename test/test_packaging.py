@@ -9,6 +9,7 @@ import ast
 import contextlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -19,6 +20,8 @@ from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from fault_helpers import first_press
+from frame_helpers import arm, write_bag
 from ros_helpers import Bench, identifier
 
 import fden_ros
@@ -103,13 +106,12 @@ def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[
 
 
 def test_the_version_is_the_same_everywhere():
-    setup_version = re.search(r'version="([^"]+)"', (ROOT / "setup.py").read_text())
-    assert setup_version is not None
-    assert {
-        setup_version.group(1),
-        manifest().findtext("version"),
-        manifest("msg_defs/package.xml").findtext("version"),
-    } == {fden_ros.__version__}
+    """That of package.xml: setup.py reads it, and the package asks what is installed."""
+    version = manifest().findtext("version")
+    assert version == manifest("msg_defs/package.xml").findtext("version") == fden_ros.__version__
+    for path in ("CHANGELOG.rst", "msg_defs/CHANGELOG.rst"):
+        assert f"\n{version} (" in (ROOT / path).read_text()
+    assert f"| {version}, " in (ROOT / "QUALITY_DECLARATION.md").read_text()
 
 
 def test_package_xml_and_setup_py_ask_for_the_same_python_packages():
@@ -193,6 +195,13 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
 
 
+def test_one_script_installs_everywhere():
+    places = (".ci/run", "Dockerfile", ".devcontainer/devcontainer.json", "docs/robot.md")
+    for path in (*places, "README.md", ".github/workflows/test.yaml"):
+        assert "scripts/install" in (ROOT / path).read_text(), path
+    assert os.access(ROOT / "scripts" / "install", os.X_OK)
+
+
 def test_without_a_compiler_one_line_says_what_to_install(tmp_path):
     build = [sys.executable, "setup.py", "-q", "build_ext", "-f", "-b", tmp_path, "-t", tmp_path]
     failed = subprocess.run(
@@ -213,6 +222,85 @@ def test_a_process_keeps_linear_algebra_on_one_thread_unless_told_otherwise(modu
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == (given or "1")
+
+
+# Without ROS
+
+
+PRESS = ("examples/press.csv", "--config", "examples/probe.yaml")
+POSE = "bags/golden/golden_pose"
+POSES = (POSE, "--config", f"{POSE}/identifier.yaml")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("replay", *POSES, "--json"),
+        ("replay", *POSES, "--json", "--stamps", "recording"),
+        ("replay", "{arm}", "--config", "{arm}/identifier.yaml", "--json"),
+        ("configure", "{arm}"),
+        ("report", *POSES, "-o", "{new}/report.html"),
+        ("batch", *POSES, "-o", "{new}/table.csv"),
+        ("fit", "relaxation", "{new}/relaxation.csv", "--strain", "0.1"),
+    ],
+    ids=" ".join,
+)
+def test_offline_commands_need_no_ros_and_give_the_same_without(command, arm_bag, tmp_path):
+    said = []
+    ros = [key for key in dependencies("exec_depend") if "-" not in key]
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({ros}))"
+    for begin in ("import sys", blocked):
+        new = tmp_path / str(len(said))
+        new.mkdir()
+        rows = [f"{t},{500.0 * t**-0.1}" for t in (1, 2, 4, 8, 16, 32)]
+        (new / "relaxation.csv").write_text("\n".join(["time_s,stress_pa", *rows]))
+        words = [word.format(arm=arm_bag, new=new) for word in command]
+        code = f"{begin}; from fden_ros.cli import main; sys.exit(main({words}))"
+        shown = run(sys.executable, "-c", code, cwd=ROOT).stdout.replace(str(new), "")
+        said.append([shown, *(path.read_text() for path in sorted(new.glob("table*.csv")))])
+    assert said[0] == said[1] and said[0][0]
+
+
+@pytest.fixture(scope="module")
+def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("arm") / "bag", arm(first_press()))
+
+
+def test_what_needs_ros_says_so_in_one_line_without():
+    code = "import sys; sys.modules['rclpy'] = None; from fden_ros import cli; "
+    code += "from fden_ros.nodes import programs; cli.main(['monitor', '/x']); programs.planner()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    words = r"(fden monitor|planner): this needs ROS 2 \(.*rclpy.*\[wheels\].*"
+    lines = done.stderr.splitlines()
+    assert len(lines) == 2 and all(re.fullmatch(words, line) for line in lines), done.stderr
+
+
+@pytest.mark.wheels
+def test_wheels_work_in_a_new_environment_without_ros_and_with_it(tmp_path):
+    own, messages = (
+        next((ROOT / "dist").glob(f"{name}-*.whl")) for name in ("fden_ros", "fden_msgs")
+    )
+    foreign = ("PYTHON", "ROS", "_ROS", "AMENT", "CMAKE", "LD_", "VIRTUAL", "RMW", "COLCON")
+    clean = {key: value for key, value in os.environ.items() if not key.startswith(foreign)}
+    programs = tmp_path / "venv" / "bin"
+    options: dict[str, Any] = {
+        "cwd": tmp_path,
+        "env": {**clean, "PATH": f"{programs}:/usr/bin:/bin"},
+    }
+    run(sys._base_executable, "-m", "venv", tmp_path / "venv", **options)  # type: ignore[attr-defined]
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    run("pip", "install", own, **options)
+    with pytest.raises(AssertionError, match="No module named 'rclpy'"):
+        run("python", "-c", "import rclpy", **options)
+    example = run("python", "examples/identify_arrays.py", **options).stdout
+    assert example == run(sys.executable, "examples/identify_arrays.py", cwd=ROOT).stdout
+    run("fden", "report", *PRESS, "-o", "report.html", **options)
+
+    run("pip", "install", f"{own}[wheels]", messages, **options)
+    options["env"] |= {name: os.environ[name] for name in ("ROS_DOMAIN_ID",)}
+    options["env"]["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    shown = run("fden", "live", "--duration", "20", **options).stdout
+    assert "contact 1 at site 1" in shown  # on a busy machine not in time to be relied on
 
 
 # The layout: imports run one way, from what is nearer the user to what is nearer the data

@@ -14,9 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
+from tf2_msgs.msg import TFMessage
 
 from fden_ros.parameters import check
 from fden_ros.recording.cdr import serialize
+from fden_ros.recording.stamps import restamped_data
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import Inputs
 
@@ -156,3 +158,20 @@ def test_bytes_cut_anywhere_are_left_to_the_class(kind):
     big_endian = b"\x00\x00" + data[2:]
     with pytest.raises(UnusualError):
         handler(big_endian)
+
+
+@given(frames=st.lists(st.tuples(texts, texts, vectors), max_size=3), cut=st.integers(0, 400))
+def test_transforms_get_another_stamp_and_damaged_bytes_stay_as_they_are(frames, cut):
+    message = TFMessage()
+    for frame, child, value in frames:
+        one = fill(TransformStamped(child_frame_id=child), frame, 1, 2)
+        place = one.transform.translation
+        place.x, place.y, place.z = value
+        message.transforms.append(one)
+    data = serialize(message)
+    found = restamped_data(data, "tf2_msgs/msg/TFMessage", 5_000_000_007)
+    for one in message.transforms:
+        one.header.stamp.sec, one.header.stamp.nanosec = 5, 7
+    assert found == serialize(message)
+    if cut < len(data):
+        assert restamped_data(data[:cut], "tf2_msgs/msg/TFMessage", 5_000_000_007) == data[:cut]

@@ -23,7 +23,7 @@ from fden_ros.offline.replay import replay
 from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.parameters import Parameters, read_parameter_file
 from fden_ros.recording.definitions import message_class
-from fden_ros.ros.inputs import DISPLACEMENT_MESSAGES
+from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.messages import type_name
 from fden_ros.ros.region_messages import FIELDS as REGION_FIELDS
 from fden_ros.ros.stiffness_map import StiffnessMap
@@ -37,7 +37,7 @@ HALF_VIEW = np.radians(22.5)
 TYPES = {f"{NODE}/{topic.name}": type_name(topic.message_type) for topic in OUTPUT_TOPICS} | {
     DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
     "/force": "geometry_msgs/msg/WrenchStamped",
-    "/displacement": type_name(DISPLACEMENT_MESSAGES[Parameters().displacement.message]),
+    "/displacement": TYPE_NAMES["displacement"][Parameters().displacement.message],
 }
 PLANNER_TYPES = {
     "/planner/region_map": "sensor_msgs/msg/PointCloud2",

@@ -25,7 +25,7 @@ from benchmark.other_laws import (
     standard_linear_solid,
     stress_of_law,
 )
-from fden_ros.ros.messages import stamp_ns
+from fden_ros.ros.inputs import stamp_ns
 from fden_ros.simulation.model import FdenModel
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion, Tissue

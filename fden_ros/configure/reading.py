@@ -21,11 +21,10 @@ from fden_ros.parameters import check
 from fden_ros.progress import progress
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
-from fden_ros.recording.source import TRANSFORMS, BagSource, Selection
+from fden_ros.recording.source import BagSource, Selection
 from fden_ros.recording.table import TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
-from fden_ros.ros.inputs import TYPE_NAMES
-from fden_ros.ros.messages import stamp_ns
+from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
 MESSAGES = {

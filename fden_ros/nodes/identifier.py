@@ -44,7 +44,7 @@ from fden_ros.parameters import (
     pipeline_config,
 )
 from fden_ros.parameters.files import identifier_values
-from fden_ros.ros.inputs import INPUT_MESSAGES
+from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
@@ -94,7 +94,7 @@ class Identifier(LifecycleNode):
         for name in given:
             if name in values:
                 self._parameter_overrides[name] = RosParameter(name, value=values[name])
-        inputs = [self.resolve_topic_name(name) for name in INPUT_MESSAGES]
+        inputs = [self.resolve_topic_name(name) for name in TYPE_NAMES]
         outputs = [self.resolve_topic_name(f"~/{topic.name}") for topic in OUTPUT_TOPICS]
         check_qos_overrides(given, inputs, outputs)
 

@@ -14,6 +14,8 @@ import importlib
 import signal
 import sys
 
+from fden_ros.errors import without_ros
+
 _NUMBERS = (signal.SIGINT, signal.SIGTERM)
 _noted: list[int] = []
 
@@ -34,7 +36,11 @@ def ignore_signals() -> None:
 
 def _run(name: str) -> int:
     note_signals()
-    return int(importlib.import_module(f"fden_ros.nodes.{name}").main())
+    try:
+        node = importlib.import_module(f"fden_ros.nodes.{name}")
+    except ModuleNotFoundError as error:
+        sys.exit(f"{name}: {without_ros(error)}")
+    return int(node.main())
 
 
 identifier = functools.partial(_run, "identifier")

@@ -21,7 +21,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
-from tf2_msgs.msg import TFMessage
 
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
@@ -33,10 +32,10 @@ from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall_in_parts
 from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import Parameters, pipeline_config
+from fden_ros.recording.definitions import decoder, message_class
 from fden_ros.recording.stamps import restamped_data
 from fden_ros.ros.decoding import handler_of
-from fden_ros.ros.inputs import INPUT_MESSAGES, Inputs
-from fden_ros.ros.messages import type_name
+from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, Inputs
 from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 
 #: Whether the input has stopped is looked at so often [s].
@@ -94,9 +93,9 @@ class Session:
         self._is_open = True
         for name in self.inputs.names:
             kind = getattr(self._parameters, name).message
-            self._subscribe(INPUT_MESSAGES[name][kind], name)
+            self._subscribe(TYPE_NAMES[name][kind], name)
         for name in self.inputs.transform_topics:
-            self._subscribe(TFMessage, name)
+            self._subscribe(TRANSFORMS, name)
         # rclpy's first line takes a tenth of a second: here, not in the middle of a contact.
         *first, last = (one.subscription.topic_name for one in self.listened_to)
         self._node.get_logger().info(f"listening to {', '.join(first)} and {last}")
@@ -137,9 +136,9 @@ class Session:
 
     # In
 
-    def _subscribe(self, kind: type, topic: str) -> None:
+    def _subscribe(self, kind: str, topic: str) -> None:
         subscription = self._node.create_subscription(
-            kind,
+            message_class(kind),
             topic,
             lambda data: None,
             copy.copy(STATIC_QOS if topic == "/tf_static" else INPUT_QOS),
@@ -154,13 +153,13 @@ class Session:
         self._loss_counters[topic] = loss_counter(subscription)
         self.backlog.inputs.append(Input(topic, taker(subscription), self._reader(topic, kind)))
 
-    def _reader(self, topic: str, kind: type) -> Callable[[bytes], None]:
+    def _reader(self, topic: str, kind: str) -> Callable[[bytes], None]:
         """Return what reads the bytes of a message, with the stamp that is asked for."""
-        read = handler_of(topic, kind, self.inputs)
+        read = handler_of(topic, kind, decoder(kind), self.inputs)
         if self._parameters.synchronize.stamp_source == "header":
             return read
-        name, backlog = type_name(kind), self.backlog
-        return lambda data: read(restamped_data(data, name, backlog.received_ns))
+        backlog = self.backlog
+        return lambda data: read(restamped_data(data, kind, backlog.received_ns))
 
     def _take(self) -> None:
         with self._lock:

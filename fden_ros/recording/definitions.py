@@ -5,14 +5,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
+import io
 import json
 import os
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from mcap.records import Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_typestore
 
 from fden_ros.errors import InputError
 
@@ -57,6 +65,36 @@ def message_class(type_name: str) -> Any:
             f"message type {type_name} is not installed: install the package {package} "
             "or source the workspace that builds it"
         ) from None
+
+
+@functools.cache
+def decoder(type_name: str) -> Callable[[bytes], Any]:
+    """Return what makes a message of its CDR bytes: its class, or without ROS its definition.
+
+    Raises
+    ------
+    InputError
+        When the type is neither installed nor one of ROS 2 Jazzy's own.
+    """
+    try:
+        kind = message_class(type_name)
+        from rclpy.serialization import deserialize_message
+    except (InputError, ImportError) as error:
+        known = get_typestore(Stores.ROS2_JAZZY)
+        if type_name not in known.types:
+            raise InputError(str(error)) from None
+        return decoder_by(known.generate_msgdef(type_name, ros_version=2)[0], type_name)
+    return lambda data: deserialize_message(data, kind)
+
+
+def decoder_by(definition: str, type_name: str) -> Callable[[bytes], Any]:
+    """Return what makes a message of its CDR bytes by a ``ros2msg`` definition."""
+    schema = Schema(id=1, name=type_name, encoding=SchemaEncoding.ROS2, data=definition.encode())
+    # What it cannot parse it also prints.
+    with contextlib.redirect_stderr(io.StringIO()):
+        decode = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+    assert decode is not None
+    return decode
 
 
 @functools.cache

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,14 +12,12 @@ from typing import Any
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.records import Schema
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap_ros2.decoder import DecoderFactory
+from mcap.well_known import SchemaEncoding
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fden_ros.core.streams.tool import Quaternion
 from fden_ros.errors import InputError
-from fden_ros.recording.definitions import message_class, message_definition
+from fden_ros.recording.definitions import decoder, decoder_by, message_definition
 from fden_ros.recording.reader import Topic
 
 Vector = tuple[float, float, float]
@@ -110,34 +106,29 @@ def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
     InputError
         If the bag carries no definition and none is installed.
     """
-    carried = topic.schema if topic.schema_encoding == SchemaEncoding.ROS2 else ""
+    carried = topic.schema.strip() if topic.schema_encoding == SchemaEncoding.ROS2 else ""
+    if carried in ("", _installed(topic.type_name)):
+        try:
+            return decoder(topic.type_name)
+        except InputError:
+            raise InputError(
+                f"{topic.name}: the bag carries no readable definition of {topic.type_name}: "
+                f"install the package {topic.type_name.partition('/')[0]}"
+            ) from None
     try:
-        installed: str | None = message_definition(topic.type_name)
-    except InputError:
-        installed = None
-    if installed is not None and carried.strip() in ("", installed.strip()):
-        from rclpy.serialization import deserialize_message
-
-        kind = message_class(topic.type_name)
-        return lambda data: deserialize_message(data, kind)
-    if not carried:
-        raise InputError(
-            f"{topic.name}: the bag carries no readable definition of {topic.type_name}: install "
-            f"the package {topic.type_name.partition('/')[0]}"
-        )
-    schema = Schema(
-        id=1, name=topic.type_name, encoding=SchemaEncoding.ROS2, data=carried.encode()
-    )
-    try:
-        # What it cannot parse it also prints.
-        with contextlib.redirect_stderr(io.StringIO()):
-            decode = DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+        return decoder_by(carried, topic.type_name)
     except NameError:
         return _decoder_of_ros1(topic)
     except (McapError, ValueError, LookupError) as error:
         raise _unreadable(topic, error) from None
-    assert decode is not None
-    return decode
+
+
+def _installed(type_name: str) -> str:
+    """Return the installed definition of a type; empty where there is none."""
+    try:
+        return message_definition(type_name).strip()
+    except InputError:
+        return ""
 
 
 def _decoder_of_ros1(topic: Topic) -> Callable[[bytes], Any]:

@@ -26,7 +26,7 @@ import zstandard
 from mcap.well_known import MessageEncoding
 
 from fden_ros.errors import InputError
-from fden_ros.recording.definitions import full_type_name, message_class
+from fden_ros.recording.definitions import decoder, full_type_name
 from fden_ros.recording.mcap_file import (
     MAGIC,
     ChunkError,
@@ -456,12 +456,9 @@ def decode(message: RawMessage) -> Any:
     InputError
         When its type is not installed or its bytes do not fit the type.
     """
-    from rclpy.serialization import deserialize_message
-
+    decoded = decoder(message.type_name)
     try:
-        return deserialize_message(message.data, message_class(message.type_name))
-    except InputError:
-        raise
+        return decoded(message.data)
     except Exception as error:
         raise InputError(
             f"a message on {message.topic} is no valid {message.type_name}: the bag is damaged "

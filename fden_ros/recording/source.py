@@ -19,14 +19,13 @@ from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
 from fden_ros.recording.arm import arm_values
 from fden_ros.recording.candidates import hint_of
-from fden_ros.recording.definitions import message_class
+from fden_ros.recording.definitions import decoder
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.machine import machine_values
 from fden_ros.recording.places import called, copied, is_remote, place, reached
 from fden_ros.recording.reader import BagReader, RawMessage, Topic
 from fden_ros.recording.stamps import (
     LOOKED_AT,
-    TRANSFORMS,
     carried_stamp,
     problems,
     raw_stamp,
@@ -44,11 +43,12 @@ from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
     TRANSFORM_TOPICS,
+    TRANSFORMS,
     Inputs,
     NumberOrVector,
     measured_inputs,
+    stamp_ns,
 )
-from fden_ros.ros.messages import stamp_ns
 
 _ALWAYS = ("force", "displacement")
 
@@ -280,7 +280,8 @@ class BagSource:
         if field is not None:
             path = FieldPath(field)
             return _FieldHandler(stream, topic, path, inputs, self.note, self._is_stamped)
-        handle = handler_of(stream, message_class(topic.type_name), inputs)
+        kind = topic.type_name
+        handle = handler_of(stream, kind, decoder(kind), inputs)
         return lambda message: handle(message.data)
 
     def note(self, text: str) -> None:

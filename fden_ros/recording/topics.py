@@ -11,9 +11,7 @@ from collections.abc import Collection, Sequence
 from fden_ros.errors import InputError
 from fden_ros.recording.headings import COMMANDED
 from fden_ros.recording.reader import Topic, topic_named
-from fden_ros.ros.inputs import TYPE_NAMES
-
-_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
 # Words in a topic's name: what it most likely carries.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
@@ -74,11 +72,7 @@ def find_topic(
     hint = f"name it with --{stream}-topic"
     if not chosen:
         hint += f", and the number in it with --{stream}-field"
-    if (
-        stream == "displacement"
-        and not chosen
-        and any(t.type_name == _TRANSFORMS for t in present)
-    ):
+    if stream == "displacement" and not chosen and any(t.type_name == TRANSFORMS for t in present):
         hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
     kind = InputError if chosen else NoTopicError
     raise kind(f"{where}: {problem} the {stream}: {listed}; {hint}")

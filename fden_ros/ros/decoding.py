@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The input messages straight from their bytes: ten times faster than through their classes.
+"""The input messages straight from their bytes: ten times faster than as a whole.
 
 A replay needs a stamp, a frame and one to three numbers of each message, and nothing else of it.
 They are read at their places in the CDR encoding (little-endian, version 1, as every ROS 2 writes
-on today's machines); anything else is decoded by the class. Both give the same
+on today's machines); anything else is decoded as a whole. Both give the same
 numbers, bit for bit, which the tests show. A stream's messages differ in stamp and numbers only:
 where all other bytes are those of the last message, its places hold and are not looked for.
 """
@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-
-from rclpy.serialization import deserialize_message
+from typing import Any
 
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, Places, stream_of
-from fden_ros.ros.messages import type_name
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _STAMP = struct.Struct("<iI")  # seconds, nanoseconds
@@ -36,21 +34,23 @@ Handler = Callable[[bytes], None]
 
 
 class UnusualError(Exception):
-    """The bytes are not as expected: the message's class has to decode them."""
+    """The bytes are not as expected: the message has to be decoded as a whole."""
 
 
-def handler_of(stream: str, kind: type, inputs: Inputs) -> Handler:
+def handler_of(stream: str, kind: str, decode: Callable[[bytes], Any], inputs: Inputs) -> Handler:
     """Return what feeds the bytes of a message to `inputs`, or counts them as damaged.
 
     Parameters
     ----------
     stream : str
         Name of the input.
-    kind : type
-        Class of its messages.
+    kind : str
+        Name of the type of its messages.
+    decode : callable
+        Makes one of its bytes.
     inputs : Inputs
     """
-    fast = fast_handler(stream, type_name(kind), inputs)
+    fast = fast_handler(stream, kind, inputs)
 
     def handle(data: bytes) -> None:
         try:
@@ -60,9 +60,9 @@ def handler_of(stream: str, kind: type, inputs: Inputs) -> Handler:
         except (UnusualError, struct.error):
             pass
         try:
-            message = deserialize_message(data, kind)
+            message = decode(data)
         except Exception:
-            # rclpy raises RuntimeError, MemoryError and others for bytes that do not fit.
+            # Decoders raise RuntimeError, MemoryError and others for bytes that do not fit.
             inputs.reject(stream_of(stream), DAMAGED)
             return
         inputs.add(stream, message)
@@ -84,7 +84,7 @@ def fast_handler(stream: str, kind: str, inputs: Inputs) -> Handler | None:
     Returns
     -------
     callable
-        Raises `UnusualError` or ``struct.error`` where the class has to decode instead.
+        Raises `UnusualError` or ``struct.error`` where the message has to be decoded as a whole.
     """
     if stream in TRANSFORM_TOPICS:
         return None

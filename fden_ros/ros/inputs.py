@@ -12,12 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
-from sensor_msgs.msg import JointState
-from tf2_msgs.msg import TFMessage
-
 from fden_ros.core.streams.rotation import NumberOrVector, Quaternion, normalised
-from fden_ros.core.streams.samples import Position, Reason, Sink
+from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sink
 from fden_ros.parameters import (
     Parameters,
     frames_config,
@@ -26,29 +22,24 @@ from fden_ros.parameters import (
     tool_weight,
     unit_vector,
 )
-from fden_ros.ros.messages import stamp_ns, type_name
 
-FORCE_MESSAGES: dict[str, type] = {"wrench": WrenchStamped, "joint_state": JointState}
-DISPLACEMENT_MESSAGES: dict[str, type] = {
-    "joint_state": JointState,
-    "pose": PoseStamped,
-    "transform": TransformStamped,
-    "point": PointStamped,
-}
-
-#: By the name of an input, the types that its parameter ``message`` stands for.
-INPUT_MESSAGES: Mapping[str, Mapping[str, type]] = {
-    "force": FORCE_MESSAGES,
-    "displacement": DISPLACEMENT_MESSAGES,
-    "surface": DISPLACEMENT_MESSAGES,
-    "/tf": {"transforms": TFMessage},
-    "/tf_static": {"transforms": TFMessage},
+#: Of ``/tf``.
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_JOINTS = "sensor_msgs/msg/JointState"
+_PLACES = {
+    "joint_state": _JOINTS,
+    "pose": "geometry_msgs/msg/PoseStamped",
+    "transform": "geometry_msgs/msg/TransformStamped",
+    "point": "geometry_msgs/msg/PointStamped",
 }
 
 #: By the name of an input, the type that each value of its parameter ``message`` stands for.
 TYPE_NAMES: Mapping[str, Mapping[str, str]] = {
-    name: {value: type_name(kind) for value, kind in kinds.items()}
-    for name, kinds in INPUT_MESSAGES.items()
+    "force": {"wrench": "geometry_msgs/msg/WrenchStamped", "joint_state": _JOINTS},
+    "displacement": _PLACES,
+    "surface": _PLACES,
+    "/tf": {"transforms": TRANSFORMS},
+    "/tf_static": {"transforms": TRANSFORMS},
 }
 
 #: Of transforms, by names that are the same in every namespace.
@@ -58,10 +49,15 @@ TRANSFORM_TOPICS = ("/tf", "/tf_static")
 DAMAGED = "damaged"
 
 
+def stamp_ns(stamp: Any) -> int:
+    """Return a stamp of a message as integer nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
 def measured_inputs(parameters: Parameters) -> list[str]:
     """Return the inputs that parameters ask for beside force, displacement and transforms."""
     always = ("force", "displacement", *TRANSFORM_TOPICS)
-    others = [name for name in INPUT_MESSAGES if name not in always]
+    others = [name for name in TYPE_NAMES if name not in always]
     return [name for name in others if getattr(parameters, name).message != "none"]
 
 
@@ -113,23 +109,19 @@ class Places:
         self._sink, self._take = sink, take
         self.takes_orientation = takes_orientation
         self.frame: str | None = None
-        self._read_position: dict[type, Callable[[Any], Position]] = {
-            PoseStamped: _pose_position,
-            TransformStamped: _transform_position,
-            PointStamped: _point_position,
-        }
 
     def add(self, message: Any) -> None:
         """Take a message."""
         header = message.header
         stamp = stamp_ns(header.stamp)
-        if isinstance(message, JointState):
+        if hasattr(message, "effort"):
             joint = _joint_value(message.name, message.position, self.joint)
             self.take_joint(header.frame_id, stamp, joint)
             return
-        position = self._read_position[type(message)](message)
-        orientation = _orientation(message) if self.takes_orientation else None
-        self.take_position(header.frame_id, stamp, position, orientation)
+        position, orientation = _place(message)
+        self.take_position(
+            header.frame_id, stamp, position, orientation if self.takes_orientation else None
+        )
 
     def add_value(
         self,
@@ -270,7 +262,7 @@ class Inputs:
             return
         header = message.header
         stamp = stamp_ns(header.stamp)
-        if isinstance(message, WrenchStamped):
+        if hasattr(message, "wrench"):
             wrench = message.wrench
             vector = wrench.torque if self.takes_torque else wrench.force
             self.take_force_vector(header.frame_id, stamp, (vector.x, vector.y, vector.z))
@@ -312,12 +304,13 @@ class Inputs:
 
     def _add_transforms(self, message: Any, *, is_static: bool) -> None:
         for one in message.transforms:
+            position, orientation = _place(one)
             self._sink.add_transform(
                 stamp_ns(one.header.stamp),
                 one.header.frame_id.lstrip("/"),
                 one.child_frame_id.lstrip("/"),
-                _transform_position(one),
-                _orientation(one) or (0.0, 0.0, 0.0, 0.0),
+                position,
+                orientation or (0.0, 0.0, 0.0, 0.0),
                 is_static=is_static,
             )
 
@@ -363,25 +356,12 @@ def _joint_value(names: list[str], values: Any, joint: str) -> float | None:
     return float(values[index]) if index < len(values) else None
 
 
-def _pose_position(message: PoseStamped) -> Position:
-    position = message.pose.position
-    return position.x, position.y, position.z
-
-
-def _transform_position(message: TransformStamped) -> Position:
-    translation = message.transform.translation
-    return translation.x, translation.y, translation.z
-
-
-def _orientation(message: Any) -> Quaternion | None:
-    if isinstance(message, PoseStamped):
-        turn = message.pose.orientation
-    elif isinstance(message, TransformStamped):
-        turn = message.transform.rotation
+def _place(message: Any) -> tuple[Position, Quaternion | None]:
+    """Return the position of a message, and the orientation where its type has one."""
+    if hasattr(message, "point"):
+        return (message.point.x, message.point.y, message.point.z), None
+    if hasattr(message, "pose"):
+        place, turn = message.pose.position, message.pose.orientation
     else:
-        return None
-    return turn.x, turn.y, turn.z, turn.w
-
-
-def _point_position(message: PointStamped) -> Position:
-    return message.point.x, message.point.y, message.point.z
+        place, turn = message.transform.translation, message.transform.rotation
+    return (place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w)

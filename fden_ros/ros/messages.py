@@ -40,14 +40,10 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.planning.tissue import TissueBelief
+from fden_ros.ros.inputs import stamp_ns
 
 #: Fields of the messages: of loading, of unloading.
 _MEASURED = ("measured_stiffness", "measured_stiffness_unloading")
-
-
-def stamp_ns(stamp: Time) -> int:
-    """Return a stamp as integer nanoseconds."""
-    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def to_stamp(nanoseconds: int) -> Time:

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Make the tables of docs/benchmark.md from clones of the repositories that it names.
+
+scripts/ros_env python -m benchmark.sources CLONES -o recordings/   (a folder with the clones)
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import importlib
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmark.measured import COLUMNS as HOLD_COLUMNS
+from benchmark.questions import PRESS_COLUMNS, RELAXATION_COLUMNS
+from fden_ros.errors import InputError
+from fden_ros.recording.reader import BagReader, decode
+
+Row = Sequence[object]
+Tables = dict[str, Iterable[Row]]
+
+#: Of the phantoms, as their authors state it [kPa].
+MODULI = {
+    "EF10": {"0T": 56.27, "12_5T": 38.06, "25T": 28.16, "37_5T": 20.14, "50T": 16.29,
+             "62_5T": 12.94, "75T": 9.58, "87_5T": 8.68, "100T": 6.19},
+    "EF30": {"0T": 103.46, "12_5T": 72.58, "25T": 50.21, "37_5T": 37.16, "50T": 31.85},
+    "EF50": {"0T": 158.80, "12_5T": 111.86, "25T": 86.80, "37_5T": 72.76, "50T": 59.25},
+}  # fmt: skip
+#: Which of ten compressions, of three presses and of five temperatures [deg C] are taken.
+_COMPRESSIONS, _PRESSES = ("A1", "A2", "A3", "A5", "B1"), (1, 3, 5)
+_TEMPERATURES = (130, 145, 160, 175, 190)
+_PRESS = ("test", *PRESS_COLUMNS)
+_DAYS = ("230331", "230403")
+
+
+def phantoms(clone: Path) -> Tables:
+    """Return the compressions of silicones, and their moduli."""
+    rows: list[Row] = [_PRESS]
+    truths: list[Row] = [("test", "phantom", "area_m2", "thickness_m", "modulus_Pa")]
+    for family, moduli in MODULI.items():
+        for thinner, modulus in moduli.items():
+            phantom = f"{family}_{thinner}"
+            for number in _COMPRESSIONS:
+                test = f"{phantom}_{number}"
+                lines = (clone / "data" / phantom / f"{test}.csv").read_text().splitlines()
+                numbers = [line.split(",")[:3] for line in lines if re.match(r"[\d.]+,", line)]
+                rows += [(test, time, force, depth) for time, depth, force in numbers]
+                truths.append((test, phantom, np.pi * 0.025**2, 0.03, 1e3 * modulus))
+    return {"phantoms.csv": rows, "phantoms_truth.csv": truths}
+
+
+def presses(clone: Path) -> Tables:
+    """Return the presses of an arm, and the mean slope of their first 0.2 mm of unloading."""
+    rows: list[Row] = [_PRESS]
+    slopes = []
+    for number in _PRESSES:
+        bag = BagReader(clone / "matlab" / "test_const_vel" / f"test_soft_{number}")
+        table = np.array([decode(m).data[:6] for m in bag.messages(["/data_control"])])
+        times, depths, forces = table[:, 0] - table[0, 0], table[:, 1] - table[:, 3], -table[:, 5]
+        deepest = int(np.argmax(depths))
+        touch = int(np.flatnonzero(depths[:deepest] <= 0.0)[-1]) + 1
+        left = deepest + int(np.argmax(depths[deepest:] <= 0.0))
+        kept = slice(touch, left if left > deepest else None)
+        shown = zip(times[kept], forces[kept], 1e3 * depths[kept], strict=True)
+        rows += [(f"press_{number}", *map(float, row)) for row in shown]
+        wanted = table[:, 1] - table[:, 2]
+        turn = int(np.flatnonzero(wanted == wanted.max())[-1])
+        way = np.where(np.arange(depths.size) > turn, depths[turn] - depths, 0.0)
+        unloading = (way > 2e-5) & (way < 2.2e-4)
+        slopes.append(np.polyfit(depths[unloading], forces[unloading], 1)[0])
+    known = ("silicone", np.pi * 0.005**2, 0.03, float(np.mean(slopes)))
+    heading = ("test", "phantom", "area_m2", "thickness_m", "stiffness_N_per_m")
+    truths = [heading, *((f"press_{number}", *known) for number in _PRESSES)]
+    return {"presses.csv": rows, "presses_truth.csv": truths}
+
+
+def beef(clone: Path) -> Tables:
+    """Return the ramps and holds on beef; needs openpyxl."""
+    try:
+        load = importlib.import_module("openpyxl").load_workbook
+    except ModuleNotFoundError:
+        raise InputError(
+            "beef is in spreadsheets: pip install openpyxl, or leave it out"
+        ) from None
+    return {f"beef_{day}.csv": _beef(clone, day, load) for day in _DAYS}
+
+
+def _beef(clone: Path, day: str, load: Callable[..., Any]) -> Iterator[Row]:
+    yield HOLD_COLUMNS
+    name = f"{day}_C_Indentation_relaxation_500N_force.xlsx"
+    folder = clone / "indentation" / "experiments" / "zwick" / "raw_data" / day
+    book = load(folder / name, read_only=True)
+    for sheet in book.sheetnames[3:]:  # after parameters, results and statistics
+        for row in book[sheet].iter_rows(min_row=4, max_col=4, values_only=True):
+            if None not in row:
+                yield (f"{day}/{sheet}", f"beef_{sheet[:2]}", *row)
+
+
+def relaxations(clone: Path) -> Tables:
+    """Return the relaxations of a polymer from 1 to 10 s, and alpha from 0.1 to 1 rad/s."""
+    rows: list[Row] = [("test", *RELAXATION_COLUMNS)]
+    truths: list[Row] = [("test", "alpha", "alpha_sd")]
+    folder = clone / "demos" / "bayesian_optimization" / "data" / "polystyrene"
+    for degrees in _TEMPERATURES:
+        test = f"ps{degrees}"
+        relaxed = np.loadtxt(folder / f"stressrelaxation_{test}_data.csv", skiprows=1)
+        rows += [(test, *map(float, row)) for row in relaxed if 1.0 <= row[0] <= 10.0]
+        omega, storage, loss = np.loadtxt(folder / f"oscillation_{test}_data.csv", skiprows=1).T
+        own = (omega >= 0.1) & (omega <= 1.0)
+        alphas = np.arctan2(loss[own], storage[own]) * 2.0 / np.pi
+        truths.append((test, float(alphas.mean()), float(alphas.std())))
+    return {"relaxations.csv": rows, "relaxations_truth.csv": truths}
+
+
+#: By the name of the clone's folder.
+SOURCES = {
+    "tissue-phantom-material-database": phantoms,
+    "Ur3e-experimental-setup": presses,
+    "perineal_indentation": beef,
+    "pyRheo": relaxations,
+}
+
+
+def main() -> int:
+    """Write the tables of the clones that are there; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("clones", type=Path, metavar="CLONES")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    args = parser.parse_args()
+    found = {name: read for name, read in SOURCES.items() if (args.clones / name).is_dir()}
+    if not found:
+        parser.error(f"{args.clones} has none of the folders {', '.join(SOURCES)}")
+    args.output.mkdir(parents=True, exist_ok=True)
+    for name, read in found.items():
+        try:
+            tables = read(args.clones / name)
+        except (InputError, OSError) as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            continue
+        for table, rows in tables.items():
+            with open(args.output / table, "w", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerows(rows)
+            print(args.output / table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
