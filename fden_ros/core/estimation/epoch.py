@@ -59,7 +59,7 @@ class Epoch:
             if one is not best:
                 yield cost_of(search.points, one.posterior.grid)
                 evidence += _under(search.points, one, best) - one.best.log_evidence
-            result.append((one, evidence))
+            result.append((one, evidence) if math.isfinite(evidence) else None)
         return result
 
 
