@@ -181,7 +181,7 @@ def test_a_relaxation_that_ends_is_told_of_a_law_that_may_be_off():
     estimator.begin_finish()
     estimator.finish()
     assert estimator.is_mismatch
-    # Laws with a plateau take part in what a small motion meets: by the power law it is farther off.
+    # Laws with a plateau take part in what a small motion meets: the power law is farther off.
     motions = estimator.estimate().small_motions
     truth = math.log(1000.0 * (1.0 + math.exp(-0.1 / 0.5)))
     by_all = log_stiffness(motions, 0.3, float(stress[-1]), 0.1)
